@@ -26,8 +26,8 @@ from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
 from . import details, shared_worker
-from .cache import folder_path, temporary_take
 from .block_reference import BlockReference
+from .cache import folder_path, temporary_take
 from .scene.apply import apply_track, track_for
 from .scene.build import BuildOptions, building
 from .scene.captures import comes_in_front
@@ -39,7 +39,7 @@ from .wording import capitalised, counted, without_name
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
-_KEPT = 6
+_MAX_FINISHED = 6
 """finished jobs that the panel still shows"""
 
 
@@ -71,15 +71,15 @@ class Job:
     files: tuple[str, ...]
     options: CaptureOptions
     building: Building
-    asks: bool = False
+    ask_if_many: bool = False
     """Whether more than a few hands are not built before somebody has chosen among them"""
     bare: bool = False
     """Whether nobody looks for hands: the picture is shown for an artist to add some"""
     button: Literal["capture", "frame", "add"] = "capture"
     """Which of the panel's buttons has asked for it"""
-    adds: bool = False
+    then_add_hand: bool = False
     """Whether the artist goes on by adding a hand to its picture"""
-    crowd: int = 0
+    hands_to_choose: int = 0
     """How many hands were found where there were too many to build without asking"""
     state: State = "waiting"
     stage: str = ""
@@ -94,7 +94,7 @@ class Job:
     """Whether the scene was given the footage's rate, range, size and camera"""
     in_front: bool = False
     """Whether it became the active capture, whose camera the scene looks through"""
-    scene_said: str = ""
+    scene_message: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
@@ -122,7 +122,7 @@ class Job:
         return self.state in ("done", "failed", "cancelled")
 
     @property
-    def stop_said(self) -> tuple[str, bool]:
+    def stop_button(self) -> tuple[str, bool]:
         """What stands on the button that stops it, and whether that can be pressed: once, and not when
         finished frames would be lost by it."""
         if self.state == "building":
@@ -140,7 +140,7 @@ class Job:
         spent, frames = time.monotonic() - self._stage_began, self.done - self._stage_first
         return frames / spent if self._stage_began and frames > 0 and spent > 0.2 else 0.0
 
-    def doing(self) -> str:
+    def activity(self) -> str:
         """What happens to it now, short enough for a progress bar; of a finished one, what came of it."""
         if self.state == "waiting":
             return "Waiting"
@@ -155,7 +155,7 @@ class Job:
         text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
-    def pace(self) -> str:
+    def speed_text(self) -> str:
         """How fast it goes and how long it will take; empty while nobody knows."""
         if self.state != "capturing" or self._stopping or self.total <= 1 or not self.rate:
             return ""
@@ -164,7 +164,7 @@ class Job:
 
     def status(self) -> str:
         """Both in a line."""
-        return "  ".join(filter(None, (self.doing(), self.pace())))
+        return "  ".join(filter(None, (self.activity(), self.speed_text())))
 
 
 _queue: list[Job] = []
@@ -185,7 +185,7 @@ def current() -> Job | None:
     return next((job for job in _queue if job.running), None)
 
 
-def awaited() -> Job | None:
+def current_or_next() -> Job | None:
     """The job that runs, or is the next to."""
     return next((job for job in _queue if not job.finished), None)
 
@@ -204,7 +204,7 @@ def submit(job: Job) -> None:
     job._replaces = tuple(old for old in _queue if old.state == "failed")
     _queue.append(job)
     finished = [j for j in _queue if j.finished]
-    for old in finished[: max(0, len(finished) - _KEPT)]:
+    for old in finished[: max(0, len(finished) - _MAX_FINISHED)]:
         _queue.remove(old)
 
 
@@ -296,7 +296,7 @@ def _follow(job: Job) -> bool:
         changed = True
         kind = event.get("event")
         if kind == "progress":
-            _progressed(job, event)
+            _on_progress(job, event)
         elif kind == "warning":
             job.warnings.append(str(event.get("message", "")))
         elif kind == "error":
@@ -306,13 +306,13 @@ def _follow(job: Job) -> bool:
         elif kind == "done":
             job.stopped = bool(event.get("stopped"))
             job.state, job.fraction = "building", 0.9
-            if job.asks and len(event.get("hands", ())) > CROWD:
-                job.crowd = len(event["hands"])
-                job.state, job.message = "cancelled", f"{job.crowd} hands: choose those to build"
+            if job.ask_if_many and len(event.get("hands", ())) > CROWD:
+                job.hands_to_choose = len(event["hands"])
+                job.state, job.message = "cancelled", f"{job.hands_to_choose} hands: choose those to build"
     return changed
 
 
-def _progressed(job: Job, event: dict[str, Any]) -> None:
+def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
     if stage != job.stage:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
@@ -392,7 +392,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     _pack_cached_pictures(take)
     warnings += built.warnings
     if not job.bare:
-        job.scene_said = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
+        job.scene_message = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if (job.matched or job.in_front) and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))

@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import run_to_completion, map_yields, slice_clock
+from handfit_core.slices import map_yields, run_to_completion, slice_clock
 
 from . import screen
 from .block_reference import BlockReference
@@ -30,9 +30,9 @@ from .scene.onto_character import (
     Motion,
     TransferOptions,
     computing,
+    is_keyframed,
     noting,
     reading_motion,
-    is_keyframed,
     writing,
     writing_anew,
 )
@@ -42,11 +42,11 @@ _T = TypeVar("_T")
 
 _TICK = 1 / 60
 """seconds between two looks while something is to be done"""
-_CALM = 0.2
+_QUIET_SECONDS = 0.2
 """seconds without a change after which keys are written"""
-_TOLD = 10
+_PROGRESS_REDRAWS = 10
 """times that the panel tells of one writing of keys how far it is"""
-_COMPUTED = 0.8
+_COMPUTE_SHARE = 0.8
 """The share of that until the keys are known, and only have to be written"""
 _SAME = 1e-6
 """Parts of quaternions, and locations, that differ by less are the same key"""
@@ -57,7 +57,7 @@ class _Link:
 
     def __init__(self, armature: bpy.types.Object, *, shows: bool = False) -> None:
         self.armature = BlockReference.of("objects", armature)
-        self.changed: float | None = time.monotonic() - _CALM
+        self.changed: float | None = time.monotonic() - _QUIET_SECONDS
         """When a change was last seen that is not keyed yet"""
         self.shows = shows
         """Whether the pose is to be shown at once"""
@@ -81,7 +81,7 @@ def trouble(armature: bpy.types.Object) -> str | None:
     return _troubles.get(armature.session_uid)
 
 
-def keyed(armature: bpy.types.Object) -> float | None:
+def keying_progress(armature: bpy.types.Object) -> float | None:
     """Which share is written, 0..1, of the keys that a linked character is getting; None while it gets
     none."""
     link = _links.get(armature.session_uid)
@@ -92,7 +92,7 @@ def step() -> float | None:
     """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
     None where nothing is to be done."""
     if bpy.app.is_job_running("RENDER"):
-        return _CALM
+        return _QUIET_SECONDS
     is_over = slice_clock()
     windows = bpy.context.window_manager.windows
     for uid, link in list(_links.items()):
@@ -116,12 +116,12 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
         _show(armature)
         return  # so that the window draws it before anything is keyed
     if link.steps is None:
-        if link.changed is None or time.monotonic() - link.changed < _CALM:
+        if link.changed is None or time.monotonic() - link.changed < _QUIET_SECONDS:
             return
         link.steps, link.began, link.done = _keying(link, armature), time.monotonic(), 0.0
     for done in link.steps:
-        told, link.done = link.done, max(done, link.done)
-        if int(_TOLD * told) != int(_TOLD * link.done):
+        before, link.done = link.done, max(done, link.done)
+        if int(_PROGRESS_REDRAWS * before) != int(_PROGRESS_REDRAWS * link.done):
             screen.redraw_sidebars()
         if is_over():
             return
@@ -160,13 +160,13 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     onto = TransferOptions.of(armature, into="NEW")
     keys: list[BoneKeys] = []
     for number, (hand_map, hand) in enumerate(hands):
-        before, share = _COMPUTED * number / len(hands), _COMPUTED / len(hands)
+        before, share = _COMPUTE_SHARE * number / len(hands), _COMPUTE_SHARE / len(hands)
         motion = yield from map_yields(reading_motion(hand), lambda before=before: before)
         yield before
-        computed = yield from _part(computing(armature, [(hand_map, motion)], onto), before, share)
+        computed = yield from _scaled_progress(computing(armature, [(hand_map, motion)], onto), before, share)
         keys += computed.keys
     if character.action is None:
-        yield from _part(writing_anew(armature, keys, "NEW"), _COMPUTED, 1.0 - _COMPUTED)
+        yield from _scaled_progress(writing_anew(armature, keys, "NEW"), _COMPUTE_SHARE, 1.0 - _COMPUTE_SHARE)
         character.action = armature.animation_data.action
     elif armature.animation_data is None or armature.animation_data.action is not character.action:
         raise OptionError(
@@ -175,10 +175,10 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     elif _digest(keys) != character.linked:
         for number, one in enumerate(keys):
             old = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
-            share = (1.0 - _COMPUTED) / len(keys)
+            share = (1.0 - _COMPUTE_SHARE) / len(keys)
             wanted = without_own(armature, one)
             steps = _written(armature, wanted if old is None else _changed(old, wanted))
-            yield from _part(steps, _COMPUTED + number * share, share)
+            yield from _scaled_progress(steps, _COMPUTE_SHARE + number * share, share)
     link.written, character.linked = keys, _digest(keys)
 
 
@@ -189,7 +189,9 @@ def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None
         yield done
 
 
-def _part(steps: Generator[float, None, _T], before: float, share: float) -> Generator[float, None, _T]:
+def _scaled_progress(
+    steps: Generator[float, None, _T], before: float, share: float
+) -> Generator[float, None, _T]:
     """Go through steps that are `share` of the whole, after its part `before`; yields the progress."""
     while True:
         try:
@@ -246,7 +248,7 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             _wake()
 
 
-def followed(group: bpy.types.PropertyGroup) -> None:
+def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
     """A character's settings have changed: whether it follows, whom, or how."""
     global _settling
     armature = group.id_data
@@ -299,7 +301,7 @@ def _wake() -> None:
 
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel)
-LISTENERS = {"character": followed}
+LISTENERS = {"character": on_settings_changed}
 
 
 def unregister() -> None:

@@ -111,11 +111,11 @@ EXPORT_FORMATS = tuple(
 )
 
 
-def option_property(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
+def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[str, Any]:
     """A property's description, default and range, as the capture's option of that name has them; `units`:
     how many of the panel's units one of the option's has."""
     option = OPTIONS[name]
-    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + said}
+    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + more_help}
     if option.default is not None:
         shown["default"] = option.default
     if math.isfinite(option.most):
@@ -211,7 +211,11 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Smoothing", soft_max=4.0, **option_property("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
-        name="Detection Threshold", subtype="FACTOR", soft_min=0.05, soft_max=0.95, **option_property("threshold")
+        name="Detection Threshold",
+        subtype="FACTOR",
+        soft_min=0.05,
+        soft_max=0.95,
+        **option_property("threshold"),
     )
     camera: EnumProperty(  # type: ignore
         name="Camera",
@@ -515,7 +519,9 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
     )
     smoothing: FloatProperty(  # type: ignore
-        **option_property("smoothing")  # of the keys; not set in files of older versions (refiner.smoothing_of)
+        **option_property(
+            "smoothing"
+        )  # of the keys; not set in files of older versions (refiner.smoothing_of)
     )
     locked: BoolVectorProperty(  # type: ignore
         name="Locked Joints",

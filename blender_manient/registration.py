@@ -20,7 +20,7 @@ from . import command, installation, unusable, verification
 PACKAGE = __package__ or ""
 
 
-def _forget(names: Iterable[str]) -> None:
+def _unload(names: Iterable[str]) -> None:
     """Have modules imported anew. Where the package holds one as an attribute, `from . import` finds it."""
     for name in list(names):
         sys.modules.pop(name, None)
@@ -29,12 +29,12 @@ def _forget(names: Iterable[str]) -> None:
             vars(sys.modules[package]).pop(leaf, None)
 
 
-def _own() -> list[str]:
+def _loaded_modules() -> list[str]:
     """The names of this package's modules that are loaded."""
     return [name for name in sys.modules if name.startswith(f"{PACKAGE}.")]
 
 
-_WITHOUT_CORE = frozenset(_own())
+_WITHOUT_CORE = frozenset(_loaded_modules())
 """Modules that can be imported where handfit_core cannot"""
 _registered: list[Any] = []
 """In the order of registration"""
@@ -49,7 +49,7 @@ def register() -> None:
         for part in (verification, *parts):
             _registered.append(part)  # before: where it fails, half of it may be registered
             part.register()
-        _take_command()
+        _register_command()
     except Exception:
         with contextlib.suppress(Exception):
             unregister()
@@ -79,8 +79,8 @@ def runs() -> bool:
 
 
 def _can_run() -> bool:
-    verification.look()
-    if verification.refused():
+    verification.examine()
+    if verification.is_refused():
         return False
     other = _running_copy()
     if other:
@@ -88,7 +88,7 @@ def _can_run() -> bool:
     return not other
 
 
-def _take_command() -> None:
+def _register_command() -> None:
     """Register the command, of which Blender knows one of a name: the copy's that runs, else the first's."""
     others = [module for _, module in _copies() if isinstance(getattr(module, "command", None), ModuleType)]
     if runs():
@@ -125,7 +125,7 @@ def _parts() -> tuple[Any, ...]:
         verification.forget_core()
     if installed and _core is not None and _core is not sys.modules.get("handfit_core"):
         # Another copy of the add-on has run meanwhile, with a handfit_core of its own.
-        _forget(name for name in _own() if name not in _WITHOUT_CORE)
+        _unload(name for name in _loaded_modules() if name not in _WITHOUT_CORE)
     before = set(sys.modules)
     try:
         from . import parts
@@ -134,7 +134,7 @@ def _parts() -> tuple[Any, ...]:
             raise
         traceback.print_exc()
         # Half of them would be met again.
-        _forget(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
+        _unload(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
         verification.refuse(installation.import_problem(error))
         return (unusable,)
     _core = sys.modules.get("handfit_core")
@@ -147,7 +147,7 @@ def _parts() -> tuple[Any, ...]:
 
 def _unregister_classes() -> None:
     """Take away what parts that failed have left with Blender: it would refuse them the next time."""
-    modules = [sys.modules[name] for name in _own()]
+    modules = [sys.modules[name] for name in _loaded_modules()]
     classes = {cls for module in modules for cls in vars(module).values() if isinstance(cls, type)}
     for cls in classes:
         if cls.__module__.startswith(f"{PACKAGE}.") and "bl_rna" in vars(cls):

@@ -11,7 +11,7 @@ from .wording import shortened
 
 CATEGORY = "Hand Capture"
 
-_BESIDE = 100
+_LABEL_MARGIN = 100
 """Pixels at scale 1 of a sidebar that are no label: margins, those of a box too, icon, the tabs"""
 _BUTTON = 22
 """pixels at scale 1 of a button that is only an icon"""
@@ -67,8 +67,8 @@ def _room(context: bpy.types.Context, width: int | None) -> float:
     scale = context.preferences.system.ui_scale
     blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
     if width is not None:
-        return (width - _BESIDE) * scale
-    return (context.region.width if context.region else 300) - _BESIDE * scale
+        return (width - _LABEL_MARGIN) * scale
+    return (context.region.width if context.region else 300) - _LABEL_MARGIN * scale
 
 
 def wrapped(text: str, room: float) -> list[str]:

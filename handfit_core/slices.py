@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Final, TypeVar
 
 _T = TypeVar("_T")
-_Y = TypeVar("_Said")
+_Y = TypeVar("_Y")
 
 SLICE: Final = 0.008
 """seconds after which a slice of work ends, when its last step is over"""

@@ -161,7 +161,9 @@ def following(
     found = []
     for pose in wanted:  # each for itself: from one to the next nothing is smooth
         motion = Motion(source, np.ones(1), pose.turns(side)[None], np.zeros((1, 3)), skins)
-        run_to_completion(applying(armature, [(hand_map, motion)], TransferOptions(into="ACTION", contacts=contacts)))
+        run_to_completion(
+            applying(armature, [(hand_map, motion)], TransferOptions(into="ACTION", contacts=contacts))
+        )
         bpy.context.scene.frame_set(1)
         found.append(_skin(meshes, armature, target))
     return found

@@ -115,7 +115,7 @@ def make_worker(host: Host, python: str | None, threads: int | None, debug: bool
     """A worker for batches."""
     where = host.python_is_chosen
     advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
-    return shared_worker.make(python or host.python, threads, debug, advice)
+    return shared_worker.configured_worker(python or host.python, threads, debug, advice)
 
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:

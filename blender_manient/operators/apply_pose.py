@@ -25,10 +25,10 @@ from ..scene.poses import (
 )
 from ..scene.spans import SCOPES, RequestedFrames, suggested_range
 from ..scene.store import CapturedHand
-from .needs_hand import Refuses, errors_reported
+from .needs_hand import PollMixin, errors_reported
 
 
-class _PutsPose(Refuses):
+class _PoseOperator(PollMixin):
     """An operator, in its first part, that puts a pose on the active captured hand or character."""
 
     report: Any
@@ -62,7 +62,7 @@ class _PutsPose(Refuses):
         return {"FINISHED"}
 
 
-class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
+class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
     bl_idname = "manient.apply_pose"
     bl_label = "Apply Pose"
     bl_description = (
@@ -111,7 +111,7 @@ class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
         return self._put(context, pose_of, name)
 
 
-class MANIENT_OT_apply_pose_asset(_PutsPose, bpy.types.Operator):
+class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
     bl_idname = "manient.apply_pose_asset"
     bl_label = "Apply to Hand"
     bl_description = (

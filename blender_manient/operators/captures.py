@@ -7,10 +7,10 @@ import bpy
 from handfit_core.errors import OptionError
 
 from ..scene import captures
-from .needs_hand import Refuses, errors_reported
+from .needs_hand import PollMixin, errors_reported
 
 
-class MANIENT_OT_hide_captures(Refuses, bpy.types.Operator):
+class MANIENT_OT_hide_captures(PollMixin, bpy.types.Operator):
     bl_idname = "manient.hide_captures"
     bl_label = "Hide Others"
     bl_description = "Hide all captures but the active one, in viewports and in renders"
@@ -36,7 +36,7 @@ class MANIENT_OT_hide_captures(Refuses, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_remove_capture(Refuses, bpy.types.Operator):
+class MANIENT_OT_remove_capture(PollMixin, bpy.types.Operator):
     bl_idname = "manient.remove_capture"
     bl_label = "Remove Capture"
     bl_description = (

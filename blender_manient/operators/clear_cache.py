@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 
 from .. import cache, screen, shared_worker
-from .needs_hand import Refuses
+from .needs_hand import PollMixin
 
 
-class MANIENT_OT_clear_cache(Refuses, bpy.types.Operator):
+class MANIENT_OT_clear_cache(PollMixin, bpy.types.Operator):
     bl_idname = "manient.clear_cache"
     bl_label = "Clear"
     bl_description = (

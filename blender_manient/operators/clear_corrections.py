@@ -11,10 +11,10 @@ from ..scene import corrections
 from ..scene.editable import why_not_editable
 from ..scene.timing import span_of
 from ..wording import counted
-from .needs_hand import OnHand, errors_reported, hand_in
+from .needs_hand import HandOperator, errors_reported, polled_hand
 
 
-class MANIENT_OT_clear_corrections(OnHand, bpy.types.Operator):
+class MANIENT_OT_clear_corrections(HandOperator, bpy.types.Operator):
     bl_idname = "manient.clear_corrections"
     bl_label = "Clear Corrections"
     bl_description = "Remove pins and applied poses, and what they did to the animation"
@@ -45,7 +45,7 @@ class MANIENT_OT_clear_corrections(OnHand, bpy.types.Operator):
     @errors_reported
     def execute(self, context):
         """Clear them."""
-        armature, scene = hand_in(context).armature, context.scene
+        armature, scene = polled_hand(context).armature, context.scene
         elsewhere = corrections.why_elsewhere(armature)
         if elsewhere is not None and self.scope == "ALL":
             corrections.forget_corrections(armature)

@@ -13,15 +13,15 @@ from .. import jobs, shared_worker, source_info
 from ..find_mode import mode
 from ..keypoint_mode import view
 from .capture import new_job
-from .needs_hand import Refuses, Waits, errors_reported
+from .needs_hand import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.03
 """seconds between two looks at the worker"""
-_BLENDERS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
+_PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""
 
 
-class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.find_hands"
     bl_label = "Find Hands"
     bl_description = (
@@ -49,8 +49,8 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
             raise OptionError("Hands are chosen in a 3D viewport: open one in this window")
         mode.current = mode.FindMode(source_of(context), viewport, context.scene.manient.source)
         self._panned: np.ndarray | None = None
-        self._tell(context, mode.current.keys)
-        return self._wait(context, _TICK)
+        self._show_status(context, mode.current.keys)
+        return self._start_timer(context, _TICK)
 
     def execute(self, _context):
         """Without a window there is nothing to click on."""
@@ -74,15 +74,15 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         mouse = viewport.mouse(event)
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
             return self._moved(now, viewport, mouse, viewport.contains(event.mouse_x, event.mouse_y))
-        if now.sight is not None and viewport.contains(event.mouse_x, event.mouse_y):
+        if now.picture_view is not None and viewport.contains(event.mouse_x, event.mouse_y):
             if (factor := view.zoom_of(event)) is not None:
-                now.sight.zoom(factor, now.place(viewport, mouse), now.room(viewport))
+                now.picture_view.zoom(factor, now.place(viewport, mouse), now.room(viewport))
                 now.hover(viewport, mouse)
                 viewport.area.tag_redraw()
                 return {"RUNNING_MODAL"}
             if event.type == "TRACKPADPAN":
                 by = [event.mouse_x - event.mouse_prev_x, event.mouse_y - event.mouse_prev_y]
-                now.sight.move(np.array(by, dtype=float), now.room(viewport))
+                now.picture_view.move(np.array(by, dtype=float), now.room(viewport))
                 viewport.area.tag_redraw()
                 return {"RUNNING_MODAL"}
         if event.value == "RELEASE":
@@ -98,8 +98,8 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         self._end(context)
 
     def _moved(self, now, viewport, mouse, inside):
-        if self._panned is not None and now.sight is not None:
-            now.sight.move(mouse - self._panned, now.room(viewport))
+        if self._panned is not None and now.picture_view is not None:
+            now.picture_view.move(mouse - self._panned, now.room(viewport))
             self._panned = mouse
         elif now.dragged is not None:
             now.dragged = (now.dragged[0], mouse)
@@ -131,20 +131,20 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
             return self._do(context, now, "capture")
         elif kind == "Z" and (event.ctrl or event.oskey):
             now.message = "" if now.choice.undo() else "Nothing to undo here"
-        elif event.ctrl or event.oskey or event.alt or kind in _BLENDERS:
+        elif event.ctrl or event.oskey or event.alt or kind in _PASS_THROUGH_KEYS:
             return {"PASS_THROUGH"}
         elif kind in ("X", "DEL", "BACK_SPACE") and now.hovered is not None:
-            now.choice.drop(now.hovered)
+            now.choice.remove(now.hovered)
             now.hover(viewport, mouse)
         elif kind == "S" and now.hovered is not None:
-            now.choice.turn(now.hovered)
+            now.choice.flip_side(now.hovered)
         elif kind == "A":
             now.choice.toggle_all()
-        elif now.sight is not None:
+        elif now.picture_view is not None:
             if kind == "MIDDLEMOUSE":
                 self._panned = mouse
             elif kind == "HOME":
-                now.sight.whole()
+                now.picture_view.show_all()
         if kind != "LEFTMOUSE":
             now.hover(viewport, mouse)
         return {"RUNNING_MODAL"}
@@ -160,7 +160,7 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         elif todo:
             try:
                 if todo != "leave" and chosen:
-                    capture_chosen(context, adds=todo == "add")
+                    capture_chosen(context, then_add_hand=todo == "add")
             except HandfitError as error:
                 now.message = str(error)
                 return {"RUNNING_MODAL"}
@@ -174,11 +174,11 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
 
     def _end(self, context):
         unregister()
-        self._wait_no_more(context)
+        self._stop_timer(context)
         return {"FINISHED"}
 
 
-class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
+class MANIENT_OT_capture_found(PollMixin, bpy.types.Operator):
     bl_idname = "manient.capture_found"
     bl_label = "Capture Chosen Hands"
     bl_description = "Capture the hands that are chosen in the picture, and no others"
@@ -201,11 +201,11 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def capture_chosen(context: bpy.types.Context, *, adds: bool = False) -> None:
-    """Queue a capture of the hands that are chosen; `adds`: as of a job. Raises HandfitError."""
+def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -> None:
+    """Queue a capture of the hands that are chosen; `then_add_hand`: as of a job. Raises HandfitError."""
     assert mode.current is not None
     job = new_job(context, only_frame=False, regions=mode.current.regions())
-    job.adds = adds
+    job.then_add_hand = then_add_hand
     jobs.submit(job)
 
 

@@ -7,10 +7,10 @@ import bpy
 from ..scene.editable import strip_below, why_not_editable
 from ..scene.layer import add_layer, end_layer
 from .needs_hand import errors_reported
-from .simplify_keys import OnKeys, armature_of
+from .simplify_keys import KeysOperator, armature_of
 
 
-class MANIENT_OT_add_key_layer(OnKeys, bpy.types.Operator):
+class MANIENT_OT_add_key_layer(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.add_key_layer"
     bl_label = "Layer for Changes"
     bl_description = (
@@ -26,7 +26,7 @@ class MANIENT_OT_add_key_layer(OnKeys, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_end_key_layer(OnKeys, bpy.types.Operator):
+class MANIENT_OT_end_key_layer(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.end_key_layer"
     bl_label = "End Layer"
     bl_description = "Make the motion the active action again"

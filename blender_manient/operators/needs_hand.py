@@ -14,7 +14,7 @@ from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand, active_hand, hand_of
 
 
-class Refuses:
+class PollMixin:
     """An operator, in its first part, that says in a sentence what it lacks."""
 
     @classmethod
@@ -31,7 +31,7 @@ class Refuses:
         return None if context.scene.is_editable else "This scene is linked from another file"
 
 
-class OnHand(Refuses):
+class HandOperator(PollMixin):
     """An operator, in its first part, that works on the active captured hand."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
@@ -52,28 +52,28 @@ class OnHand(Refuses):
         return cls.why_not(hand.armature)
 
 
-class Waits:
+class TimerMixin:
     """A modal operator, in its first part, that looks again and again while the window stays free."""
 
     _timer = None
 
-    def _wait(self, context: bpy.types.Context, seconds: float) -> set[str]:
+    def _start_timer(self, context: bpy.types.Context, seconds: float) -> set[str]:
         """Get a TIMER event every few `seconds` from now on."""
         self._timer = context.window_manager.event_timer_add(seconds, window=context.window)
         context.window_manager.modal_handler_add(self)  # type: ignore[arg-type]
         return {"RUNNING_MODAL"}
 
-    def _tell(self, context: bpy.types.Context, text: str | None) -> None:
+    def _show_status(self, context: bpy.types.Context, text: str | None) -> None:
         """Show a line in the status bar; None: Blender's own again."""
         if context.workspace is not None:
             context.workspace.status_text_set(text)
 
-    def _wait_no_more(self, context: bpy.types.Context) -> None:
+    def _stop_timer(self, context: bpy.types.Context) -> None:
         """Undo both. May be called twice."""
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
-        self._tell(context, None)
+        self._show_status(context, None)
 
 
 def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
@@ -86,7 +86,7 @@ def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
     return hand
 
 
-def hand_in(context: bpy.types.Context) -> CapturedHand:
+def polled_hand(context: bpy.types.Context) -> CapturedHand:
     """The captured hand that the poll found."""
     hand = active_hand(context)
     assert hand is not None

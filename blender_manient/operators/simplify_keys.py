@@ -7,10 +7,10 @@ import bpy
 from .. import key_preview
 from ..scene.editable import why_not_keyable
 from ..scene.simplify import hands_to_simplify, kept_action, restore, write
-from .needs_hand import Refuses, errors_reported
+from .needs_hand import PollMixin, errors_reported
 
 
-class OnKeys(Refuses):
+class KeysOperator(PollMixin):
     """An operator on the keys of the active captured hand, or of the active character's hands."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
@@ -37,7 +37,7 @@ def armature_of(context: bpy.types.Context) -> bpy.types.Object | None:
     return hands[0].rig.armature if hands else None
 
 
-class MANIENT_OT_simplify_keys(OnKeys, bpy.types.Operator):
+class MANIENT_OT_simplify_keys(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.simplify_keys"
     bl_label = "Simplify"
     bl_description = (
@@ -60,7 +60,7 @@ class MANIENT_OT_simplify_keys(OnKeys, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_restore_keys(OnKeys, bpy.types.Operator):
+class MANIENT_OT_restore_keys(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.restore_keys"
     bl_label = "All Keys"
     bl_description = (

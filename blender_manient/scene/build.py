@@ -23,7 +23,7 @@ from handfit_core.errors import BuildInterrupted, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.slices import run_to_completion, map_yields, slice_clock
+from handfit_core.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.take import HandTrack, Take
 
 from ..rigs.captured_hand import build_rig
@@ -39,10 +39,10 @@ from .render_setup import put_in_force, set_up
 from .store import (
     describe_capture,
     describe_hand,
+    has_properties,
     is_of_other_model,
     keep_take,
     keeping_take,
-    has_properties,
     timing_of,
 )
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
@@ -126,7 +126,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     """
     made: list[bpy.types.ID] = []
     finished = False
-    watch = Watch()
+    watch = ChangeWatch()
     try:
         steps = _steps(made, take, _checked_scene(how.scene), how)
         done = 0.0
@@ -146,7 +146,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     except ReferenceError as error:
         raise BuildInterrupted(f"something was deleted while hands were being built ({error})") from error
     finally:
-        watch.leave()
+        watch.stop()
         if not finished:
             _remove(made)
 
@@ -313,7 +313,9 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     work = _Work(replace(take, hands=(track,)), {track.side: model}, True)
     units = 1.0 / bpy.context.scene.unit_settings.scale_length
     try:
-        hand = run_to_completion(_hand(made, work, track, model.shaped(track.betas), name, units, timing, camera))
+        hand = run_to_completion(
+            _hand(made, work, track, model.shaped(track.betas), name, units, timing, camera)
+        )
     except BaseException:
         _remove(made)
         raise
@@ -368,8 +370,8 @@ class _Work:
         return min(1.0, self._done / self._all)
 
 
-class Watch:
-    """Notices an undo, a redo and another file, until `leave`."""
+class ChangeWatch:
+    """Notices an undo, a redo and another file, until `stop`."""
 
     def __init__(self) -> None:
         self.changed = False
@@ -384,7 +386,7 @@ class Watch:
         for each in self._lists:
             each.append(notice)
 
-    def leave(self) -> None:
+    def stop(self) -> None:
         """Notice nothing more. May be called twice."""
         for handlers in self._lists:
             if self._notice in handlers:

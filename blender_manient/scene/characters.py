@@ -13,7 +13,7 @@ from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand, troubles
-from .store import CapturedHand, captured_hands, hand_of, is_put_away, has_properties
+from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture
 
 _REMEMBERED = 32
 """hands"""
@@ -49,7 +49,7 @@ class _Recognised:
     heads: np.ndarray
     names: tuple[str, ...]
     found: Found | HandModelError
-    told: tuple[str, ...]
+    reported: tuple[str, ...]
 
     def holds(self, bones: bpy.types.ArmatureBones, heads: np.ndarray) -> bool:
         if not np.array_equal(self.heads, heads):
@@ -147,23 +147,23 @@ def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
         return empty_map(side)
 
 
-def recognised(armature: bpy.types.Object, side: Side, told: tuple[str, ...] = ()) -> Found:
-    """The hand that is recognised by its bones, looked for once, as panels ask at every redraw; anew where
-    bones were moved or renamed, and where the rig's troubles were not `told` before, as after a switch from
-    IK to FK. Raises HandModelError."""
+def recognised(armature: bpy.types.Object, side: Side, reported: tuple[str, ...] = ()) -> Found:
+    """The hand that is recognised by its bones, kept because panels ask at every redraw; recognised anew
+    where bones were moved or renamed, and where `reported`, the rig's troubles, are others than before, as
+    after a switch from IK to FK. Raises HandModelError."""
     bones = armature.data.bones
     key: tuple[int, Side] = (armature.session_uid, side)
     heads = np.empty((len(bones), 3), dtype=np.float32)
     bones.foreach_get("head_local", heads.ravel())
     known = _recognised.get(key)
-    if known is None or not known.holds(bones, heads) or (told and told != known.told):
+    if known is None or not known.holds(bones, heads) or (reported and reported != known.reported):
         if len(_recognised) >= _REMEMBERED:
             _recognised.clear()
         try:
             found = found_hand(armature, side)
         except HandModelError as error:
             found = error
-        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, told)
+        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, reported)
     if isinstance(known.found, HandModelError):
         raise HandModelError(str(known.found))
     return known.found
@@ -192,7 +192,7 @@ def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context
         return hand
     hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
     own = [hand for hand in hands if hand.side == side]
-    own = [hand for hand in own if not is_put_away(hand.armature)] or own
+    own = [hand for hand in own if not is_in_hidden_capture(hand.armature)] or own
     own = [hand for hand in own if hand.armature.select_get()] or own
     if len(own) > 1:
         names = ", ".join(hand.armature.name for hand in own[:4])

@@ -30,7 +30,7 @@ from handfit_core.retarget.transfer import (
     target_hand,
 )
 from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
-from handfit_core.slices import run_to_completion, map_yields
+from handfit_core.slices import map_yields, run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import action_slot, channels, new_slot
@@ -43,7 +43,7 @@ from .animation import computing_keys
 from .characters import why_not_reachable
 from .controls import sampled_pose
 from .editable import check_unlayered, is_layered, is_tweaked
-from .hand_motion import BoneKeys, note, written_keys, without_own
+from .hand_motion import BoneKeys, note, without_own, written_keys
 from .keys import (
     SAME_FRAME,
     PoseKeys,

@@ -50,7 +50,7 @@ from .keys import (
 )
 from .onto_character import Motion, TransferOptions, check_own_keys, computing
 from .sampling import rotations_of
-from .spans import RequestedFrames, Span, next_run_start, next_key, requested_span
+from .spans import RequestedFrames, Span, next_key, next_run_start, requested_span
 from .store import CapturedHand, active_hand, captured_hands, hand_of
 from .timing import span_of
 
@@ -89,17 +89,19 @@ class PosableHand(ABC):
     def read(self) -> Pose:
         """The pose that it shows."""
 
-    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: RequestedFrames) -> Posed:
+    def towards(
+        self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
+    ) -> Posed:
         """What brings the fingers of selected bones, of none all fingers, towards a pose (None: the rest
         pose) on the frames that are asked for: by `blend`, 0..1, of the way from where they are. Changes
         nothing. Raises HandModelError, OptionError and TakeError."""
-        asked.check()
+        requested.check()
         wanted = self._rest() if pose is None else self._quats(pose)
         wanted = np.where(self._chosen(context)[:, None], wanted, np.nan)
         span, frames = None, np.array([context.scene.frame_current_final])
         before, share = displayed_pose(self.rig)[None], np.array([blend])
-        if asked.scope != "HERE":
-            span, frames = self._frames(context, asked, np.isfinite(wanted[:, 0]))
+        if requested.scope != "HERE":
+            span, frames = self._frames(context, requested, np.isfinite(wanted[:, 0]))
             before, share = pose_at(self.rig, frames)[0], blend * span.weights(frames)
         way = share[:, None, None] * correction_between(before, wanted)
         return Posed(frames, changed_quats(before, np.zeros_like(way), way), span)
@@ -109,7 +111,9 @@ class PosableHand(ABC):
         """The other side's hand, whose pose this one gets mirrored. Raises OptionError for none."""
 
     @abstractmethod
-    def _frames(self, context: bpy.types.Context, asked: RequestedFrames, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(
+        self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
+    ) -> tuple[Span, np.ndarray]:
         """The span, RANGE or HOLD, and the (N,) scene frames on which the bones that are moved (B,) get keys
         for it. Raises HandfitError."""
 
@@ -147,7 +151,7 @@ class PosableHand(ABC):
         return np.array([bool(wanted & {*js}) or (not js and not fingers) for js in self._joints])
 
 
-class _Captured(PosableHand):
+class _CapturedPosable(PosableHand):
     """A captured hand."""
 
     def __init__(self, hand: CapturedHand) -> None:
@@ -176,9 +180,11 @@ class _Captured(PosableHand):
                 f"there are {len(found)} captured {other_side(self._hand.side)} hands whose pose this one "
                 "could mirror, and not one: select the other hand and save its pose as an asset"
             )
-        return _Captured(found[0])
+        return _CapturedPosable(found[0])
 
-    def _frames(self, context: bpy.types.Context, asked: RequestedFrames, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(
+        self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
+    ) -> tuple[Span, np.ndarray]:
         """A key on every frame of the captured motion."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         if len(keys.frames) == 0 or not keys.rotation_keyed[:, moved].any():
@@ -186,9 +192,9 @@ class _Captured(PosableHand):
         first, last = float(keys.frames[0]), float(keys.frames[-1])
         scale = timing_of(self._hand.armature).scale  # a spread counts source frames
         span = requested_span(
-            replace(asked, spread=asked.spread * scale),
+            replace(requested, spread=requested.spread * scale),
             now,
-            next_key(self._hand, now) if asked.scope == "HOLD" else None,
+            next_key(self._hand, now) if requested.scope == "HOLD" else None,
             last,
         )
         inside = keys.frames[(keys.frames >= span.first) & (keys.frames <= span.last)]
@@ -229,7 +235,7 @@ class _Captured(PosableHand):
             set_pose(self.rig, posed.quats[0])
 
 
-class _OfCharacter(PosableHand):
+class _CharacterPosable(PosableHand):
     """A character's hand."""
 
     def __init__(self, armature: bpy.types.Object, hand_map: HandMap) -> None:
@@ -270,21 +276,25 @@ class _OfCharacter(PosableHand):
             raise OptionError(
                 f"the {side} hand of {self._armature.name!r} is not known: see Character > Bones"
             )
-        return _OfCharacter(self._armature, table)
+        return _CharacterPosable(self._armature, table)
 
-    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: RequestedFrames) -> Posed:
+    def towards(
+        self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
+    ) -> Posed:
         """The same; raises OptionError also where `put` could not key it."""
         check_own_keys(self._armature, "ACTION")
-        posed = super().towards(context, pose, blend, asked)
+        posed = super().towards(context, pose, blend, requested)
         check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)
         return posed
 
-    def _frames(self, context: bpy.types.Context, asked: RequestedFrames, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(
+        self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
+    ) -> tuple[Span, np.ndarray]:
         """The keys that are there, the span's ends, and where its blending does."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         own = keys.frames[keys.rotation_keyed[:, moved].any(axis=1)]
         upcoming = next_run_start(own, now)
-        span = requested_span(asked, now, upcoming, max([span_of(context.scene)[1], *own]))
+        span = requested_span(requested, now, upcoming, max([span_of(context.scene)[1], *own]))
         reach = max(span.spread, 1.0)
         begin, end = span.first - reach, np.inf if span.is_open else span.last + reach
         ends = [begin, span.first, span.last] + ([] if span.is_open else [end])
@@ -336,8 +346,8 @@ def posable_hands(context: bpy.types.Context) -> list[PosableHand]:
     owner = posed_by(context)
     assert owner is not None  # as the operators' polls see to
     if isinstance(owner, CapturedHand):
-        return [_Captured(owner)]
-    hands: list[PosableHand] = [_OfCharacter(owner, hand_map) for hand_map in _maps(owner)]
+        return [_CapturedPosable(owner)]
+    hands: list[PosableHand] = [_CharacterPosable(owner, hand_map) for hand_map in _maps(owner)]
     return [hand for hand in hands if hand.is_selected(context)] or hands
 
 

@@ -224,7 +224,7 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
 def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
     """The action with all keys behind the present one; None where there is none."""
     data = armature.animation_data
-    return _behind(data.action) if data is not None else None
+    return _dense_action(data.action) if data is not None else None
 
 
 def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
@@ -232,7 +232,7 @@ def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action,
     uses too are copied first."""
     user, found = _motion(armature), []
     action = user.action if user is not None else None
-    while (dense := _behind(action)) is not None and dense not in [one for one, _ in found]:
+    while (dense := _dense_action(action)) is not None and dense not in [one for one, _ in found]:
         assert action is not None
         if dense.library is not None or dense.users - dense.use_fake_user > 1:
             dense = dense.copy()
@@ -253,7 +253,7 @@ def changed_alike(armature: bpy.types.Object) -> Iterator[None]:
     """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
     motion that was not changed since it was simplified still counts as not changed afterwards."""
     user = _motion(armature)
-    same = user is not None and _behind(user.action) is not None and _is_unchanged(user)
+    same = user is not None and _dense_action(user.action) is not None and _is_unchanged(user)
     yield
     if same:
         user = _motion(armature)
@@ -271,7 +271,7 @@ def _is_unchanged(user: Any) -> bool:
     return _digest(user.action, action_slot(user)) == _note(user.action)["digest"]
 
 
-def _behind(action: bpy.types.Action | None) -> bpy.types.Action | None:
+def _dense_action(action: bpy.types.Action | None) -> bpy.types.Action | None:
     dense = action.get(DENSE) if action is not None else None
     return dense if isinstance(dense, bpy.types.Action) else None
 

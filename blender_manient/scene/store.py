@@ -158,10 +158,10 @@ def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.t
     if not has_properties():
         return []
     hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
-    return sorted((o for o in hands if not (shown and is_put_away(o))), key=_place)
+    return sorted((o for o in hands if not (shown and is_in_hidden_capture(o))), key=_place)
 
 
-def is_put_away(obj: bpy.types.Object) -> bool:
+def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
     """Whether an object is in hidden captures only (`captures.hide_others`)."""
     return all(c.manient.is_capture and c.hide_viewport for c in obj.users_collection)
 

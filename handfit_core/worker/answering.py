@@ -16,7 +16,7 @@ from handfit_core.worker.runner import OnProgress
 if TYPE_CHECKING:
     from handfit_core.pipeline import Progress
 
-LONGEST_SHOWN: Final = 4096
+MAX_PICTURE_SIDE: Final = 4096
 """pixels a side of a picture that people look at"""
 
 
@@ -68,7 +68,7 @@ def capture(
         _check_retimed(source, options, message["retimed"])
     stopped = False
 
-    def asked() -> bool:
+    def should_stop_once() -> bool:
         nonlocal stopped
         stopped = stopped or should_stop()
         return stopped
@@ -76,7 +76,7 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, output, options, report, asked, **flags, parts=parts)
+    done = capture_to_file(source, output, options, report, should_stop_once, **flags, parts=parts)
     return {**done, "stopped": stopped}
 
 
@@ -181,10 +181,10 @@ def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write_picture(rgb: np.ndarray, path: str) -> None:
-    """Write a picture (H, W, 3) as JPEG, with at most `LONGEST_SHOWN` pixels a side. Raises OutputError."""
+    """Write a picture (H, W, 3) as JPEG, at most `MAX_PICTURE_SIDE` pixels a side. Raises OutputError."""
     import cv2
 
-    smaller = LONGEST_SHOWN / max(rgb.shape)
+    smaller = MAX_PICTURE_SIDE / max(rgb.shape)
     if smaller < 1.0:
         size = [max(1, round(smaller * side)) for side in rgb.shape[1::-1]]
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)

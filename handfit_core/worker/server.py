@@ -26,16 +26,16 @@ from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
 from handfit_core.worker.protocol import JOBS, LONGEST_REQUEST, PROTOCOL, REQUESTS, check_id, decode, encode
-from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, warnings_told
+from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, log_warnings_to
 
-PROGRESS_EVERY: Final = 0.05
+PROGRESS_SECONDS: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
 
-GRACE: Final = 1.0
+STOP_SECONDS: Final = 1.0
 """seconds that the work gets, once nobody listens any more, to take its temporary files away"""
 
 
-class _Ended(BaseException):
+class _ClientGone(BaseException):
     """Nobody is left to talk to. Not an Exception, so that no handler of errors on the way takes it."""
 
 
@@ -64,7 +64,7 @@ class Server:
 
     def run(self, *, leave: Callable[[], None] | None = None) -> None:
         """Say `ready`, then work until the client is done. `leave` is called from another thread when the
-        work does not stop `GRACE` seconds after that."""
+        work does not stop `STOP_SECONDS` seconds after that."""
         try:
             self._send(
                 event="ready",
@@ -76,10 +76,10 @@ class Server:
                 solvers=SOLVERS.offered(),
             )
             threading.Thread(target=self._read, args=(leave,), daemon=True).start()
-            with warnings_told(self.warn):
+            with log_warnings_to(self.warn):
                 while (job := self._waiting.get()) is not None:
                     self._do(job)
-        except _Ended:
+        except _ClientGone:
             pass
         finally:
             self._finished.set()
@@ -100,7 +100,7 @@ class Server:
                     self._skip_line()
                 elif line.strip() and not self._receive(line):
                     break
-        except (OSError, ValueError, _Ended):  # the pipe broke
+        except (OSError, ValueError, _ClientGone):  # the pipe broke
             pass
         except Exception:  # a defect, or no memory: the client finds what it was in our last words
             traceback.print_exc()
@@ -108,7 +108,7 @@ class Server:
             # Nobody reads any more: whatever it was, the worker must not stay.
             self._ending.set()
             self._waiting.put(None)
-            if not self._finished.wait(GRACE) and leave is not None:
+            if not self._finished.wait(STOP_SECONDS) and leave is not None:
                 leave()
 
     def _skip_line(self) -> None:
@@ -158,7 +158,7 @@ class Server:
         self._current = job
         try:
             if self._ending.is_set():
-                raise _Ended
+                raise _ClientGone
             if job.cancelled.is_set():
                 raise Cancelled("cancelled before it was begun")
             done = self._answer(job)
@@ -174,7 +174,7 @@ class Server:
 
         def should_stop() -> bool:
             if self._ending.is_set():
-                raise _Ended
+                raise _ClientGone
             return job.cancelled.is_set()
 
         return answer(job.message, should_stop, self._progress_of(job))
@@ -185,9 +185,9 @@ class Server:
         def report(stage: str, done: int, total: int) -> None:
             nonlocal last_stage, last_time
             if self._ending.is_set():
-                raise _Ended
+                raise _ClientGone
             now = time.monotonic()
-            if stage == last_stage and now - last_time < PROGRESS_EVERY and done != total:
+            if stage == last_stage and now - last_time < PROGRESS_SECONDS and done != total:
                 return
             last_stage, last_time = stage, now
             self._send(event="progress", id=job.number, stage=stage, done=done, total=total)
@@ -217,7 +217,7 @@ class Server:
                 self._events.flush()
         except (OSError, ValueError):  # closed by the other side
             self._ending.set()
-            raise _Ended from None
+            raise _ClientGone from None
 
 
 def serve(threads: int | None = None) -> None:

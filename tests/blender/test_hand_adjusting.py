@@ -86,7 +86,7 @@ def test_travel_is_scaled_again_and_again_about_the_marked_frame(target):
         np.testing.assert_allclose(found - found[0], travel * (before - before[0]), atol=1e-4)
         np.testing.assert_allclose(turns(target, 12), turned, atol=1e-4)
     assert len(bpy.data.actions) == actions
-    assert hand_adjusting.said(target) is None
+    assert hand_adjusting.message(target) is None
 
 
 def test_any_frame_can_be_marked(target):
@@ -158,7 +158,7 @@ def test_keys_of_ones_own_stay(target):
         found = places(target)
         np.testing.assert_allclose(found[2] - found[0], travel * (before[2] - before[0]), atol=1e-4)
         np.testing.assert_allclose(found[1], mine, atol=1e-5)
-        assert "1 frame with keys of your own stay" in drawn(MANIENT_PT_character).said
+        assert "1 frame with keys of your own stay" in drawn(MANIENT_PT_character).message
 
 
 def test_nothing_is_written_where_nothing_was(target):

@@ -217,7 +217,8 @@ def test_all_that_matching_changes_is_said(clip):
         assert word in told
     own = Footage.of_take(clip, own_camera=True)
     assert (
-        scene_sentence(scene, "MATCH", own, 1, render_setup=True) == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}"
+        scene_sentence(scene, "MATCH", own, 1, render_setup=True)
+        == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}"
     )
 
 
@@ -228,7 +229,10 @@ def test_one_frame_of_a_clip_has_no_time(clip):
     )
     info.fps, info.first, info.last = 25.0, 1, 60
     whole, one = (source_info.footage(scene.manient, info, only=only) for only in (None, 7))
-    assert scene_sentence(scene, "AUTO", whole, 7) == "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"
+    assert (
+        scene_sentence(scene, "AUTO", whole, 7)
+        == "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"
+    )
     assert scene_sentence(scene, "AUTO", one, 7) == "Scene becomes 64×48, with the footage's camera"
 
 
@@ -239,5 +243,6 @@ def test_nothing_known_of_the_footage_is_said_without_figures():
     assert scene_sentence(bpy.context.scene, "MATCH", Footage(25.0, 1, 60), 1) == "Scene becomes 25 fps, 1-60"
     assert scene_sentence(bpy.context.scene, "MATCH", Footage(25.0, 4, 4), 1) == "Hand comes at frame 4"
     assert (
-        scene_sentence(bpy.context.scene, "KEEP", None, 7) == "Hand comes at frame 7, 24 fps: the scene stays as it is"
+        scene_sentence(bpy.context.scene, "KEEP", None, 7)
+        == "Hand comes at frame 7, 24 fps: the scene stays as it is"
     )

@@ -126,7 +126,9 @@ def test_toon_hands_tell_of_the_fingers_that_they_have(make_take, tmp_path):
     lacking = {*FINGER_JOINTS["ring"], FINGER_JOINTS["thumb"][0]}
     names = tuple("" if joint in lacking else name for joint, name in enumerate(whole.bones))
     toon = HandMap("left", names)
-    run_to_completion(applying(armature, [(toon, motion_of(take, take.hands[0]))], TransferOptions(contacts=False)))
+    run_to_completion(
+        applying(armature, [(toon, motion_of(take, take.hands[0]))], TransferOptions(contacts=False))
+    )
     played = exported(armature, take, tmp_path, hand_maps=(toon,))
     moved = {name for name, node in played.bones.items() if node in played.tracks}
     fingers = {"Thumb", "Index", "Middle", "Little"}

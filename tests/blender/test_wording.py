@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from blender_manient import jobs, refiner
+from blender_manient.block_reference import BlockReference
 from blender_manient.jobs import Building, Job
 from blender_manient.operators.doubtful_frames import MANIENT_OT_jump_worst
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_PT_proportions
-from blender_manient.block_reference import BlockReference
 from blender_manient.scene import confidence, reshape, store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand

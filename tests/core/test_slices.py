@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from handfit_core.slices import run_to_completion, map_yields
+from handfit_core.slices import map_yields, run_to_completion
 
 
 def counting(count: int, fails: bool = False):

@@ -255,7 +255,9 @@ def test_bones_that_are_left_alone_stay():
     thumb = np.array([joints[0] in FINGER_JOINTS["thumb"] for joints in target.joints])
     apart = []
     for keyed in (~thumb, thumb):
-        kept = run_to_completion(keeping_contacts(target, source("right"), skins("right"), turns, times, keyed))
+        kept = run_to_completion(
+            keeping_contacts(target, source("right"), skins("right"), turns, times, keyed)
+        )
         assert (kept.standing[:, ~keyed] == plain[:, ~keyed]).all()
         assert (kept.standing[HELD][:, keyed] != plain[HELD][:, keyed]).any()
         apart.append(kept.apart[HELD].max())
@@ -299,7 +301,9 @@ def test_weights_are_one_where_tips_touch_and_smooth_beside():
     assert (weights[near[-1] + reach + 1 :] == 0.0).all()
     # A pause of the touch that is shorter than the blend is none.
     short = np.concatenate([turns[:35], turns[20:22], turns[35:]])
-    again = run_to_completion(finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS))
+    again = run_to_completion(
+        finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS)
+    )
     assert again.weights[35:37, pair].min() > 0.7
 
 
