@@ -1,4 +1,4 @@
-"""A data-block found again later: after a rename, an undo, or not at all where it was deleted."""
+"""References to data-blocks that survive a rename and an undo."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ import bpy
 
 @dataclass(frozen=True)
 class BlockReference:
-    """One data-block of this session. Holds no reference, which an undo would break."""
+    """Names one data-block of this session by its session_uid: an undo breaks Python's own references."""
 
     collection: str
-    """Its place in bpy.data: objects, scenes, ..."""
+    """the collection of bpy.data: objects, scenes, ..."""
     uid: int
     name: str
-    """As it was called then; for messages"""
+    """the block's name when the reference was made; for messages"""
 
     @classmethod
     def of(cls, collection: str, block: bpy.types.ID) -> BlockReference:
-        """Remember a block of bpy.data.COLLECTION."""
+        """A reference to a block of bpy.data.COLLECTION."""
         return cls(collection, block.session_uid, block.name)
 
     def find(self):
-        """The block, whatever it is called now; None where it is gone."""
+        """The block, under whatever name; None where it was deleted."""
         blocks = getattr(bpy.data, self.collection)
         named = blocks.get(self.name)
         if named is not None and named.session_uid == self.uid:

@@ -137,7 +137,7 @@ def _follow(*_args) -> None:
 
 
 HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post", "blend_import_post"), _follow)
-"""What may bring a hand that shows its graph"""
+"""Events after which another hand may show its graph"""
 LISTENERS: Final = {"error": shown_changed}
 
 

@@ -40,11 +40,11 @@ _changes: dict[int, _Change] = {}
 _offsets: dict[int, tuple[BlockReference, dict]] = {}
 """Characters with an offset in the scene, by their session_uid, and where it was seen last"""
 _messages: dict[int, tuple[str, bool]] = {}
-"""What came of the last change, and whether it could not be done"""
+"""The message about the last change, and whether it is an error, by the armatures' session_uid"""
 
 
 def message(armature: bpy.types.Object) -> tuple[str, bool] | None:
-    """What an artist is to know of the last change, and whether it could not be done; None for nothing."""
+    """The message about a character's last change, and whether it is an error; None for none."""
     return _messages.get(armature.session_uid)
 
 
@@ -101,7 +101,7 @@ def _schedule(armature: bpy.types.Object) -> None:
 
 
 def _remember_offsets(armature: bpy.types.Object) -> None:
-    """Remember where its offsets are."""
+    """Remember where a character's offsets are."""
     character = armature.manient.character
     if any(getattr(character, side).offset is not None for side in SIDES):
         _offsets[armature.session_uid] = BlockReference.of("objects", armature), _places(armature)

@@ -98,9 +98,9 @@ class Place:
     site_packages: Path
     """Where Blender unpacks the wheels of all extensions"""
     platform: str
-    """As in linux-x64"""
+    """for example linux-x64"""
     python: str
-    """As in 3.11"""
+    """for example 3.11"""
 
 
 def this_place(extensions: Path) -> Place:

@@ -45,7 +45,7 @@ _MAX_FINISHED = 6
 
 @dataclass(frozen=True)
 class Building:
-    """What to do with the take."""
+    """How a job's take is built into a scene."""
 
     scene: BlockReference
     target: Literal["NEW", "ANIMATION", "POSE"] = "NEW"
@@ -72,15 +72,15 @@ class Job:
     options: CaptureOptions
     building: Building
     ask_if_many: bool = False
-    """Whether more than a few hands are not built before somebody has chosen among them"""
+    """Whether the artist chooses first where there are more than a few hands"""
     bare: bool = False
     """Whether nobody looks for hands: the picture is shown for an artist to add some"""
     button: Literal["capture", "frame", "add"] = "capture"
-    """Which of the panel's buttons has asked for it"""
+    """the button of the panel that queued the job"""
     then_add_hand: bool = False
-    """Whether the artist goes on by adding a hand to its picture"""
+    """Whether Add Hand begins in the job's picture afterwards"""
     hands_to_choose: int = 0
-    """How many hands were found where there were too many to build without asking"""
+    """the number of hands found, where there were too many to build without asking; else 0"""
     state: State = "waiting"
     stage: str = ""
     done: int = 0
@@ -101,7 +101,7 @@ class Job:
     hands: tuple[str, ...] = ()
     """Names of the armatures that came of it"""
     key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
-    """What scenes know it by"""
+    """the key under which scenes note the job, so that an undo is seen"""
     _request: int = 0
     _stage_began: float = 0.0
     _stage_first: int = 0
@@ -113,17 +113,17 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether it waits for nothing but work."""
+        """Whether the job is being captured or built."""
         return self.state in ("capturing", "building")
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more happens to it."""
+        """Whether the job is done, failed or cancelled."""
         return self.state in ("done", "failed", "cancelled")
 
     @property
     def stop_button(self) -> tuple[str, bool]:
-        """What stands on the button that stops it, and whether that can be pressed: once, and not when
+        """The text of the button that stops the job, and whether it can be pressed: once, and not when
         finished frames would be lost by it."""
         if self.state == "building":
             return "Building Hands", False
@@ -141,7 +141,7 @@ class Job:
         return frames / spent if self._stage_began and frames > 0 and spent > 0.2 else 0.0
 
     def activity(self) -> str:
-        """What happens to it now, short enough for a progress bar; of a finished one, what came of it."""
+        """What the job does now, short enough for a progress bar; of a finished job its result."""
         if self.state == "waiting":
             return "Waiting"
         if self.state == "building":
@@ -156,14 +156,14 @@ class Job:
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def speed_text(self) -> str:
-        """How fast it goes and how long it will take; empty while nobody knows."""
+        """Frames per second and the time that is left; empty while they are unknown."""
         if self.state != "capturing" or self._stopping or self.total <= 1 or not self.rate:
             return ""
         left = (self.total - self.done) / self.rate
         return f"{self.rate:.0f} fps  {_duration(left)} left"
 
     def status(self) -> str:
-        """Both in a line."""
+        """`activity` and `speed_text` in one line."""
         return "  ".join(filter(None, (self.activity(), self.speed_text())))
 
 
@@ -191,7 +191,7 @@ def current_or_next() -> Job | None:
 
 
 def is_repeated(job: Job) -> bool:
-    """Whether one is not through yet that does the same: a double click has asked for it twice."""
+    """Whether an equal job is not finished yet, as after a double click."""
     return any(
         (other.files, other.options, other.building) == (job.files, job.options, job.building)
         for other in _queue
@@ -214,7 +214,7 @@ def forget_finished() -> None:
 
 
 def cancel(job: Job) -> None:
-    """Stop a job as soon as it can be, keeping the frames that are finished; of a second time: nothing."""
+    """Stop a job as soon as it can be, keeping finished frames; a second call keeps none."""
     if job.state == "waiting":
         job.state, job.message = "cancelled", "Cancelled"
     elif job.state == "capturing" and not job._stopping:

@@ -31,7 +31,7 @@ _found: list[Thinned] | str | None = None
 
 
 def bounds_of(scene: bpy.types.Scene) -> Bounds:
-    """What the panel says."""
+    """The bounds that the panel's sliders say."""
     settings = scene.manient
     parts = frozenset(part.lower() for part in settings.keys_parts)
     return Bounds(settings.keys_degrees, settings.keys_pixels, settings.keys_together, parts)

@@ -45,9 +45,9 @@ _TICK = 1 / 60
 _QUIET_SECONDS = 0.2
 """seconds without a change after which keys are written"""
 _PROGRESS_REDRAWS = 10
-"""times that the panel tells of one writing of keys how far it is"""
+"""redraws of the panel while one set of keys is written"""
 _COMPUTE_SHARE = 0.8
-"""The share of that until the keys are known, and only have to be written"""
+"""share of the progress that computing the keys takes; writing them takes the rest"""
 _SAME = 1e-6
 """Parts of quaternions, and locations, that differ by less are the same key"""
 
@@ -73,7 +73,7 @@ _links: dict[int, _Link] = {}
 _settling = False
 """Whether a property is being set by this module itself"""
 _troubles: dict[int, str] = {}
-"""Why a character follows no more, a sentence each"""
+"""the reason, a sentence, why a character follows no more, by its armature's session_uid"""
 
 
 def trouble(armature: bpy.types.Object) -> str | None:
@@ -82,8 +82,7 @@ def trouble(armature: bpy.types.Object) -> str | None:
 
 
 def keying_progress(armature: bpy.types.Object) -> float | None:
-    """Which share is written, 0..1, of the keys that a linked character is getting; None while it gets
-    none."""
+    """Progress of writing a linked character's keys, 0..1; None while none are written."""
     link = _links.get(armature.session_uid)
     return None if link is None or link.steps is None else link.done
 
@@ -192,7 +191,8 @@ def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None
 def _scaled_progress(
     steps: Generator[float, None, _T], before: float, share: float
 ) -> Generator[float, None, _T]:
-    """Go through steps that are `share` of the whole, after its part `before`; yields the progress."""
+    """Yield the progress `before + share * done` for each `done` that the steps yield; returns their
+    result."""
     while True:
         try:
             done = next(steps)
@@ -202,8 +202,8 @@ def _scaled_progress(
 
 
 def _changed(old: BoneKeys, new: BoneKeys) -> BoneKeys:
-    """Those of the new keys that are not the old ones. Takes the keys of a range away in which there are
-    fewer now, and has all of that range be written."""
+    """The new keys that differ from the old ones. Where keys are gone, removes all keys of their range and
+    returns all new keys there."""
     _, stays = nearest(new.keys.frames, old.keys.frames)
     gone = old.keys.frames[~stays]
     at, same = nearest(old.keys.frames, new.keys.frames)

@@ -20,7 +20,7 @@ KINDS = ("exporters", "rigs")
 """The folders, called as the packages that they belong to"""
 
 _printed: dict[str, None] = {}
-"""What the console has been told already, in order"""
+"""Sentences that were printed already, in order"""
 
 
 def folder() -> Path:
@@ -78,7 +78,7 @@ def failure_sentence(plugin: type, error: BaseException) -> str:
 
 
 def print_once(sentence: str) -> None:
-    """Say something on the console, the first time that it is to be said."""
+    """Print a sentence on the console, once a session."""
     if sentence not in _printed:
         _printed[sentence] = None
         print(f"Hand Capture: {sentence}", file=sys.stderr)

@@ -87,20 +87,20 @@ BLEND: Any = {
 }
 
 listeners: dict[str, Callable[[Any], None]] = {}
-"""Name of what is followed -> what is called with the group that has changed; the parts' FOLLOWS"""
+"""Name of a notifier -> the function that it calls with the group that has changed; modules' LISTENERS"""
 
 
 def notifier(name: str) -> Callable[[Any, bpy.types.Context], None]:
-    """The `update` of a property that somebody follows under that name."""
+    """A property's `update` function: calls the listener of that name."""
     return lambda group, _context: listeners[name](group) if name in listeners else None
 
 
 choices_of_option: dict[str, Callable[[], list[str]]] = {}
-"""Name of an option -> asks for what there is to choose from; a part adds itself when it is registered"""
+"""Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
 
 
 def _found(option: str) -> Callable[[Any, bpy.types.Context, str], list[str]]:
-    """The search of a text field for an option: names that contain what is typed."""
+    """A text field's `search` function: the option's choices that contain what is typed."""
     return lambda _settings, _context, typed: [
         name for name in choices_of_option.get(option, list)() if typed.lower() in name.lower()
     ]
@@ -112,8 +112,8 @@ EXPORT_FORMATS = tuple(
 
 
 def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[str, Any]:
-    """A property's description, default and range, as the capture's option of that name has them; `units`:
-    how many of the panel's units one of the option's has."""
+    """A property's description, default and range, as the capture's option of that name has them. `units`:
+    the panel's units in one of the option's; `more_help` is added to the description."""
     option = OPTIONS[name]
     shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + more_help}
     if option.default is not None:

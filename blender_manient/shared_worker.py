@@ -29,7 +29,7 @@ ADVICE = Advice(
     where=installation.IN_PREFERENCES,
     crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
 )
-"""For who sits before a window"""
+"""advice of errors that are shown in Blender's window"""
 
 
 class BlendersWorker(Worker):
@@ -73,7 +73,7 @@ def worker() -> Worker:
 
 
 def current() -> Worker | None:
-    """The shared worker if there is one already; for those who only look."""
+    """The shared worker; None where it was not made yet."""
     return _worker
 
 
@@ -83,7 +83,8 @@ def detectors() -> list[str]:
 
 
 def solvers() -> list[str]:
-    """The names of its solvers but for the paper's experiments, where there are plug-ins among them."""
+    """The names of the capturing Python's solvers without the paper's experiments; none where no plug-in adds
+    any."""
     names, ours = _offered_names("solvers"), SOLVERS.built_in()
     return [n for n in names if n not in ours or not ours[n].slow] if {*names} - {*ours} else []
 
@@ -94,7 +95,7 @@ def _offered_names(kind: str) -> list[str]:
 
 
 def new_worker(python: str | None = None) -> Worker:
-    """A worker of one's own, with the preferences' settings, or with another `python`."""
+    """A worker beside the shared one, with the preferences' settings, or with another `python`."""
     settings = _settings()
     return configured_worker(python or settings.python, settings.threads, settings.debug)
 
@@ -102,7 +103,7 @@ def new_worker(python: str | None = None) -> Worker:
 def configured_worker(
     python: str | None, threads: int | None = None, debug: bool = False, advice: Advice = ADVICE
 ) -> Worker:
-    """A worker with settings that somebody else has chosen."""
+    """A worker with the given settings instead of the preferences'."""
     if installation.is_installed():
         broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
         advice = Advice(advice.where, advice.crash, broken)
@@ -126,8 +127,8 @@ def stop() -> None:
 
 
 def answer(request: int, from_worker: Worker | None = None) -> Event | None:
-    """The `done` event of a request to the shared worker, or to another; None while there is none. Raises
-    HandfitError where it failed."""
+    """The `done` event of a request to the shared worker, or to `from_worker`; None while there is none.
+    Raises HandfitError where the request failed."""
     for event in (from_worker or worker()).events(request):
         if event["event"] == "error":
             raise as_error(event)

@@ -181,7 +181,7 @@ def lacks_size(settings, info: SourceInfo) -> bool:
 
 
 def layout_variants(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
-    """The same source before the worker has looked, and with what it may find at the longest."""
+    """The source without the worker's answer and with the longest answer, for a layout with room for both."""
     times = {"fps": 23.976, "first": 10000, "last": 20000}
     if info.files is None or info.files.kind == "photo":
         times = {}
@@ -189,8 +189,8 @@ def layout_variants(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
 
 
 def dropped_footage(settings, path: Path) -> Footage | None:
-    """What a scene would get from a file that nobody has chosen yet; only videos have a header that Blender
-    reads at once."""
+    """What a scene would take over from a dropped file; None but for videos, whose headers Blender reads at
+    once."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         return None
     try:

@@ -18,11 +18,11 @@ _EXTRA_SECONDS: Final = 0.15
 """seconds beyond those of a double click"""
 
 _drawn: dict[str, tuple[str, float]] = {}
-"""Place -> the button that was drawn there last, and since when"""
+"""Place -> the button that was drawn in it last, and since when"""
 
 
 def is_pressable(place: str, button: str) -> bool:
-    """Whether a button that a panel draws now can be pressed: one that has taken another's place only after a
+    """Whether a button that a panel draws can be pressed: where it has replaced another one, only after a
     moment, when the panel is drawn again."""
     now = time.monotonic()
     before, since = _drawn.get(place, (button, -math.inf))

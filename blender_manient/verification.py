@@ -33,7 +33,7 @@ def is_refused() -> bool:
 
 
 def examine() -> None:
-    """Look at the installation again: names, sizes and versions."""
+    """Examine the installation anew: names, sizes and versions."""
     examined = installation.examine(place())
     importlib.invalidate_caches()  # Blender may just have unpacked it
     _known[:] = installation.causes_first([*examined, *_module_problems(examined)])
@@ -55,7 +55,7 @@ def report() -> str:
 
 
 def print_sentence(sentence: str) -> None:
-    """On the console."""
+    """Print a sentence on the console."""
     print(f"Manient Hand Capture: {sentence}", file=sys.stderr)
 
 
@@ -84,7 +84,7 @@ _NEEDED = {
 
 
 def _module_problems(already: list[Problem]) -> list[Problem]:
-    """What of that is not there, unless the reason is known already."""
+    """Problems of needed modules that cannot be imported, without those whose reason is known already."""
     told = any(problem.wheel == CORE and problem.stops == "add-on" for problem in already)
     return [
         Problem("module", sentence, CORE if name == CORE_MODULE else name, "add-on")

@@ -28,11 +28,11 @@ def run_to_completion(steps: Generator[Any, None, _T]) -> _T:
             return stop.value
 
 
-def map_yields(steps: Generator[Any, None, _T], tell: Callable[[], _Y]) -> Generator[_Y, None, _T]:
-    """The same steps, but after each of them `tell()` is yielded instead; returns what they return."""
+def map_yields(steps: Generator[Any, None, _T], value: Callable[[], _Y]) -> Generator[_Y, None, _T]:
+    """Take the steps and yield `value()` after each in place of what it yields; returns what they return."""
     while True:
         try:
             next(steps)
         except StopIteration as stop:
             return stop.value
-        yield tell()
+        yield value()

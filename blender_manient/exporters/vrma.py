@@ -92,7 +92,7 @@ class _Mapped:
     source: SourceHand
     target: TargetHand
     wrist: tuple[str, str] | None
-    """As `_wrist_and_forearm`"""
+    """the bones between which the wrist bends, as `_wrist_and_forearm` returns them"""
 
     @classmethod
     def of(cls, bones: Bones, hand_map: HandMap, source: SourceHand) -> _Mapped:
@@ -101,7 +101,7 @@ class _Mapped:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The bones that tell what it does."""
+        """The bones from which the hand's motion is read."""
         return self.hand_map.bones[0], *self.target.bones, *(self.wrist or ())
 
 

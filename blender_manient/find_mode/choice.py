@@ -28,9 +28,9 @@ class FoundHand:
     """(21, 2) pixels of the upright picture"""
     certainty: float
     detected_side: Side
-    """Which hand it looks like"""
+    """the side that the detector named"""
     side: Side
-    """Which hand it is to be"""
+    """the side to capture it as, which the artist may change"""
     box: tuple[float, ...]
     """x, y, width and height in pixels by which a capture finds it again: about its points, or as the artist
     has drawn it"""
@@ -38,7 +38,7 @@ class FoundHand:
 
     @classmethod
     def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> FoundHand:
-        """One of a worker's answer; `drawn`: the box in which it was looked for."""
+        """A hand of the answer to a `find` request; `drawn`: the box in which it was searched."""
         points = unpack(hand["keypoints"]).astype(np.float64)
         low = points.min(axis=0)
         box = drawn or (*low.tolist(), *np.maximum(points.max(axis=0) - low, 1.0).tolist())
@@ -50,7 +50,7 @@ class FoundHand:
         return float(np.ptp(self.points, axis=0).max())
 
     def is_same_hand(self, other: FoundHand) -> bool:
-        """Whether both are of one hand."""
+        """Whether both are detections of one hand."""
         apart = np.linalg.norm(self.points - other.points, axis=-1).mean()
         return bool(apart < SAME_HAND_DISTANCE * max(self.extent, other.extent))
 
@@ -64,7 +64,7 @@ class Choice:
 
     @property
     def chosen(self) -> tuple[FoundHand, ...]:
-        """Those that are to be built."""
+        """The hands that are to be built."""
         return tuple(hand for hand in self.hands if hand.chosen)
 
     def show(self, found: Iterable[dict[str, Any]], wanted: HandChoice) -> None:
@@ -76,7 +76,7 @@ class Choice:
         self._undo_steps.clear()
 
     def add(self, hand: FoundHand) -> None:
-        """One that was looked for; it takes the place of what was taken for the same hand."""
+        """Add a hand that a box search found; it replaces detections of the same hand."""
         self._set_hands((*(other for other in self.hands if not other.is_same_hand(hand)), hand))
 
     def toggle(self, hand: FoundHand) -> None:
@@ -84,11 +84,11 @@ class Choice:
         self._change(hand, chosen=not hand.chosen)
 
     def flip_side(self, hand: FoundHand) -> None:
-        """Make a left hand a right one, or back; who cares for a hand's side wants it."""
+        """Make a left hand a right one, or back, and choose it."""
         self._change(hand, side=other_side(hand.side), chosen=True)
 
     def remove(self, hand: FoundHand) -> None:
-        """Throw out what is no hand."""
+        """Remove a detection that is no hand."""
         self._set_hands(tuple(other for other in self.hands if other is not hand))
 
     def toggle_all(self) -> None:
@@ -104,7 +104,7 @@ class Choice:
         return False
 
     def regions(self, frame: int | None) -> tuple[Region, ...]:
-        """What tells a capture of the chosen hands; `frame` of the source, None for a photo."""
+        """The chosen hands as a capture's regions; `frame` of the source, None for a photo."""
         return tuple(
             replace(
                 Region.of(hand.box), frame=frame, side=hand.side if hand.side != hand.detected_side else None
@@ -132,7 +132,7 @@ class Choice:
 
 
 class PictureView:
-    """What of a picture is seen in a view, and how large."""
+    """Pan and zoom of a picture in a view."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = np.array(size, dtype=np.float64)
@@ -140,7 +140,7 @@ class PictureView:
         self.show_all()
 
     def show_all(self) -> None:
-        """Show all of it."""
+        """Show the whole picture."""
         self._zoom, self._centre = 1.0, self.size / 2.0
 
     def scale(self, free: Sequence[float]) -> float:
@@ -168,5 +168,5 @@ class PictureView:
         self._keep()
 
     def _keep(self) -> None:
-        """The middle of the view stays in the picture."""
+        """Keep the middle of the view in the picture."""
         self._centre = np.clip(self._centre, 0.0, self.size)

@@ -45,7 +45,7 @@ NOTHING_THERE: Final = (
 
 
 class Source(NamedTuple):
-    """What hands are looked for in, and how."""
+    """The files, the frame and the options of a search for hands."""
 
     files: tuple[str, ...]
     frame: int | None
@@ -65,7 +65,7 @@ class Source(NamedTuple):
 
 
 class _BoxSearch(NamedTuple):
-    """A box that the worker looks into."""
+    """A request that searches a box for a hand."""
 
     request: int
     box: tuple[float, ...]
@@ -177,7 +177,7 @@ class FindMode:
             self.choice.add(FoundHand.of(hand, drawn=box))
 
     def regions(self) -> tuple[Region, ...]:
-        """What tells a capture of the chosen hands."""
+        """The chosen hands as a capture's regions."""
         return self.choice.regions(self.source.frame)
 
     # The mouse
@@ -187,12 +187,12 @@ class FindMode:
         return drawing.picture_room(screen.free_box(viewport.area, viewport.region))
 
     def place(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
-        """(2,) pixels of the region -> of the picture."""
+        """A place (2,) in pixels of the region -> in pixels of the picture."""
         assert self.picture_view is not None
         return mapped(np.linalg.inv(self.picture_view.matrix(self.room(viewport))), mouse)
 
     def hover(self, viewport: view.Viewport, mouse: np.ndarray) -> bool:
-        """The mouse is there; whether that changes what is shown."""
+        """Take the mouse's place, (2,) pixels of the region; whether that changes what is shown."""
         before = self.hovered, self.pressed
         button = next((b for b in reversed(self.buttons(viewport)) if b.holds(*mouse)), None)
         self.pressed = button.name if button is not None else ""
@@ -203,7 +203,8 @@ class FindMode:
         return before != (self.hovered, self.pressed)
 
     def click(self) -> str:
-        """Do what a click on what the mouse is over means; the name of what others have to do."""
+        """Handle a click on what the mouse is over; the name of the button that the operator has to
+        handle."""
         if self.pressed and self.pressed != "side":
             return self.pressed
         if self.hovered is not None:
@@ -212,7 +213,7 @@ class FindMode:
         return ""
 
     def release(self, viewport: view.Viewport) -> str:
-        """The mouse lets go of what it has dragged, or of a click; the name of what others have to do."""
+        """End a drag or a click; the name of the button that the operator has to handle."""
         assert self.dragged is not None
         (start, stop), self.dragged = self.dragged, None
         if np.abs(stop - start).max() < CLICK_PIXELS * screen.ui_scale():
@@ -237,7 +238,7 @@ class FindMode:
         return tags + drawing.row_of(capture, ("leave", "Leave"), add, free)
 
     def status_line(self) -> tuple[str, bool]:
-        """A sentence about where the artist is, and whether it is one to worry about."""
+        """The line over the picture, and whether it is a warning."""
         if self.message:
             return self.message, True
         if self.hovered is not None:

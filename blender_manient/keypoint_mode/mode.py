@@ -51,7 +51,7 @@ latencies: deque[float] = deque(maxlen=2000)
 
 @dataclass(frozen=True, eq=False)
 class _SavedView:
-    """Where an artist has looked at a hand."""
+    """The camera view in which the artist last saw a hand."""
 
     zoom: float
     offset: tuple[float, float]
@@ -64,7 +64,7 @@ _saved_views: dict[int, _SavedView] = {}
 
 
 def forget_views() -> None:
-    """The open file goes."""
+    """Forget all saved views: another file is opened."""
     _saved_views.clear()
 
 
@@ -114,7 +114,7 @@ class _Drag:
 
     @property
     def needs_request(self) -> bool:
-        """Whether the newest place has not been asked for yet."""
+        """Whether no request has the newest place yet."""
         return not self.is_sent or self.sent is not self.place or (self.released and not self.is_final)
 
 
@@ -206,7 +206,8 @@ class KeypointMode:
         viewport.show_picture(camera, bpy.context.scene)
 
     def _restore_view(self, viewport: view.Viewport) -> None:
-        """Show of the hand what the artist has looked at before; without that, all of it."""
+        """Restore the saved view of the hand; without one, or where no point would be seen, frame the
+        hand."""
         armature = self.refiner.found
         saved = _saved_views.get(armature.session_uid) if armature is not None else None
         if saved is None:
@@ -345,7 +346,7 @@ class KeypointMode:
         drag.drawn = False
 
     def release(self) -> None:
-        """The mouse lets go: what it asked for last is still waited for."""
+        """End a drag; its last request is still waited for."""
         if self.drag is None:
             return
         if self.drag.moved:
@@ -461,7 +462,7 @@ class KeypointMode:
         self._redraw(context)
 
     def _is_constrained(self, drag: _Drag) -> bool:
-        """Whether anything holds the frame's hand: pins, or points that touch."""
+        """Whether the frame's hand has pins, or points that touch."""
         return bool(drag.pins or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
@@ -551,7 +552,7 @@ class KeypointMode:
         return self.drag.pins if self.drag is not None else self.refiner.pins(row)
 
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
-        """A sentence about this frame, and whether it is one to worry about."""
+        """The line over the picture about this frame, and whether it is a warning."""
         row = self.row()
         if self.message:
             return capitalised(self.message), True

@@ -69,8 +69,8 @@ class Viewport:
         self.view.update()
 
     def enlarge(self, factor: float, source: np.ndarray, target: np.ndarray | None = None) -> None:
-        """Enlarge the camera view, and lay what is `source` `target`: (2,) pixels of the region; None: it
-        stays."""
+        """Enlarge the camera view so that what was at `source` lies at `target`, (2,) pixels of the region
+        each; None: where it was."""
         seen, size = self.view, (self.region.width, self.region.height)
         target = source if target is None else target
         self.set_zoom(*enlarged(seen.view_camera_zoom, seen.view_camera_offset, size, factor, source, target))

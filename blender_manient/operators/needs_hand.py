@@ -15,7 +15,7 @@ from ..scene.store import CapturedHand, active_hand, hand_of
 
 
 class PollMixin:
-    """An operator, in its first part, that says in a sentence what it lacks."""
+    """An operator's poll whose message is the sentence that `lacks` returns."""
 
     @classmethod
     def poll(cls: Any, context):
@@ -32,7 +32,7 @@ class PollMixin:
 
 
 class HandOperator(PollMixin):
-    """An operator, in its first part, that works on the active captured hand."""
+    """The poll and the options of an operator on the active captured hand."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
@@ -53,7 +53,7 @@ class HandOperator(PollMixin):
 
 
 class TimerMixin:
-    """A modal operator, in its first part, that looks again and again while the window stays free."""
+    """The timer and the status line of a modal operator."""
 
     _timer = None
 
@@ -69,7 +69,7 @@ class TimerMixin:
             context.workspace.status_text_set(text)
 
     def _stop_timer(self, context: bpy.types.Context) -> None:
-        """Undo both. May be called twice."""
+        """End the timer and give the status bar back. May be called twice."""
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None

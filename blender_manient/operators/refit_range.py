@@ -34,14 +34,14 @@ _LONGEST_SUMMARY = (
     "Fits 1000 frames again. Replaces 1000 keys set by hand, on 100 frames and 10 applied poses. The points "
     "of 100 corrected frames stay"
 )
-"""So much room the dialog has for what it says, that its buttons stay where they are"""
+"""The dialog reserves room for this summary, so that its buttons stay where they are"""
 _MARGIN = 0.5
 """seconds before and after the range that are fitted too, so that motion leads smoothly into it, but not
 written"""
 
 
 class FitTask(Protocol):
-    """What is asked of the worker, and what becomes of it."""
+    """A range of frames on its way through the worker."""
 
     count: int
     """frames"""
@@ -61,7 +61,7 @@ class FitTask(Protocol):
 
 
 class RangeFitOperator(PollMixin, TimerMixin):
-    """An operator, in its first part, that asks for a range of frames and has the worker fit them."""
+    """The base of operators that ask for a range of frames and have the worker fit them."""
 
     bl_idname: str
     bl_label: str
@@ -90,11 +90,11 @@ class RangeFitOperator(PollMixin, TimerMixin):
     _dialog = False
     """Whether this instance asks for the range"""
     _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
-    """What was asked for last and what would be done, so that drawing again costs nothing"""
+    """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
     running = ""
     """The operator by which a range is being fitted"""
     can_stop = False
-    """Whether that can be stopped still, so that nothing is changed"""
+    """Whether the fit can still be stopped before anything is changed"""
 
     @classmethod
     def lacks(cls, context):
@@ -155,11 +155,11 @@ class RangeFitOperator(PollMixin, TimerMixin):
         self.first, self.last = suggested_range(context)
 
     def other_properties(self) -> dict[str, Any]:
-        """What else than the range the dialog has asked for."""
+        """The values of the properties beside the range, for running the operator from its dialog."""
         return {}
 
     def report_text(self, work: Any) -> tuple[str, str]:
-        """Kind and words of the report at the end."""
+        """The kind and the text of the report at the end."""
         return "INFO", f"{counted(work.fitted, 'frame')} fitted again"
 
     def check(self, _context):
@@ -180,10 +180,10 @@ class RangeFitOperator(PollMixin, TimerMixin):
         sentence(self.layout, context, summary, icon, alert=alert, width=_WIDTH, least=[_LONGEST_SUMMARY])
 
     def draw_properties(self):
-        """Draw what else is asked for."""
+        """Draw the properties beside the range."""
 
     def summary(self, context) -> tuple[str, bool]:
-        """What would be done, in words, and whether they are a warning."""
+        """A sentence about what would be done, and whether it is a warning."""
         raise NotImplementedError
 
     def modal(self, context, event):
@@ -332,7 +332,7 @@ def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
 
 
 class RefitTask:
-    """What is asked of the worker, and what becomes of it."""
+    """The frames of a range, and some around, fitted over time with their pins, touches and locks."""
 
     def __init__(self, context, rows_of: Callable[[Any, Refiner], np.ndarray]) -> None:
         hand = active_hand(context)

@@ -65,11 +65,11 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
             self.strength = smoothing_of(context.scene, polled_hand(context).armature)
 
     def draw_properties(self):
-        """The strength."""
+        """Draw the strength."""
         self.layout.prop(self, "strength", slider=True)
 
     def summary(self, context):
-        """How much it is."""
+        """How many frames would be smoothed."""
         try:
             count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         except HandfitError as error:
@@ -99,7 +99,7 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
 
 
 class _SmoothTask(RefitTask):
-    """What is asked of the worker, and what becomes of it."""
+    """The motion of a range, fitted anew to the capture's keypoints with another strength of smoothing."""
 
     def __init__(self, context, rows_of, strength: float) -> None:
         self._strength, self._spread = strength, context.scene.manient.spread

@@ -56,7 +56,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         return True
 
     def draw_properties(self):
-        """The points."""
+        """Draw the points."""
         row = self.layout.row(align=True)
         row.prop(self, "point", text="")
         row.prop(self, "other", text="")
@@ -118,7 +118,7 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
 
 
 class _TouchTask:
-    """What is asked of the worker, and what becomes of it."""
+    """The frames of a range, fitted so that two points of the hand touch."""
 
     def __init__(self, context: bpy.types.Context, wanted: MANIENT_OT_touch) -> None:
         self.pair = touching_pair(int(wanted.point), int(wanted.other))

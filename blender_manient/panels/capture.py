@@ -127,7 +127,7 @@ def _row(layout, place: str, button: str, ready: bool = True, scale: float = 1.0
 
 
 def _draw_stop(layout, button: str, scale: float = 1.0) -> bool:
-    """Where a button has begun what is captured now, the one that stops it; whether there is one to draw."""
+    """Draw Stop in place of the button that began the present capture; whether it did."""
     job = jobs.current_or_next()
     if job is None or job.button != button:
         return False
@@ -138,7 +138,7 @@ def _draw_stop(layout, button: str, scale: float = 1.0) -> bool:
 
 
 def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
-    """What becomes of the scene when the source is captured, and what else when only its current frame is."""
+    """What capturing the source does to the scene, and what else capturing its current frame alone does."""
     text = _scene_message(context.scene, info)
     if info.files is None or info.files.kind == "photo":
         return text, ""
@@ -147,7 +147,7 @@ def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) ->
 
 
 def _scene_message(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int | None = None) -> str:
-    """What becomes of the scene when the source, or `only` one frame of it, is captured."""
+    """What capturing the source, or `only` one frame of it, does to the scene."""
     settings = scene.manient
     footage = source_info.footage(settings, info, only=only)
     pictures = info.files is not None and info.files.kind != "data"

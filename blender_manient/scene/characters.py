@@ -140,7 +140,7 @@ def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 
 def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The same for showing it: an empty table where nothing is kept or recognised."""
+    """The kept or recognised table of a hand, for display; an empty one where there is neither."""
     try:
         return kept_map(armature, side) or recognised(armature, side).hand_map
     except HandModelError:

@@ -97,7 +97,8 @@ def rotations_now(rig: PosedBones) -> np.ndarray:
 
 
 def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
-    """These keys, (16,) which bones the controls turn, and whether they move the wrist."""
+    """A rig's keys with what its controls do, (16,) bool of the bones that controls turn, and whether they
+    move the wrist."""
     keys = read_pose_keys(rig)
     frames, moving = keys.frames, controls.are_moving(rig.armature)
     if moving:

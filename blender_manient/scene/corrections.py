@@ -75,7 +75,7 @@ def corrected_places(armature: bpy.types.Object) -> np.ndarray:
 
 
 def corrected_frames(armature: bpy.types.Object) -> list[int]:
-    """The same, increasing and rounded, for drawing."""
+    """The scene frames with a correction, rounded and increasing, for drawing."""
     return [round(f) for f in corrected_places(armature).tolist()]
 
 

@@ -45,7 +45,7 @@ class BoneKeys:
 
 @dataclass(frozen=True, eq=False)
 class WrittenKeys:
-    """What was written for a hand itself."""
+    """Keys that were written for the bone that moves a whole hand."""
 
     action: bpy.types.Action
     slot: Any
@@ -53,9 +53,9 @@ class WrittenKeys:
     table: np.ndarray
     """(N, 8) scene frame, increasing, rotation (w, x, y, z), location; NaN where no location was written"""
     offset: np.ndarray
-    """(3,) as `BoneKeys.offset`"""
+    """(3,) what was added to the hand's location, in the armature's space and units"""
     settings: tuple[float, ...]
-    """The settings that the keys were made with, as in `BoneKeys.settings`"""
+    """the travel, smoothing and marked frame with which the keys were made"""
 
     @property
     def placed(self) -> bool:

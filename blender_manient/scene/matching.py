@@ -116,8 +116,8 @@ def scene_sentence(
     render_setup: bool = False,
     done: bool | None = None,
 ) -> str:
-    """What becomes of the scene, in words; `done` says what has become of it: whether it was matched.
-    `render_setup`: whether a matched scene is made ready to render, too."""
+    """A sentence about what a capture does to the scene; with `done`, whether the scene was matched, about
+    what it has done. `render_setup`: whether a matched scene is made ready to render, too."""
     matched = matches(scene, choice, footage) if done is None else done
     if matched:
         news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)

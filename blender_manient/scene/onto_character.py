@@ -68,7 +68,7 @@ _FROM_PROPERTIES = ("into", "wrist", "reference", "contacts", "travel", "smoothi
 """What of `TransferOptions` the panel's properties say"""
 
 MAX_TOUCH_ERROR = 0.002
-"""metres of the captured hand's scale: what is less, nobody sees"""
+"""metres at the captured hand's size by which touching fingertips may miss each other unseen"""
 
 _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_OF", "ACTION", "IK"} | {
     *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
@@ -93,7 +93,7 @@ class Motion:
     places: np.ndarray
     """(N, 3) metres: where the wrist is"""
     skins: Fingertips | None = None
-    """Its fingertips; None: which of them touch is not known"""
+    """the hand's fingertips; None where it is not known which of them touch"""
 
     @classmethod
     def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
@@ -102,18 +102,18 @@ class Motion:
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
 
     def on(self, side: Side) -> Motion:
-        """That of a hand of that side: mirrored for the other one."""
+        """The motion for a hand of that side, mirrored if need be."""
         return self if self.source.side == side else self.mirrored()
 
     def mirrored(self) -> Motion:
-        """The other hand's, as a mirror at x = 0 shows it."""
+        """The motion mirrored at x = 0, for the other side."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
         return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins)
 
 
 @dataclass(frozen=True)
 class TransferOptions:
-    """How motion is put on a character."""
+    """How captured motion is transferred to a character."""
 
     into: Into = "NEW"
     wrist: Wrist = "FINGERS"
@@ -130,7 +130,7 @@ class TransferOptions:
 
     @classmethod
     def of(cls, armature: bpy.types.Object, **fields: Any) -> TransferOptions:
-        """As the character's panel says, but for these fields."""
+        """The options of the character's panel, with these fields in place of its own."""
         character = armature.manient.character
         said = {name: getattr(character, name) for name in _FROM_PROPERTIES}
         return cls(**{**said, "offsets": offsets_of(armature), **fields})
@@ -138,7 +138,7 @@ class TransferOptions:
 
 @dataclass(frozen=True, eq=False)
 class Applied:
-    """What has been done."""
+    """The result of a transfer to one hand."""
 
     frames: int
     bones: int
@@ -148,7 +148,7 @@ class Applied:
     """metres of the captured hand's scale by which fingertips that touch do not meet as captured, at the
     worst"""
     missed: int = 0
-    """In how many frames that is more than `MAX_TOUCH_ERROR`"""
+    """the number of frames in which `apart` is more than `MAX_TOUCH_ERROR`"""
 
 
 def shortcomings(applied: Sequence[Applied]) -> list[str]:
@@ -302,7 +302,7 @@ def computing(
 
 
 def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
-    """In one step: a stop half-way would lose the keys that were there."""
+    """Replace keys of the present action in one step: a stop half-way would lose the former keys."""
     for one in keys:
         located = bool(one.keys.location_keyed.any())
         check_unlocked(one.rig, joints=np.flatnonzero(one.keyed).tolist(), location=located)

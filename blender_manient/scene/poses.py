@@ -62,7 +62,7 @@ _PREVIEW = 128
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A pose on the way to its frames."""
+    """Rotations to key on a span of frames."""
 
     frames: np.ndarray
     """(N,) scene frames, increasing"""
@@ -73,7 +73,7 @@ class Posed:
 
     @property
     def moved(self) -> np.ndarray:
-        """(B,) bool: the bones that do not stay."""
+        """(B,) bool: the bones that the pose moves."""
         return np.isfinite(self.quats[0, :, 0])
 
 
@@ -171,7 +171,7 @@ class _CapturedPosable(PosableHand):
         ]
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:
-        """Of the same capture, else the scene's only one."""
+        """The other hand of the same capture, else the scene's only one."""
         others = [o for o in captured_hands(context.scene) if o.manient.side != self._hand.side]
         others = [o for o in others if o.manient.capture == self._hand.collection] or others
         found = [hand for hand in map(hand_of, others) if hand is not None]
@@ -246,7 +246,7 @@ class _CharacterPosable(PosableHand):
         super().__init__(rig, list(self._target.joints), {*rig.bones, *hand_map.bones, hand_map.moved_by})
 
     def read(self) -> Pose:
-        """As constraints and controls leave it, relative to the hand's own bone."""
+        """The pose that is shown, with constraints and controls, relative to the hand's own bone."""
         shown = self._armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
         names = [self._target.hand_map.bones[0], *self._target.bones]
         now = rotations_of(np.array([shown[name].matrix for name in names], dtype=np.float64))
@@ -264,12 +264,12 @@ class _CharacterPosable(PosableHand):
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _rest(self) -> np.ndarray:
-        """Its own, for the bones that a pose would key."""
+        """(B, 4) the rotations at rest of the bones that a pose would key; NaN for the others."""
         unkeyed = np.isnan(self._quats(Pose(self._source.side, np.zeros(3 * (NUM_JOINTS - 1)))))
         return np.where(unkeyed, np.nan, super()._rest())
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:  # noqa: ARG002
-        """The character's own."""
+        """The character's other hand."""
         side = other_side(self._source.side)
         table = table_of(self._armature, side)
         if table == empty_map(side):
@@ -281,7 +281,7 @@ class _CharacterPosable(PosableHand):
     def towards(
         self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
     ) -> Posed:
-        """The same; raises OptionError also where `put` could not key it."""
+        """As `PosableHand.towards`; raises OptionError also where `put` could not key the pose."""
         check_own_keys(self._armature, "ACTION")
         posed = super().towards(context, pose, blend, requested)
         check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)
@@ -301,7 +301,7 @@ class _CharacterPosable(PosableHand):
         return span, union([own[(own > begin) & (own < end)], np.array(ends)])
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:  # noqa: ARG002
-        """All of them get keys."""
+        """Key all bones that move."""
         count, moved = len(posed.frames), posed.moved
         keys = PoseKeys(
             posed.frames,

@@ -96,7 +96,7 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
 
 
 def _pinned_points(hand: CapturedHand) -> np.ndarray | None:
-    """(T, 21, 2) pixels of the points that the artist has put in place; None where there are none, and the
+    """(T, 21, 2) pixels of the points that the artist has pinned; None where there are none, and the
     hand was not added by hand."""
     numbers = hand.take.frame_numbers
     placed = np.full((len(numbers), NUM_KEYPOINTS, 2), np.nan)

@@ -60,7 +60,7 @@ class Bounds:
     together: str = "FINGER"
     """What has its keys on common frames: ALL, each FINGER, or nothing but each BONE"""
     parts: frozenset[str] = frozenset(PARTS)
-    """Which of `PARTS`; the others keep their keys"""
+    """the names of `PARTS` to simplify; the others keep their keys"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Hand:
 
     rig: PosedBones
     parts: tuple[str, ...]
-    """Of each bone the one of `PARTS` that it belongs to"""
+    """the part, one of `PARTS`, that each bone belongs to"""
     captured: CapturedHand | None = None
 
 
@@ -83,14 +83,14 @@ class Thinned:
     chosen: tuple[int | None, ...]
     """The bones that get the keys of `result.splines`, in this order; None: the first one's location"""
     before: int
-    """How many keys their channels had"""
+    """the number of keys that the chosen bones' channels had"""
     result: Simplified
     made_of: str
     """`state_of` the hand when it was read"""
 
     @property
     def after(self) -> int:
-        """How many keys their channels will have."""
+        """The number of keys that the chosen bones' channels will have."""
         return sum(spline.values.size for spline in self.result.splines)
 
 
@@ -185,7 +185,7 @@ def state_of(hand: Hand) -> str:
 
 
 def _groups(parts: Sequence[str], together: str) -> list[int]:
-    """Which group of common frames each of some channels belongs to, by their parts."""
+    """For each channel, given its part, the number of its group: channels of one group share their frames."""
     names = list(dict.fromkeys(parts))
     if together == "BONE":
         return list(range(len(parts)))
@@ -364,7 +364,7 @@ def _note(action: bpy.types.Action) -> dict[str, Any]:
 
 
 def _digest(action: bpy.types.Action, slot: Any) -> str:
-    """What tells an action's keys from all others."""
+    """A digest of an action's keys."""
     holder = channels(action, slot)
     found = hashlib.sha256()
     curves = holder.fcurves if holder is not None else ()

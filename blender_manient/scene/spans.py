@@ -50,7 +50,7 @@ SCOPES: Any = {
 
 @dataclass(frozen=True)
 class RequestedFrames:
-    """The frames that an artist has asked for."""
+    """The frames that the artist chose for a pose."""
 
     scope: Scope = "HERE"
     first: float = 1.0

@@ -60,7 +60,7 @@ class CapturedHand:
     take: Take
     track: HandTrack
     index: int
-    """Which of `take.hands`"""
+    """the hand's index in `take.hands`"""
     side: Side
 
     @property
@@ -70,7 +70,7 @@ class CapturedHand:
 
     @property
     def rig(self) -> Rig:
-        """Its bones."""
+        """The bones of the armature, as a rig."""
         return rig_of(self.armature, self.side)
 
     @property
@@ -79,7 +79,7 @@ class CapturedHand:
         return np.array(self.armature.manient.betas, dtype=np.float64)
 
     def shaped(self) -> ShapedHand:
-        """Its model in that shape. Raises HandModelError."""
+        """The hand's model in the shape of `betas`. Raises HandModelError."""
         return self.model().shaped(self.betas)
 
     def model(self) -> HandModel:

@@ -29,17 +29,17 @@ from handfit_core.worker.runner import Event, MemoryRanOut, Runner, WorkerDied, 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
 _MAX_NOISE_LINES = 200
-"""lines before that which are no messages"""
+"""lines before the `ready` event that may be no messages"""
 _STOP_SECONDS = 0.03
 """seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
 0.1, all of it to give back memory"""
 _SCRIPT_STOP_SECONDS = 3.0
-"""seconds that a script gives it"""
+"""seconds that a script gives a process to end by itself"""
 
 _MAX_MESSAGE_CHARS = 2000
 """characters of what a worker says for people"""
 _CRASH_SIGNALS = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
-"""What a process does to itself; other signals come from outside"""
+"""signals of a process's own crash; other signals come from outside"""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Advice:
 
 
 ADVICE = Advice(where="with --python or in $HANDFIT_PYTHON", crash="try again with --debug")
-"""For a worker that no window starts"""
+"""advice of errors that are printed, where no window starts the worker"""
 
 
 class Worker(Runner):
@@ -101,7 +101,7 @@ class Worker(Runner):
 
     @property
     def uses_current_interpreter(self) -> bool:
-        """Whether it is the interpreter that runs here."""
+        """Whether the worker's Python is the interpreter of this process."""
         return is_current_interpreter(self.python)
 
     @property
@@ -228,7 +228,8 @@ class Worker(Runner):
             )
 
     def _receive_first(self, message: Event) -> None:
-        """Take in the first message; gives up on the process if it is not the right one."""
+        """Take in a process's first message; gives up on the process if it is not the `ready` event of this
+        version."""
         unknown = f"the Python '{self.python}' answered in an unknown way; {self._advice.python}"
         try:
             protocol.check_event(message)
@@ -283,7 +284,7 @@ class Worker(Runner):
         self._fail_all(kind, why, self.details())
 
     def _import_message(self, message: Event) -> str:
-        """One sentence for a part that the process could not import."""
+        """One sentence about a package that the process could not import."""
         if self.uses_current_interpreter and self._advice.broken:
             return self._broken_package_message(_last_line(str(message.get("details", ""))))
         return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"

@@ -24,7 +24,7 @@ def find_python(python: str | None = None) -> str:
 
 
 def unquoted(text: str) -> str:
-    """Without the spaces and quotes around it that come with a copied path."""
+    """The text without the spaces and quotes around it that come with a copied path."""
     text = text.strip()
     if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
         text = text[1:-1].strip()
@@ -33,7 +33,7 @@ def unquoted(text: str) -> str:
 
 @lru_cache(maxsize=16)
 def is_current_interpreter(python: str) -> bool:
-    """Whether it is the interpreter that runs here, maybe by another name, with the same packages."""
+    """Whether a path names this process's interpreter, maybe by another name, with the same packages."""
     python = shutil.which(python) or python
     if _normalised(python) == _normalised(sys.executable):
         return True
@@ -86,10 +86,10 @@ def _brought_by_launcher() -> bool:
 
 
 def _normalised(python: str) -> str:
-    """Without ".." and the like, and with links kept, unlike Path.resolve."""
+    """The absolute path without "..", with links kept, unlike Path.resolve."""
     return os.path.normcase(os.path.abspath(python))  # noqa: PTH100
 
 
 def _in_virtual_environment(python: str) -> bool:
-    """Whether it belongs to a virtual environment."""
+    """Whether an interpreter belongs to a virtual environment."""
     return any((folder / "pyvenv.cfg").is_file() for folder in list(Path(_normalised(python)).parents)[:2])

@@ -57,7 +57,7 @@ class _End:
 
 
 class ReadEnd(_End):
-    """What a child writes."""
+    """Our end of a pipe into which a child writes."""
 
     def read(self, most: int) -> bytes | None:
         """Up to `most` bytes that are there; None while there are none, b"" when none will come any more."""
@@ -73,7 +73,7 @@ class ReadEnd(_End):
 
 
 class WriteEnd(_End):
-    """What a child reads."""
+    """Our end of a pipe from which a child reads."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor)

@@ -57,7 +57,7 @@ class Pool(Runner):
 
 
 def _future_events(future: Future[list[Event]]) -> list[Event]:
-    """What a request that is over has said."""
+    """The events of a request that is over."""
     if future.cancelled():
         return [{"event": "error", **error_fields(Cancelled("cancelled before it was begun"))}]
     error = future.exception()

@@ -19,17 +19,17 @@ from handfit_core.worker.pipes import ReadEnd, WriteEnd, new_pipe, wait_for
 from handfit_core.worker.protocol import LONGEST_EVENT
 
 _READ_BYTES = 1 << 14
-"""bytes of its output that are taken between two looks at the clock"""
+"""bytes of the child's output that are read between two looks at the clock"""
 _EXCHANGE_SECONDS = 0.004
 """seconds after which `exchange` reads, or writes, no more"""
 _WRITE_WAIT_SECONDS = 0.001
 """seconds that a child which has just read gets to read on"""
 _STDERR_TAIL_BYTES = 16_384
-"""bytes of its stderr that are kept"""
+"""bytes of the child's stderr that are kept"""
 _EXIT_SECONDS = 1.0
-"""seconds between the end of its output and its own end, after which it is killed"""
+"""seconds after the end of its output in which the child must end; else it is killed"""
 _POLL_SECONDS = 0.005
-"""seconds between two looks at whether it has ended"""
+"""seconds between two looks at whether a child has ended"""
 _KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
 
@@ -70,9 +70,9 @@ class ChildProcess:
         self.noise = 0
         """Lines on its stdout that were no messages"""
         self.line_too_long = False
-        """Whether it was cut off within a line that is longer than any message"""
+        """Whether the child was cut off within a line that is longer than any message"""
         self.hung = False
-        """Whether it was killed here, as it had closed its output and did not end"""
+        """Whether the child was killed because it had closed its output and did not end"""
         self._echo = echo
         self._stderr_tail = b""
         self._line: list[bytes] = []
@@ -114,7 +114,7 @@ class ChildProcess:
         return messages
 
     def wait_for_io(self, seconds: float) -> None:
-        """Return when `exchange` has something to do, or after `seconds`."""
+        """Wait until `exchange` has something to read or write, at most for `seconds`."""
         wait_for((self._stdout, self._stderr), self._stdin if self._to_send else None, seconds)
 
     def ended(self) -> bool:
@@ -133,11 +133,11 @@ class ChildProcess:
         return exited  # some other process holds its pipes: nothing of interest comes from there
 
     def stderr_tail(self) -> str:
-        """The end of what it wrote on stderr."""
+        """The end of what the child wrote on stderr, with lines on stdout that were no messages."""
         return self._stderr_tail.decode("utf-8", errors="replace")
 
     def close_stdin(self) -> None:
-        """Which ends it, some time."""
+        """Close the child's stdin, after which a worker ends by itself."""
         self._to_send.clear()
         self._stdin.close()
 
@@ -297,7 +297,8 @@ SAME_GROUP = "HANDFIT_SAME_GROUP"
 
 
 def _own_group() -> dict[str, Any]:
-    """No console window, and no share in a terminal's Ctrl-C: ending the child is up to us."""
+    """Popen's options for a process group of its own: no console window, and no share in a terminal's Ctrl-C,
+    because ending the child is up to us."""
     if os.environ.get(SAME_GROUP):
         return {}
     if sys.platform == "win32":

@@ -189,10 +189,10 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
     "warm": {},
     "check": {"report": _text, "ok": _flag},
 }
-"""The same of a `done` event, by the request that it answers"""
+"""Kind of request -> the fields of its `done` event that a client reads, and how each is checked"""
 
 _OPTIONAL_FIELDS: Final = ("details", "stopped", "seconds", "report", "ok", "detectors", "solvers")
-"""Without these a client does, too"""
+"""fields that an event may lack"""
 
 
 def check_event(message: Mapping[str, Any], request: str | None = None) -> None:

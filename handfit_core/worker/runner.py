@@ -63,7 +63,7 @@ class MemoryRanOut(WorkerDied):
 
 
 _WORKER_ERRORS: Final = {"WorkerDied": WorkerDied, "MemoryRanOut": MemoryRanOut, "MemoryError": MemoryRanOut}
-"""Errors of `error` events that errors.py does not have"""
+"""the errors of `error` events that are defined here, not in errors.py"""
 
 
 class Runner(ABC):
@@ -176,7 +176,7 @@ class Runner(ABC):
         self._events += ({**event, "id": number} for event in events)
 
     def _take_events(self, ids: tuple[int, ...]) -> list[Event]:
-        """The events of these requests, of all where none are named, which are not kept any longer."""
+        """Take out and return the events of these requests, of all where none are named."""
         found = [event for event in self._events if not ids or event["id"] in ids]
         if found:
             self._events = deque(event for event in self._events if ids and event["id"] not in ids)
@@ -221,7 +221,8 @@ class InProcess(Runner):
 
 
 def run_request(answer: Answer, message: Mapping[str, Any]) -> list[Event]:
-    """Do a request in this process: what it says on the way, and last `done` or `error`, without its id."""
+    """Do a request in this process; its events without ids: progress, warnings, and last `done` or
+    `error`."""
     events: list[Event] = []
 
     def say(kind: str, /, **fields: Any) -> None:
@@ -243,7 +244,7 @@ def run_request(answer: Answer, message: Mapping[str, Any]) -> list[Event]:
 
 @contextlib.contextmanager
 def log_warnings_to(say: Callable[[str], None]) -> Iterator[None]:
-    """Within, `say` gets each warning that the core logs, as one line."""
+    """Within, `say` gets each warning that the core logs, as one line of text."""
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: say(" ".join(record.getMessage().split()))
     log = logging.getLogger("handfit")

@@ -36,7 +36,7 @@ STOP_SECONDS: Final = 1.0
 
 
 class _ClientGone(BaseException):
-    """Nobody is left to talk to. Not an Exception, so that no handler of errors on the way takes it."""
+    """The client is gone. Not an Exception, so that no handler of errors on the way takes it."""
 
 
 @dataclass(eq=False)
@@ -56,7 +56,7 @@ class Server:
         self._requests, self._events = requests, events
         self._sending = threading.Lock()
         self._jobs: dict[int, _Job] = {}
-        """Those that have had no last event"""
+        """the jobs without a last event, by their numbers"""
         self._waiting: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._current: _Job | None = None
         self._ending = threading.Event()
@@ -170,7 +170,7 @@ class Server:
             self._current = None
 
     def _answer(self, job: _Job) -> dict[str, Any]:
-        """What the `done` event says beside its id."""
+        """The fields of the job's `done` event."""
 
         def should_stop() -> bool:
             if self._ending.is_set():

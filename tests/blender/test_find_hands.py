@@ -11,7 +11,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from blender_manient import jobs, shared_worker  # noqa: E402
-from blender_manient.find_mode.choice import MOST_ZOOM, Choice, FoundHand, PictureView  # noqa: E402
+from blender_manient.find_mode.choice import MAX_ZOOM, Choice, FoundHand, PictureView  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, source_of  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
@@ -112,7 +112,7 @@ def test_the_picture_fits_and_is_enlarged_where_the_mouse_is():
     np.testing.assert_allclose(mapped(picture_view.matrix(free), place), before + [10.0, -20.0])
     for _ in range(40):
         picture_view.zoom(1.5, place, free)
-    assert picture_view.scale(free) == pytest.approx(MOST_ZOOM)
+    assert picture_view.scale(free) == pytest.approx(MAX_ZOOM)
     for _ in range(60):
         picture_view.zoom(1 / 1.5, place, free)
     assert picture_view.scale(free) == pytest.approx(0.5), "no smaller than fits"
