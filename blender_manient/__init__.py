@@ -11,6 +11,7 @@ import sys
 
 def register() -> None:
     """Register every part of the add-on, or only what tells why it cannot run."""
+    # Needs bpy, without which this package can be imported.
     from . import registration
 
     registration.register()
@@ -18,6 +19,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Undo `register`."""
+    # Needs bpy, without which this package can be imported.
     from . import registration
 
     registration.unregister()

@@ -51,6 +51,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     if argv[:1] and argv[0] in COMMANDS:
+        # Needs handfit_core, whose absence another command has to explain.
         from .batch.arguments import add_commands
 
         add_commands(commands, argv[:1], default_python=_DEFAULT_PYTHON)
@@ -69,6 +70,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _run_batch(args: argparse.Namespace) -> int:
+    # All of these need handfit_core or NumPy.
     from handfit_core.worker.interpreter import PYTHON_VARIABLE
 
     from . import preferences
@@ -104,6 +106,7 @@ def _check(args: argparse.Namespace) -> int:
     if _print_refusal():
         print(verification.report())
         return EXIT_SOME_FAILED
+    # Needs handfit_core.
     from .operators.check_installation import check
 
     with stopped_by_signals():

@@ -23,6 +23,7 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import HandTrack
 
+from . import jobs
 from .block_reference import BlockReference
 from .scene import corrections
 from .scene.editable import why_not_keyable
@@ -297,8 +298,6 @@ def smoothing_of(scene: bpy.types.Scene, armature: bpy.types.Object) -> float:
 
 def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None:
     """Why a hand cannot be refined now: a sentence for a tooltip; None where it can."""
-    from . import jobs
-
     if hand is None:
         return "Select a captured hand: its armature or its mesh"
     why = why_not_keyable(hand.armature) or corrections.why_elsewhere(hand.armature)

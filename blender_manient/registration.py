@@ -128,6 +128,7 @@ def _parts() -> tuple[Any, ...]:
         _unload(name for name in _loaded_modules() if name not in _WITHOUT_CORE)
     before = set(sys.modules)
     try:
+        # Needs handfit_core, which must be looked at before it is imported.
         from . import parts
     except Exception as error:
         if not installed:

@@ -1,4 +1,7 @@
-"""What is done for each kind of request. Nothing heavy loads before a request needs it."""
+"""What is done for each kind of request.
+
+Imports inside functions keep the worker's start quick: heavy packages load when a request needs them.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError, PictureSizeError
 from handfit_core.files import written_whole
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.worker.protocol import pack
 from handfit_core.worker.runner import OnProgress
 
@@ -98,7 +102,6 @@ def detect(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
     """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
-    from handfit_core.media.frame_range import FrameRange
     from handfit_core.options import CaptureOptions
     from handfit_core.pipeline import detect_to_file
 

@@ -1,7 +1,7 @@
 """The requests `check` and `warm`: using every heavy part once tells whether it works, and has it loaded.
 
 In a check every part is tried by itself: what is missing or broken becomes a line, never an error of the
-request.
+request. So the packages that it tries are imported inside functions.
 """
 
 from __future__ import annotations
