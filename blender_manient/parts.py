@@ -51,7 +51,7 @@ class Part:
         self._module = module
         # Blender 4.2 does not tell of imports.
         events = {name: getattr(bpy.app.handlers, name, []) for name in getattr(module, "HANDLERS", {})}
-        # Others are gone as soon as a file is opened.
+        # Handlers that are not persistent are gone as soon as a file is opened.
         kept = bpy.app.handlers.persistent
         self._handlers = [(events[name], kept(module.HANDLERS[name])) for name in events]
         self._add, self._remove = bpy.utils.register_classes_factory(self.classes)

@@ -185,7 +185,7 @@ class KeypointMode:
             return "Keypoints: refining works in Object and Pose mode"
         return None
 
-    # What of the picture is seen
+    # Zoom and pan of the picture
 
     def show_hand(self, viewport: view.Viewport) -> None:
         """Frame the hand with half its size on each side; the whole picture on a frame without it."""
@@ -266,7 +266,7 @@ class KeypointMode:
     def _opacity(self) -> float:
         return 1.0 if self.solid else preferences.get().hand_opacity
 
-    # Where the handles are
+    # Places of the handles
 
     def row(self) -> int | None:
         """The take's row that the scene shows."""

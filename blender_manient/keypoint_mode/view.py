@@ -134,7 +134,7 @@ class CaptureView:
         self._space = {name: getattr(space, name) for name in _OF_SPACE}
         self._space_camera = space.camera.name if space.camera is not None else None
         shows = self.shows(viewport)
-        # Else turning the view would move the camera away from its picture.
+        # With the lock, turning the view would move the camera away from its picture.
         space.lock_camera = False
         if shows:
             return

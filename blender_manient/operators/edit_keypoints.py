@@ -87,7 +87,7 @@ class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
     def _while_dragging(self, context, event, viewport):
         assert _mode is not None
         if event.type == "MOUSEMOVE":
-            # Those in between have been overtaken already.
+            # Moves in between have been overtaken already.
             _mode.move(viewport, event.mouse_x, event.mouse_y)
             _mode.follow(context)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":

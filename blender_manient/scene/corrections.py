@@ -167,7 +167,7 @@ def correct_frames(
     check_writable(armature)
     lost = displaced(armature)
     if lost:
-        # They are in other keys by now, out of which nobody can take them.
+        # Corrections are in other keys by now, out of which nobody can take them.
         old = old.without(lost)
         keep_field(armature, old)
     places = timing_of(armature).scene_frames(np.array(chosen, dtype=np.float64))

@@ -289,9 +289,9 @@ class Worker(Runner):
             return self._broken_package_message(_last_line(str(message.get("details", ""))))
         return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"
 
-    def _broken_package_message(self, said: str) -> str:
+    def _broken_package_message(self, reason: str) -> str:
         """One sentence for a package that does not load although it was brought along."""
-        return f"a package that capturing needs does not load ({said}): {self._advice.broken}"
+        return f"a package that capturing needs does not load ({reason}): {self._advice.broken}"
 
     def _death_message(self, child: ChildProcess, ran_out: bool) -> str:
         """One sentence for a process that ended without saying why."""

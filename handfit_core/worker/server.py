@@ -194,7 +194,7 @@ class Server:
 
         return report
 
-    # Both
+    # Called from both threads
 
     def _close(self, job: _Job, event: str, **fields: Any) -> None:
         """Send a job's last event, if it has had none."""

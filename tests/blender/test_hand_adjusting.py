@@ -158,7 +158,7 @@ def test_keys_of_ones_own_stay(target):
         found = places(target)
         np.testing.assert_allclose(found[2] - found[0], travel * (before[2] - before[0]), atol=1e-4)
         np.testing.assert_allclose(found[1], mine, atol=1e-5)
-        assert "1 frame with keys of your own stay" in drawn(MANIENT_PT_character).message
+        assert "1 frame with keys of your own stay" in drawn(MANIENT_PT_character).said
 
 
 def test_nothing_is_written_where_nothing_was(target):
