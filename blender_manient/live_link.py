@@ -24,15 +24,15 @@ from . import screen
 from .block_reference import BlockReference
 from .scene.characters import hands_to_move
 from .scene.editable import check_unlayered
-from .scene.hand_motion import BoneKeys, without_own
+from .scene.hand_motion import BoneKeys, without_artist_keys
 from .scene.keys import nearest, remove_pose_keys, set_pose
 from .scene.onto_character import (
     Motion,
     TransferOptions,
     computing,
     is_keyframed,
-    noting,
     reading_motion,
+    record_all_written_keys,
     writing,
     writing_anew,
 )
@@ -175,7 +175,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
         for number, one in enumerate(keys):
             old = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
             share = (1.0 - _COMPUTE_SHARE) / len(keys)
-            wanted = without_own(armature, one)
+            wanted = without_artist_keys(armature, one)
             steps = _written(armature, wanted if old is None else _changed(old, wanted))
             yield from _scaled_progress(steps, _COMPUTE_SHARE + number * share, share)
     link.written, character.linked = keys, _digest(keys)
@@ -184,7 +184,7 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
 def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None, None]:
     """Write and note keys; a hand itself has one bone, so that a stop cannot come between the two."""
     for done in writing([one]):
-        noting(armature, [one])
+        record_all_written_keys(armature, [one])
         yield done
 
 

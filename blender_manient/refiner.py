@@ -79,14 +79,14 @@ class Refiner:
     @property
     def hand(self) -> CapturedHand:
         """The hand as it is now. Raises OptionError where it is gone."""
-        armature = self.found
+        armature = self.armature_or_none
         hand = hand_of(armature) if armature is not None else None
         if hand is None:
             raise OptionError(f"the hand {self.name!r} is gone: select another captured hand")
         return hand
 
     @property
-    def found(self) -> bpy.types.Object | None:
+    def armature_or_none(self) -> bpy.types.Object | None:
         """The hand's armature, under whatever name it has now; None where it is gone."""
         return self._reference.find()
 

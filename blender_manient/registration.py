@@ -1,4 +1,4 @@
-"""Registration of all parts of the add-on, or of the one that says why they cannot run.
+"""Registration of all modules of the add-on, or of the one that says why they cannot run.
 
 Nothing of handfit_core is imported before the installation was looked at.
 """
@@ -39,16 +39,16 @@ _WITHOUT_CORE = frozenset(_loaded_modules())
 _registered: list[Any] = []
 """In the order of registration"""
 _core: ModuleType | None = None
-"""The handfit_core with which the parts were imported"""
+"""The handfit_core with which the modules were imported"""
 
 
 def register() -> None:
-    """Register every part of the add-on, or only what tells why it cannot run."""
-    parts = _parts() if _can_run() else (unusable,)
+    """Register every module of the add-on, or only the panel that says why it cannot run."""
+    modules = _addon_modules() if _can_run() else (unusable,)
     try:
-        for part in (verification, *parts):
-            _registered.append(part)  # before: where it fails, half of it may be registered
-            part.register()
+        for module in (verification, *modules):
+            _registered.append(module)  # before: where it fails, half of it may be registered
+            module.register()
         _register_command()
     except Exception:
         with contextlib.suppress(Exception):
@@ -60,7 +60,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Undo `register`, in reverse; all of it, whatever a part raises. Raises the first such error then."""
+    """Undo `register`, in reverse; all of it, whatever a module raises. Raises the first such error then."""
     atexit.unregister(unregister)
     errors: list[Exception] = []
     while _registered:
@@ -74,7 +74,7 @@ def unregister() -> None:
 
 
 def runs() -> bool:
-    """Whether the add-on is registered with all its parts."""
+    """Whether the add-on is registered with all its modules."""
     return bool(_registered) and unusable not in _registered
 
 
@@ -117,8 +117,8 @@ def _running_copy() -> str:
     return ""
 
 
-def _parts() -> tuple[Any, ...]:
-    """All parts, or the one that says why they cannot be imported."""
+def _addon_modules() -> tuple[Any, ...]:
+    """The modules to register, or the one that says why they cannot be imported."""
     global _core
     installed = installation.is_installed()
     if installed and verification.core_problem() is not None:
@@ -129,7 +129,7 @@ def _parts() -> tuple[Any, ...]:
     before = set(sys.modules)
     try:
         # Needs handfit_core, which must be looked at before it is imported.
-        from . import parts
+        from . import modules
     except Exception as error:
         if not installed:
             raise
@@ -143,11 +143,11 @@ def _parts() -> tuple[Any, ...]:
     if problem is not None:
         verification.refuse(problem)
         return (unusable,)
-    return parts.PARTS
+    return modules.MODULES
 
 
 def _unregister_classes() -> None:
-    """Take away what parts that failed have left with Blender: it would refuse them the next time."""
+    """Take away what modules that failed have left with Blender: it would refuse them the next time."""
     modules = [sys.modules[name] for name in _loaded_modules()]
     classes = {cls for module in modules for cls in vars(module).values() if isinstance(cls, type)}
     for cls in classes:

@@ -32,17 +32,17 @@ def sentence(
     icon: str = "NONE",
     alert: bool = False,
     width: int | None = None,
-    least: Sequence[str] = (),
+    reserve_for: Sequence[str] = (),
     rows: int = 1,
 ) -> None:
     """A text of any length, wrapped to the region's width; in a dialog, which has none, to `width` pixels at
-    scale 1. It takes at least the room that any text of `least` would, and so many rows."""
+    scale 1. It takes at least the room that any text of `reserve_for` would, and so many rows."""
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
     room = _room(context, width)
     lines = wrapped(text, room)
-    rows = max([rows, *(len(wrapped(other, room)) for other in least)])
+    rows = max([rows, *(len(wrapped(other, room)) for other in reserve_for)])
     lines += [""] * (rows - len(lines))
     for number, line in enumerate(lines):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)

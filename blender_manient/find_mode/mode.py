@@ -186,7 +186,7 @@ class FindMode:
         """Where the whole picture fits in, pixels of the region."""
         return drawing.picture_room(screen.free_box(viewport.area, viewport.region))
 
-    def place(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
+    def picture_point(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
         """A place (2,) in pixels of the region -> in pixels of the picture."""
         assert self.picture_view is not None
         return mapped(np.linalg.inv(self.picture_view.matrix(self.room(viewport))), mouse)
@@ -199,7 +199,9 @@ class FindMode:
         self.hovered = button.hand if button is not None else None
         if button is None and self.picture_view is not None:
             scale = self.picture_view.scale(self.room(viewport))
-            self.hovered = self.choice.hand_at(self.place(viewport, mouse), scale, REACH * screen.ui_scale())
+            self.hovered = self.choice.hand_at(
+                self.picture_point(viewport, mouse), scale, REACH * screen.ui_scale()
+            )
         return before != (self.hovered, self.pressed)
 
     def click(self) -> str:
@@ -219,7 +221,7 @@ class FindMode:
         if np.abs(stop - start).max() < CLICK_PIXELS * screen.ui_scale():
             return self.click()
         if self.picture_view is not None:
-            self.search_box(self.place(viewport, np.array([start, stop])))
+            self.search_box(self.picture_point(viewport, np.array([start, stop])))
         return ""
 
     # Drawing
@@ -269,7 +271,7 @@ class FindMode:
             for search in self._searches
         ]
         if self.dragged is not None and self.picture_view is not None:
-            boxes.append((self.place(viewport, np.array(self.dragged)), ""))
+            boxes.append((self.picture_point(viewport, np.array(self.dragged)), ""))
         text, warning = self.status_line()
         scene = drawing.Scene(
             texture=self._texture,

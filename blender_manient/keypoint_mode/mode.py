@@ -76,11 +76,11 @@ class _Drag:
     row: int
     frame: float
     """Scene frame"""
-    before: Pins
+    pins_before: Pins
     """The frame's pins until now"""
     start: BonePoses
     """What the pins are measured against"""
-    shown: BonePoses
+    poses_before: BonePoses
     """What the bones are put back to when it is cancelled"""
     mouse: tuple[int, int]
     grip: np.ndarray
@@ -107,7 +107,7 @@ class _Drag:
     @property
     def pins(self) -> Pins:
         """The frame's pins with this one where it is to be."""
-        others = {k: p for k, p in self.before.items() if k != self.keypoint}
+        others = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
         if self.place is None:
             return others
         return {**others, self.keypoint: (float(self.place[0]), float(self.place[1]))}
@@ -173,7 +173,7 @@ class KeypointMode:
             return "Keypoints: a capture has begun"
         if view.viewport_at(context, self.view.address) is None:
             return "Keypoints: the viewport is gone"
-        armature = self.refiner.found
+        armature = self.refiner.armature_or_none
         if armature is None or armature.name not in context.view_layer.objects:
             return "Keypoints: the hand is gone"
         try:
@@ -208,7 +208,7 @@ class KeypointMode:
     def _restore_view(self, viewport: view.Viewport) -> None:
         """Restore the saved view of the hand; without one, or where no point would be seen, frame the
         hand."""
-        armature = self.refiner.found
+        armature = self.refiner.armature_or_none
         saved = _saved_views.get(armature.session_uid) if armature is not None else None
         if saved is None:
             self.show_hand(viewport)
@@ -218,7 +218,7 @@ class KeypointMode:
             self.show_hand(viewport)
 
     def _save_view(self, context: bpy.types.Context) -> None:
-        viewport, armature = view.viewport_at(context, self.view.address), self.refiner.found
+        viewport, armature = view.viewport_at(context, self.view.address), self.refiner.armature_or_none
         if viewport is not None and armature is not None and self.view.shows(viewport):
             seen = viewport.view
             offset = tuple(seen.view_camera_offset)
@@ -372,9 +372,9 @@ class KeypointMode:
         if drag.request:
             shared_worker.worker().cancel(drag.request)
             shared_worker.abandon(drag.request)
-        armature = self.refiner.found
+        armature = self.refiner.armature_or_none
         if armature is not None and armature.manient.is_hand:
-            set_pose(rig_of(armature), drag.shown.quats[0], drag.shown.locations[0])
+            set_pose(rig_of(armature), drag.poses_before.quats[0], drag.poses_before.locations[0])
             if context.scene.frame_current_final != drag.frame:
                 refresh(context.scene)  # that was another frame's pose
         screen.redraw("VIEW_3D")
@@ -471,7 +471,7 @@ class KeypointMode:
         if not self._is_constrained(drag):
             self.refiner.unpin(drag.row)
         elif drag.answer is None:
-            set_pose(self.refiner.hand.rig, drag.shown.quats[0], drag.shown.locations[0])
+            set_pose(self.refiner.hand.rig, drag.poses_before.quats[0], drag.poses_before.locations[0])
             return
         else:
             self.refiner.correct(drag.row, drag.answered_pins, drag.answer, context.scene.manient.spread)

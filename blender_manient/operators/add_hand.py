@@ -22,7 +22,7 @@ from ..properties import SIDE_ITEMS
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
 from .capture import new_job
-from .needs_hand import PollMixin, TimerMixin, errors_reported, select_alone
+from .mixins import PollMixin, TimerMixin, errors_reported, select_alone
 
 _TICK = 0.1
 _CLICK_PIXELS = 6.0

@@ -25,7 +25,7 @@ from ..scene.poses import (
 )
 from ..scene.spans import SCOPES, RequestedFrames, suggested_range
 from ..scene.store import CapturedHand
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
 class _PoseOperator(PollMixin):

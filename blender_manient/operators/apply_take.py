@@ -11,7 +11,7 @@ from ..scene.apply import apply_hand, apply_track, track_for
 from ..scene.store import captured_hands
 from ..section import split
 from ..wording import counted
-from .needs_hand import HandOperator, errors_reported, polled_hand
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
 class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):

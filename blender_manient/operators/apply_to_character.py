@@ -14,7 +14,7 @@ from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, hands_to_move, why_not_reachable
 from ..scene.onto_character import Applied, TransferOptions, putting, shortcomings
 from ..wording import capitalised, counted
-from .needs_hand import PollMixin, TimerMixin, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 1 / 60
 """seconds between two looks"""

@@ -18,7 +18,7 @@ from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
-from .needs_hand import PollMixin, TimerMixin, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.02
 """seconds between two looks at the worker"""

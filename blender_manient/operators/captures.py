@@ -7,7 +7,7 @@ import bpy
 from handfit_core.errors import OptionError
 
 from ..scene import captures
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
 class MANIENT_OT_hide_captures(PollMixin, bpy.types.Operator):

@@ -20,7 +20,7 @@ from handfit_core.skeleton import SIDES, other_side
 
 from ..properties import SIDE_ITEMS
 from ..scene.characters import active_character, keep_map, recognise_again, table_of, why_not_reachable
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 _OPPOSITE = 0.02
 """How far from the mirror image of a bone's ends those of the opposite one lie at most, as a share of its

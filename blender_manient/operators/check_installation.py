@@ -16,7 +16,7 @@ from handfit_core.worker.runner import Event
 from .. import cache, details, preferences, screen, shared_worker, verification
 from ..wording import capitalised
 from . import check_mano
-from .needs_hand import PollMixin, TimerMixin
+from .mixins import PollMixin, TimerMixin
 
 TEXT_NAME = "Hand Capture Check"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import cache, screen, shared_worker
-from .needs_hand import PollMixin
+from .mixins import PollMixin
 
 
 class MANIENT_OT_clear_cache(PollMixin, bpy.types.Operator):

@@ -11,7 +11,7 @@ from ..scene import corrections
 from ..scene.editable import why_not_editable
 from ..scene.timing import span_of
 from ..wording import counted
-from .needs_hand import HandOperator, errors_reported, polled_hand
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
 class MANIENT_OT_clear_corrections(HandOperator, bpy.types.Operator):

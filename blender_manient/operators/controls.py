@@ -7,7 +7,7 @@ import bpy
 from ..rigs.controls import in_use
 from ..scene.controls import add_controls, bake_controls, remove_controls
 from ..scene.editable import why_not_bakeable, why_not_editable
-from .needs_hand import HandOperator, errors_reported, polled_hand
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
 def _why_no_bones(armature: bpy.types.Object) -> str | None:

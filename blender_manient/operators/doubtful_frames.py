@@ -10,7 +10,7 @@ from handfit_core.errors import OptionError
 from ..scene.confidence import errors_of
 from ..scene.markers import doubtful_ranges, filled_ranges, is_marked, mark_doubtful, next_doubtful
 from ..scene.store import scene_frames
-from .needs_hand import PollMixin, errors_reported, named_hand
+from .mixins import PollMixin, errors_reported, named_hand
 
 
 class _NamedHandOperator(PollMixin):

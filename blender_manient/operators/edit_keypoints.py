@@ -9,7 +9,7 @@ from handfit_core.errors import OptionError
 from ..keypoint_mode import mode, view
 from ..refiner import Refiner, why_not
 from ..scene.store import active_hand
-from .needs_hand import PollMixin, TimerMixin, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.008
 """seconds between two looks at the worker"""

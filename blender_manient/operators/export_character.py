@@ -9,7 +9,7 @@ import bpy
 from ..properties import EXPORT_FORMATS
 from ..scene.characters import CharacterObjects, active_character, why_not_written
 from .export_hand import ExportOperator
-from .needs_hand import PollMixin
+from .mixins import PollMixin
 
 
 class MANIENT_OT_export_character(ExportOperator, PollMixin, bpy.types.Operator):

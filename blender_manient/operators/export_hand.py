@@ -19,7 +19,7 @@ from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence, split
-from .needs_hand import HandOperator, errors_reported, polled_hand
+from .mixins import HandOperator, errors_reported, polled_hand
 
 _OF_HANDS = "holds captured hands, no characters"
 

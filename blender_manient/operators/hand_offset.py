@@ -11,7 +11,7 @@ from mathutils import Matrix
 from ..properties import SIDE_ITEMS
 from ..scene.characters import active_character, hand_map_of
 from .character_hands import CharacterOperator
-from .needs_hand import errors_reported, select_alone
+from .mixins import errors_reported, select_alone
 
 _LENGTH = 0.5
 """of the handle's arrows, as a share of the hand's own bone"""

@@ -14,7 +14,7 @@ from ..scene.captures import comes_in_front
 from ..scene.matching import Footage, matches, scene_sentence
 from ..scene.surroundings import clear_view
 from ..section import sentence
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
 class MANIENT_OT_import_take(PollMixin, bpy.types.Operator, ImportHelper):

@@ -6,7 +6,7 @@ import bpy
 
 from ..scene.editable import strip_below, why_not_editable
 from ..scene.layer import add_layer, end_layer
-from .needs_hand import errors_reported
+from .mixins import errors_reported
 from .simplify_keys import KeysOperator, armature_of
 
 

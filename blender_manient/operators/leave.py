@@ -7,7 +7,7 @@ import bpy
 from .. import screen
 from ..find_mode import mode as find_mode
 from . import add_hand, find_hands
-from .needs_hand import PollMixin
+from .mixins import PollMixin
 from .refit_range import RangeFitOperator
 
 _LEAVE = {

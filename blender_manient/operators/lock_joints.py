@@ -8,7 +8,7 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
 from ..rigs.controls import with_moved
 from ..scene.store import CapturedHand
-from .needs_hand import HandOperator, polled_hand
+from .mixins import HandOperator, polled_hand
 
 _FINGER_ITEMS = tuple(
     (f.upper(), f.capitalize(), f"The joints of the {f} finger") for f in FINGERS if f != "thumb"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..scene.mirror import mirror_hand
-from .needs_hand import HandOperator, errors_reported, polled_hand, select_alone
+from .mixins import HandOperator, errors_reported, polled_hand, select_alone
 
 
 class MANIENT_OT_mirror_hand(HandOperator, bpy.types.Operator):

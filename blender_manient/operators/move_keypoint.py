@@ -11,7 +11,7 @@ from handfit_core.skeleton import NUM_KEYPOINTS
 from .. import shared_worker
 from ..refiner import Refiner, why_not
 from ..scene.store import active_hand, hand_of
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 _TIMEOUT_SECONDS = 120.0
 """seconds; the first answer may wait for the worker to start"""

@@ -6,7 +6,7 @@ import bpy
 
 from ..scene.editable import why_not_editable
 from ..scene.origin import origin_to_wrist, why_not_at_wrist
-from .needs_hand import HandOperator, errors_reported, polled_hand
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
 class MANIENT_OT_origin_to_wrist(HandOperator, bpy.types.Operator):

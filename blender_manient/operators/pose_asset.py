@@ -11,7 +11,7 @@ from ..blender_versions import channels, new_slot
 from ..scene.controls import rotations_now
 from ..scene.keys import PoseKeys, write_pose_keys
 from ..scene.poses import keep_pose, posable_hands, why_not_posable
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
 class MANIENT_OT_save_pose_asset(PollMixin, bpy.types.Operator):

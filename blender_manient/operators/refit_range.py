@@ -23,7 +23,7 @@ from ..scene.timing import span_of
 from ..section import sentence
 from ..wording import counted
 from . import edit_keypoints
-from .needs_hand import PollMixin, TimerMixin, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.02
 _SLICE = 0.02
@@ -177,7 +177,9 @@ class RangeFitOperator(PollMixin, TimerMixin):
             self._summary = asked, self.summary(context)
         summary, alert = self._summary[1]
         icon = "ERROR" if alert else "INFO"
-        sentence(self.layout, context, summary, icon, alert=alert, width=_WIDTH, least=[_LONGEST_SUMMARY])
+        sentence(
+            self.layout, context, summary, icon, alert=alert, width=_WIDTH, reserve_for=[_LONGEST_SUMMARY]
+        )
 
     def draw_properties(self):
         """Draw the properties beside the range."""

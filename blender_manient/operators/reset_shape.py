@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..scene.reshape import reset
-from .needs_hand import HandOperator, errors_reported, polled_hand
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
 class MANIENT_OT_reset_shape(HandOperator, bpy.types.Operator):

@@ -7,7 +7,7 @@ import bpy
 from ..scene.retime import other_rate, put_rate_back, retime
 from ..wording import counted
 from . import edit_keypoints
-from .needs_hand import PollMixin, errors_reported, named_hand
+from .mixins import PollMixin, errors_reported, named_hand
 
 
 class MANIENT_OT_retime(PollMixin, bpy.types.Operator):

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 
 from .. import details
-from .needs_hand import PollMixin
+from .mixins import PollMixin
 
 
 class _TextOperator:

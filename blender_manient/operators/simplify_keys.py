@@ -7,7 +7,7 @@ import bpy
 from .. import key_preview
 from ..scene.editable import why_not_keyable
 from ..scene.simplify import hands_to_simplify, kept_action, restore, write
-from .needs_hand import PollMixin, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
 class KeysOperator(PollMixin):

@@ -16,7 +16,7 @@ from ..scene.own_keys import captured_poses
 from ..scene.smoothing import smoothed, writing
 from ..scene.store import active_hand
 from ..wording import capitalised, counted
-from .needs_hand import polled_hand
+from .mixins import polled_hand
 from .refit_range import RangeFitOperator, RefitTask
 
 _QUIET_SECONDS = 0.3

@@ -43,7 +43,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             texts, others = zip(
                 *(_scene_messages(context, i) for i in source_info.layout_variants(info)), strict=True
             )
-            sentence(layout, context, text, "SCENE_DATA", least=texts)
+            sentence(layout, context, text, "SCENE_DATA", reserve_for=texts)
         searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
         told = info.files is not None and not source_info.lacks_size(settings, info)
         ready = told and (settings.target == "NEW" or hand is not None)
@@ -64,7 +64,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row.operator("manient.find_hands", icon="VIEWZOOM")
         if info.files is not None and info.files.kind != "photo":
             if own or any(others):
-                sentence(buttons, context, own, "SCENE_DATA" if own else "NONE", least=others)
+                sentence(buttons, context, own, "SCENE_DATA" if own else "NONE", reserve_for=others)
             if not _draw_stop(buttons, "frame"):
                 row = _row(buttons, "frame", "capture", ready and choosing is None)
                 shown = source_info.shown_frame(context, info.files)

@@ -69,7 +69,7 @@ def bake_controls(hand: CapturedHand) -> None:
     check_unlocked(rig, joints=joints, location=moved)
     own_action(armature, nla=True)
     _remove_curves(armature)
-    controls.rest(armature)
+    controls.reset(armature)
     if len(keys.frames):
         span = timing_of(hand.collection).source_frames(keys.frames[[0, -1]])
         end_corrections(armature, span.tolist(), whole=True, joints=joints, location=moved)

@@ -62,7 +62,7 @@ class WrittenKeys:
         """Whether the hand was moved, too."""
         return bool(np.isfinite(self.table[:, 5:]).all())
 
-    def is_as_written(self, rig: CharacterBones) -> np.ndarray:
+    def unchanged_mask(self, rig: CharacterBones) -> np.ndarray:
         """(N,) bool: the frames whose keys are as they were written."""
         present = read_pose_keys(rig, holder=channels(self.action, self.slot))
         if len(present.frames) == 0:
@@ -105,7 +105,9 @@ def written_keys(armature: bpy.types.Object, side: Side) -> WrittenKeys | None:
     return None
 
 
-def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: BoneKeys) -> None:
+def record_written_keys(
+    armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: BoneKeys
+) -> None:
     """Note on an action what was just written into it for a hand itself; nothing for fingers. What was noted
     of frames that were not written stays."""
     if one.side is None or one.offset is None:
@@ -128,13 +130,13 @@ def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: B
     action[MARK] = {**property_group(action, MARK), _key(slot, one.side): content}
 
 
-def without_own(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
+def without_artist_keys(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
     """The keys of a hand itself without those of frames on which the artist has changed, moved or deleted
     what was written; fingers as they are."""
     found = written_keys(armature, one.side) if one.side is not None else None
     if found is None or found.bone != one.rig.bones[0]:
         return one
-    own = found.table[~found.is_as_written(one.rig), 0]
+    own = found.table[~found.unchanged_mask(one.rig), 0]
     if len(own) == 0:
         return one
     stays = nearest(own, one.keys.frames)[1]

@@ -66,7 +66,7 @@ class Footage:
         numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
         return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, timed=has_rate(take))
 
-    def is_that_of(self, scene: bpy.types.Scene) -> bool:
+    def is_applied_to(self, scene: bpy.types.Scene) -> bool:
         """Whether a clip's rate, range and size are the scene's already."""
         render = scene.render
         return (
@@ -95,7 +95,7 @@ def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
     camera = scene.camera
     if camera is not None and not is_untouched(camera) and not is_of_a_capture(camera):
         return f"its camera is {camera.name}"
-    if footage is not None and footage.is_that_of(scene):
+    if footage is not None and footage.is_applied_to(scene):
         return ""
     if not _untouched(scene):
         return "it has settings of its own"

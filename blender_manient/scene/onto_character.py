@@ -43,7 +43,7 @@ from .animation import computing_keys
 from .characters import why_not_reachable
 from .controls import sampled_pose
 from .editable import check_unlayered, is_layered, is_tweaked
-from .hand_motion import BoneKeys, note, without_own, written_keys
+from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
     SAME_FRAME,
     PoseKeys,
@@ -312,14 +312,14 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
         located = bool(one.keys.location_keyed.any())
         remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
     run_to_completion(writing(keys))
-    noting(armature, keys)
+    record_all_written_keys(armature, keys)
 
 
-def noting(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
+def record_all_written_keys(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
     """Note what was written into the present action."""
     data = armature.animation_data
     for one in keys:
-        note(armature, data.action, action_slot(data), one)
+        record_written_keys(armature, data.action, action_slot(data), one)
 
 
 def writing_anew(
@@ -334,7 +334,7 @@ def writing_anew(
         _give(armature, action, slot, into)
         given = True
         for one in keys:
-            note(armature, action, slot, one)
+            record_written_keys(armature, action, slot, one)
     finally:
         if not given:
             with contextlib.suppress(ReferenceError):  # an undo has taken it away already
@@ -483,7 +483,7 @@ def adjusting(
             rotation_keyed=one.keys.rotation_keyed & there[:, None],
             location_keyed=one.keys.location_keyed & there,
         )
-        own = without_own(armature, replace(one, keys=whole))
+        own = without_artist_keys(armature, replace(one, keys=whole))
         kept += int((whole.rotation_keyed & ~own.keys.rotation_keyed).sum())
         if not own.keys.rotation_keyed.any():
             raise OptionError(
@@ -493,7 +493,7 @@ def adjusting(
         computed.append((found, own))
     for found, one in computed:
         run_to_completion(writing([one], channels(found.action, found.slot)))
-        note(armature, found.action, found.slot, one)
+        record_written_keys(armature, found.action, found.slot, one)
     return kept
 
 

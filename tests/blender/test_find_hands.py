@@ -13,7 +13,7 @@ bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 from blender_manient import jobs, shared_worker  # noqa: E402
 from blender_manient.find_mode.choice import MAX_ZOOM, Choice, FoundHand, PictureView  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
-from blender_manient.operators.find_hands import MANIENT_OT_find_hands, source_of  # noqa: E402
+from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.scene.store import captured_hands  # noqa: E402
 from handfit_core.errors import OptionError  # noqa: E402
@@ -130,19 +130,19 @@ def test_what_is_asked_for_is_the_frame_that_the_scene_shows(settings):
     asked = {}
     for frame in (1, 7, 24, 99):
         bpy.context.scene.frame_set(frame)
-        fields = source_of(bpy.context).fields()
+        fields = chosen_source(bpy.context).fields()
         asked[frame] = CaptureOptions.of_message(fields["options"])
         assert (len(fields["input"]), asked[frame].threshold) == (24, 0.25)
     assert [str(options.frames) for options in asked.values()] == ["1-1", "7-7", "24-24", "1-1"]
     settings.use_frames, settings.first_frame, settings.last_frame, settings.frame_step = True, 3, 12, 4
     for frame, expected in ((1, 3), (6, 7), (12, 3), (11, 11)):
         bpy.context.scene.frame_set(frame)
-        assert source_of(bpy.context).frame == expected, frame
+        assert chosen_source(bpy.context).frame == expected, frame
     settings.first_frame, settings.last_frame = 30, 40
     with pytest.raises(OptionError, match="none of the source's frames"):
-        source_of(bpy.context)
+        chosen_source(bpy.context)
     settings.source = str(SAMPLE / "hand.0001.jpg")
-    source = source_of(bpy.context)
+    source = chosen_source(bpy.context)
     assert source.frame is None
     box = CaptureOptions.of_message(source.fields((1.0, 2.0, 30.0, 40.0))["options"])
     assert (box.regions, box.only_regions, box.frames) == ((Region(1.0, 2.0, 30.0, 40.0),), True, None)
@@ -187,7 +187,7 @@ def test_hands_of_another_program_are_not_looked_for(settings, tmp_path):
 @needs_capture
 def test_what_was_found_and_turned_is_built(settings, tmp_path):
     settings.source = str(shutil.copy(SAMPLE / "hand.0007.jpg", tmp_path / "hand.jpg"))
-    source, picture = source_of(bpy.context), tmp_path / "shown.jpg"
+    source, picture = chosen_source(bpy.context), tmp_path / "shown.jpg"
     worker = shared_worker.worker()
     shown = worker.wait(worker.submit("find", **source.fields(picture=picture)), timeout=120)
     assert (shown["width"], shown["height"], shown["hands"]) == (640, 480, [])

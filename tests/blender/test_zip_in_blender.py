@@ -286,7 +286,7 @@ file.write_text(good)
 earlier = file.parents[1] / "source_info.py"  # was imported before the other failed
 earlier.write_text(earlier.read_text() + chr(10) + "MENDED = True" + chr(10))
 enable()
-modules = [sys.modules[NAME].parts.source_info, sys.modules[NAME + ".source_info"]]
+modules = [sys.modules[NAME].modules.source_info, sys.modules[NAME + ".source_info"]]
 found([broken, state(), *(hasattr(module, "MENDED") for module in modules)])
 """)
     broken, mended, *found = done.value
