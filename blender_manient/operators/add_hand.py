@@ -150,7 +150,6 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A scene, and a worker that has nothing else to do."""
         if _mode is not None:
             return "A hand is being added already"
         if context.scene is None or not context.scene.is_editable:
@@ -195,7 +194,6 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
         return {"FINISHED"}
 
     def modal(self, context, event):
-        """One event."""
         viewport = view.viewport_at(context, _mode.view.address) if _mode is not None else None
         if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
             return self._end(context)
@@ -225,7 +223,6 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
         return {"PASS_THROUGH"} if event.type.endswith("MOUSEMOVE") else {"RUNNING_MODAL"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _add(self, context):

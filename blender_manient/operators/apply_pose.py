@@ -41,7 +41,6 @@ class _PoseOperator(PollMixin):
 
     @classmethod
     def lacks(cls, context):
-        """A hand."""
         return why_not_posable(context)
 
     def _put(
@@ -97,7 +96,6 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Do it."""
         name = self.pose or context.scene.manient.pose
         if self.source == "LIBRARY":
             pose = pose_named(name)
@@ -121,7 +119,6 @@ class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """An asset that is a pose, too."""
         asset = getattr(context, "asset", None)
         if asset is None or not property_group(asset.metadata, PROPERTY):
             return "Choose a pose asset that Save Pose Asset made"
@@ -129,7 +126,6 @@ class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Do it."""
         pose = kept_pose(context.asset.metadata)
         return self._put(context, lambda _: pose, context.asset.name)
 
@@ -141,7 +137,7 @@ def _in_menu(menu, context) -> None:
 
 
 def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
-    """Suggest a range."""
+    """Suggest a range when Range is chosen."""
     if settings.pose_scope == "RANGE":
         with contextlib.suppress(HandfitError):
             owner = posed_by(bpy.context)

@@ -71,7 +71,6 @@ class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Key the active hand."""
         hand = polled_hand(context)
         frame = context.scene.frame_current_final
         if self.source:

@@ -44,7 +44,6 @@ class MANIENT_OT_apply_to_character(PollMixin, TimerMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A character, and a captured hand for it."""
         if cls._running:
             return "Motion is being applied already"
         armature = active_character(context)
@@ -103,7 +102,6 @@ class MANIENT_OT_apply_to_character(PollMixin, TimerMixin, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _work(self, context) -> Generator[float, None, list[Applied]]:

@@ -51,14 +51,12 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.only_frame:
             return "Capture the hands of the scene's current frame only"
         return cls.bl_description
 
     @classmethod
     def lacks(cls, context):
-        """A scene to build into, or something that a capture needs."""
         if context.scene is None or not context.scene.is_editable:
             return "This scene is linked from another file: open or make one of your own"
         return shared_worker.capture_sentence()
@@ -101,7 +99,6 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
         return {"FINISHED"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         jobs.abandon()
         self._end(context)
 
@@ -159,7 +156,6 @@ class MANIENT_OT_cancel_capture(bpy.types.Operator):
     index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})  # type: ignore
 
     def execute(self, context):
-        """Cancel one job, or all."""
         queue = jobs.jobs()
         if 0 <= self.index < len(queue):
             jobs.cancel(queue[self.index])
@@ -176,7 +172,6 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
     bl_options = {"INTERNAL"}  # noqa: RUF012
 
     def execute(self, context):
-        """Forget what is finished."""
         jobs.forget_finished()
         screen.redraw_sidebars()
         return {"FINISHED"}

@@ -34,7 +34,6 @@ class CharacterOperator(PollMixin):
 
     @classmethod
     def lacks(cls, context):
-        """A character that may be changed."""
         armature = active_character(context)
         if armature is None:
             return "Select a character first: its armature, or a mesh that it deforms"

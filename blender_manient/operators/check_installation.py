@@ -64,7 +64,6 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """The end of another check."""
         return "The check is running: Esc stops it" if running() else None
 
     def invoke(self, context, _event):
@@ -85,7 +84,6 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
         return self._start_timer(context, _TICK)
 
     def modal(self, context, event):
-        """Wait for the answer."""
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
             self.report({"INFO"}, "The check was stopped")
@@ -103,7 +101,6 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
         return self._show(*_outcome(self._worker, self._answer, self._problem))
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         global _checking
         _checking = None
         self._worker.stop()

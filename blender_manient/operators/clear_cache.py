@@ -19,7 +19,6 @@ class MANIENT_OT_clear_cache(PollMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A worker that writes nothing there."""
         worker = shared_worker.current()
         busy = worker is not None and worker.busy
         return "A capture uses these files: wait for it or cancel it" if busy else None

@@ -32,19 +32,16 @@ class MANIENT_OT_clear_corrections(HandOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         item = properties.bl_rna.properties["scope"].enum_items[properties.scope]
         return f"{cls.bl_description}. {item.description}"
 
     @staticmethod
     def why_not(armature):
-        """Why there is nothing to clear."""
         none = None if armature.manient.corrections else "This hand has no corrections"
         return why_not_editable(armature) or none
 
     @errors_reported
     def execute(self, context):
-        """Clear them."""
         armature, scene = polled_hand(context).armature, context.scene
         elsewhere = corrections.why_elsewhere(armature)
         if elsewhere is not None and self.scope == "ALL":

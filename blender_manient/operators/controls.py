@@ -29,12 +29,10 @@ class MANIENT_OT_add_controls(HandOperator, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand without controls."""
         return super().lacks(context) or ("This hand has its controls" if _has_controls(context) else None)
 
     @errors_reported
     def execute(self, context):
-        """Add them."""
         add_controls(polled_hand(context))
         return {"FINISHED"}
 
@@ -53,12 +51,10 @@ class MANIENT_OT_remove_controls(HandOperator, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand with controls."""
         return super().lacks(context) or (None if _has_controls(context) else "This hand has no controls")
 
     @errors_reported
     def execute(self, context):
-        """Remove them."""
         hand = polled_hand(context)
         if self.bake and in_use(hand.armature):
             bake_controls(hand)
@@ -82,7 +78,6 @@ class MANIENT_OT_bake_controls(HandOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Bake them."""
         bake_controls(polled_hand(context))
         return {"FINISHED"}
 

@@ -38,7 +38,6 @@ class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand that can be corrected."""
         return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
     @errors_reported
@@ -62,7 +61,6 @@ class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
         return {"CANCELLED"}
 
     def modal(self, context, event):
-        """One event."""
         if _mode is None:
             return self._end(context)
         trouble = _mode.trouble(context)
@@ -81,7 +79,6 @@ class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
         return self._between_drags(context, event, viewport)
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _while_dragging(self, context, event, viewport):

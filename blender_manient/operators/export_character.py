@@ -30,7 +30,6 @@ class MANIENT_OT_export_character(ExportOperator, PollMixin, bpy.types.Operator)
 
     @classmethod
     def lacks(cls, context):
-        """A character that can be written."""
         armature = active_character(context)
         if armature is None:
             return "Select a character first: its armature, or a mesh that it deforms"

@@ -109,7 +109,6 @@ class ExportOperator:
         return True
 
     def draw(self: Any, context):
-        """Format, preset, frames."""
         layout = self.layout
         format_buttons(layout, context, self, "file_format", character=self.character)
         split(layout)
@@ -121,7 +120,6 @@ class ExportOperator:
 
     @errors_reported
     def execute(self: Any, context):
-        """Write the file or files."""
         self._fill_in(context)
         if not self.filepath:
             raise OptionError("choose a file to export to")

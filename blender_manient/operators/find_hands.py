@@ -32,7 +32,6 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A source, and a worker that has nothing else to do."""
         if mode.current is not None:
             return "Hands are being chosen already"
         if context.scene is None or not context.scene.is_editable:
@@ -58,7 +57,6 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
         return {"CANCELLED"}
 
     def modal(self, context, event):
-        """One event."""
         session = mode.current
         if session is None:
             return self._end(context)
@@ -96,7 +94,6 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
         return {"PASS_THROUGH"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _moved(self, session, viewport, mouse, inside):
@@ -188,7 +185,6 @@ class MANIENT_OT_capture_found(PollMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A hand that is chosen, and an end of the search."""
         if mode.current is not None and mode.current.busy:
             return "The worker is still looking: wait a moment"
         chosen = mode.current is not None and mode.current.choice.chosen

@@ -29,7 +29,6 @@ class MANIENT_OT_add_hand_offset(CharacterOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Add or select it."""
         armature: Any = active_character(context)
         own = getattr(armature.manient.character, self.side)
         handle = own.offset

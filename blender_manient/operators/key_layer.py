@@ -37,19 +37,16 @@ class MANIENT_OT_end_key_layer(KeysOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.merge:
             return "Put the layer's changes into the motion's keys"
         return "Take the layer and its changes away; the motion is as it was"
 
     @staticmethod
     def why_not(armature):
-        """Why there is no layer."""
         none = None if strip_below(armature) is not None else "This hand has no layer on top of its motion"
         return why_not_editable(armature) or none
 
     @errors_reported
     def execute(self, context):
-        """Take the layer away."""
         end_layer(armature_of(context), merge=self.merge)
         return {"FINISHED"}

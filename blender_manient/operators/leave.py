@@ -30,12 +30,10 @@ class MANIENT_OT_leave(PollMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """Something that can be left."""
         begun = find_mode.current is not None or add_hand.running() or RangeFitOperator.running
         return None if begun else "Nothing is under way"
 
     def execute(self, _context):
-        """End it."""
         _LEAVE[self.what]()
         screen.redraw("VIEW_3D")
         return {"FINISHED"}

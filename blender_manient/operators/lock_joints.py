@@ -36,13 +36,11 @@ class MANIENT_OT_lock_joints(HandOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.lock:
             return cls.bl_description + ": the bones selected in Pose mode, else all"
         return "Let refining move joints again: the bones selected in Pose mode, else all"
 
     def execute(self, context):
-        """Lock or unlock."""
         hand = polled_hand(context)
         chosen = self._chosen(context, hand)
         if not chosen:

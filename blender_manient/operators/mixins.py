@@ -43,7 +43,6 @@ class HandOperator(PollMixin):
 
     @classmethod
     def lacks(cls, context):
-        """A hand to work on, or a mode to do so."""
         hand = active_hand(context)
         if hand is None:
             return "Select a captured hand first: its armature or its mesh"
@@ -53,7 +52,8 @@ class HandOperator(PollMixin):
 
 
 class TimerMixin:
-    """The timer and the status line of a modal operator."""
+    """The timer and the status line of a modal operator, whose `cancel` Blender calls when it ends the
+    operator itself, as on loading a file."""
 
     _timer = None
 

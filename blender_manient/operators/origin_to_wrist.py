@@ -24,6 +24,5 @@ class MANIENT_OT_origin_to_wrist(HandOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Move it."""
         origin_to_wrist(polled_hand(context))
         return {"FINISHED"}

@@ -35,11 +35,9 @@ class MANIENT_OT_save_pose_asset(PollMixin, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand, which stays as it is."""
         return why_not_posable(context, reading=True)
 
     def invoke(self, context, event):
-        """Ask for the name."""
         return context.window_manager.invoke_props_dialog(self)
 
     @errors_reported

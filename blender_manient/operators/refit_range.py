@@ -98,7 +98,6 @@ class RangeFitOperator(PollMixin, TimerMixin):
 
     @classmethod
     def lacks(cls, context):
-        """A hand that can be fitted again."""
         if RangeFitOperator.running:
             return "A range is being fitted already"
         if edit_keypoints.running():
@@ -287,11 +286,9 @@ class MANIENT_OT_refit_range(RangeFitOperator, bpy.types.Operator):
     )
 
     def make_task(self, context):
-        """The frames of the range, and some around."""
         return RefitTask(context, self.rows)
 
     def summary(self, context):
-        """What would be replaced."""
         return replaced(context, self.first, self.last)
 
 

@@ -28,7 +28,6 @@ class MANIENT_OT_retime(PollMixin, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.back:
             return "Give the scene the frame rate back that this hand was built for"
         return cls.bl_description

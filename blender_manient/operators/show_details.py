@@ -36,7 +36,6 @@ class MANIENT_OT_copy_details(PollMixin, _TextOperator, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A clipboard."""
         return "There is no clipboard without a window" if bpy.app.background else None
 
     def _show(self, context: bpy.types.Context, text: bpy.types.Text) -> None:

@@ -17,7 +17,6 @@ class KeysOperator(PollMixin):
 
     @classmethod
     def lacks(cls, context):
-        """A hand whose keys can be changed."""
         armature = armature_of(context)
         if armature is None:
             return "Select a captured hand, or a character whose hands are known"
@@ -27,7 +26,6 @@ class KeysOperator(PollMixin):
 
     @staticmethod
     def why_not(armature: bpy.types.Object) -> str | None:
-        """Why its keys cannot be changed."""
         return why_not_keyable(armature)
 
 
@@ -47,7 +45,6 @@ class MANIENT_OT_simplify_keys(KeysOperator, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Thin out the keys."""
         found = key_preview.found_now(context)
         armature = found[0].hand.rig.armature
         write(armature, found)
@@ -70,7 +67,6 @@ class MANIENT_OT_restore_keys(KeysOperator, bpy.types.Operator):
 
     @staticmethod
     def why_not(armature):
-        """Why there is nothing to go back to."""
         none = None if kept_action(armature) is not None else "This hand has all its keys"
         return why_not_keyable(armature) or none
 

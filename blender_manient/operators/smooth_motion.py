@@ -44,13 +44,11 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand whose keypoints are kept."""
         hand = active_hand(context)
         why = why_not_smoothable(hand) if hand is not None else None
         return capitalised(why) if why is not None else super().lacks(context)
 
     def make_task(self, context):
-        """The frames of the range, and some around."""
         strength = self.strength
         if not self.properties.is_property_set("strength"):
             strength = smoothing_of(context.scene, polled_hand(context).armature)
@@ -65,7 +63,6 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
             self.strength = smoothing_of(context.scene, polled_hand(context).armature)
 
     def draw_properties(self):
-        """Draw the strength."""
         self.layout.prop(self, "strength", slider=True)
 
     def summary(self, context):

@@ -56,7 +56,6 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         return True
 
     def draw_properties(self):
-        """Draw the points."""
         row = self.layout.row(align=True)
         row.prop(self, "point", text="")
         row.prop(self, "other", text="")
