@@ -2,7 +2,7 @@
 
 Fingers are keyed relative to the hand, whatever arm, switch of IK and FK or object carries it. The hand
 itself is left alone unless it is asked for: pictures do not tell where in the character's world their camera
-stood, so that one frame has to say it (`Onto.reference`).
+stood, so that one frame has to say it (`TransferOptions.reference`).
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ def test_a_scene_whose_captures_were_deleted_is_nobodys_again(clip, make_take, p
 def test_a_rate_that_no_whole_number_tells_is_known_again(make_take, fps):
     take = make_take(sides=("right",), fps=fps).take
     build_take(take)
-    assert Footage.of_take(take).is_that_of(bpy.context.scene)
+    assert Footage.of_take(take).is_applied_to(bpy.context.scene)
 
 
 def test_a_pictures_shot_keeps_the_range_that_the_artist_set(make_take, clip, tmp_path):
