@@ -10,7 +10,8 @@ import sys
 
 
 def register() -> None:
-    """Register every part of the add-on, or only what tells why it cannot run."""
+    """Register every module of the add-on, or only the panel that says why it cannot run."""
+    # Needs bpy, without which this package can be imported.
     from . import registration
 
     registration.register()
@@ -18,13 +19,14 @@ def register() -> None:
 
 def unregister() -> None:
     """Undo `register`."""
+    # Needs bpy, without which this package can be imported.
     from . import registration
 
     registration.unregister()
 
 
 def runs() -> bool:
-    """Whether the add-on is registered with all its parts."""
+    """Whether the add-on is registered with all its modules."""
     registration = sys.modules.get(f"{__name__}.registration")
     return registration is not None and registration.runs()
 

@@ -119,7 +119,7 @@ def property_group(block: bpy.types.ID, name: str) -> dict[str, Any]:
 
 
 def versions() -> tuple[tuple[int, int], tuple[int, int]]:
-    """Of the Blender that saved the open file, and of this one: main and minor version."""
+    """Main and minor version of the Blender that saved the open file, and of the running one."""
     return bpy.data.version[:2], bpy.app.version[:2]
 
 

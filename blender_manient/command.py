@@ -30,7 +30,7 @@ def main(argv: Sequence[str]) -> int:
     """Run `manient ARGV`; returns the exit code, raises nothing."""
     show_all_names()
     debug = "--debug" in argv
-    if argv[:1] and argv[0] in COMMANDS and _refused():  # their very options are the core's
+    if argv[:1] and argv[0] in COMMANDS and _print_refusal():  # their very options are the core's
         return EXIT_SOME_FAILED
     try:
         args = _parser(argv).parse_args(argv)
@@ -51,6 +51,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     if argv[:1] and argv[0] in COMMANDS:
+        # Needs handfit_core, whose absence another command has to explain.
         from .batch.arguments import add_commands
 
         add_commands(commands, argv[:1], default_python=_DEFAULT_PYTHON)
@@ -69,6 +70,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _run_batch(args: argparse.Namespace) -> int:
+    # All of these need handfit_core or NumPy.
     from handfit_core.worker.interpreter import PYTHON_VARIABLE
 
     from . import preferences
@@ -101,9 +103,10 @@ def _own_command() -> tuple[str, ...]:
 
 
 def _check(args: argparse.Namespace) -> int:
-    if _refused():
+    if _print_refusal():
         print(verification.report())
         return EXIT_SOME_FAILED
+    # Needs handfit_core.
     from .operators.check_installation import check
 
     with stopped_by_signals():
@@ -116,12 +119,12 @@ def _check(args: argparse.Namespace) -> int:
             return EXIT_INTERRUPTED
 
 
-def _refused() -> bool:
+def _print_refusal() -> bool:
     """Say why the add-on cannot run, where it cannot."""
-    refused = verification.refused()
-    if refused:
+    is_refused = verification.is_refused()
+    if is_refused:
         print_error(verification.problems()[0].sentence)
-    return refused
+    return is_refused
 
 
 def register() -> None:

@@ -137,8 +137,8 @@ def _follow(*_args) -> None:
 
 
 HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post", "blend_import_post"), _follow)
-"""What may bring a hand that shows its graph"""
-FOLLOWS: Final = {"error": shown_changed}
+"""Events after which another hand may show its graph"""
+LISTENERS: Final = {"error": shown_changed}
 
 
 def unregister() -> None:

@@ -15,14 +15,14 @@ from handfit_core.skeleton import SIDES
 from handfit_core.slices import slice_clock
 
 from . import live_link
-from .remembered import Remembered
+from .block_reference import BlockReference
 from .scene.characters import hands_to_move
 from .scene.onto_character import adjusting, is_adjusted, offsets_of
 from .wording import counted
 
 _TICK = 1 / 60
 """seconds between two looks while something is to be done"""
-_CALM = 0.1
+_QUIET_SECONDS = 0.1
 """seconds without a change after which keys are written"""
 
 
@@ -30,36 +30,36 @@ class _Change:
     """A character whose keys are to be written anew."""
 
     def __init__(self, armature: bpy.types.Object) -> None:
-        self.armature = Remembered.of("objects", armature)
+        self.armature = BlockReference.of("objects", armature)
         self.since = time.monotonic()
         self.steps: Generator[float, None, int] | None = None
 
 
 _changes: dict[int, _Change] = {}
 """By the armatures' session_uid"""
-_offsets: dict[int, tuple[Remembered, dict]] = {}
+_offsets: dict[int, tuple[BlockReference, dict]] = {}
 """Characters with an offset in the scene, by their session_uid, and where it was seen last"""
-_said: dict[int, tuple[str, bool]] = {}
-"""What came of the last change, and whether it could not be done"""
+_messages: dict[int, tuple[str, bool]] = {}
+"""The message about the last change, and whether it is an error, by the armatures' session_uid"""
 
 
-def said(armature: bpy.types.Object) -> tuple[str, bool] | None:
-    """What an artist is to know of the last change, and whether it could not be done; None for nothing."""
-    return _said.get(armature.session_uid)
+def message(armature: bpy.types.Object) -> tuple[str, bool] | None:
+    """The message about a character's last change, and whether it is an error; None for none."""
+    return _messages.get(armature.session_uid)
 
 
 def step() -> float | None:
     """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
     None where nothing is to be done."""
     if bpy.app.is_job_running("RENDER"):
-        return _CALM
+        return _QUIET_SECONDS
     is_over = slice_clock()
     windows = bpy.context.window_manager.windows
     for uid, change in list(_changes.items()):
         armature = change.armature.find()
         if armature is None:
             del _changes[uid]
-        elif change.steps is not None or time.monotonic() - change.since >= _CALM:
+        elif change.steps is not None or time.monotonic() - change.since >= _QUIET_SECONDS:
             with bpy.context.temp_override(window=bpy.context.window or windows[0]):  # timers have none
                 _step(uid, change, armature, is_over)
     return _TICK if _changes else None
@@ -73,38 +73,38 @@ def _step(uid: int, change: _Change, armature: bpy.types.Object, is_over) -> Non
             next(change.steps)
         return
     except StopIteration as stop:
-        _said.pop(uid, None)
+        _messages.pop(uid, None)
         if stop.value:
             stay = f"{counted(stop.value, 'frame')} with keys of your own stay as they are"
-            _said[uid] = f"{stay}: Apply to Character replaces them", False
+            _messages[uid] = f"{stay}: Apply to Character replaces them", False
     except (HandfitError, ReferenceError) as error:
         gone = "the captured hand that this character follows was deleted"
-        _said[uid] = (gone if isinstance(error, ReferenceError) else str(error)), True
+        _messages[uid] = (gone if isinstance(error, ReferenceError) else str(error)), True
     _changes.pop(uid, None)
 
 
-def followed(group: bpy.types.PropertyGroup) -> None:
+def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
     """A setting of how a character's hand moves has changed."""
     armature = group.id_data
-    _look(armature)
+    _remember_offsets(armature)
     if armature.manient.character.live:
-        live_link.followed(armature.manient.character)
+        live_link.on_settings_changed(armature.manient.character)
     else:
-        _wait(armature)
+        _schedule(armature)
 
 
-def _wait(armature: bpy.types.Object) -> None:
+def _schedule(armature: bpy.types.Object) -> None:
     if not is_adjusted(armature):
         _changes[armature.session_uid] = _Change(armature)
         if not bpy.app.timers.is_registered(step):
             bpy.app.timers.register(step, first_interval=0.0, persistent=True)
 
 
-def _look(armature: bpy.types.Object) -> None:
-    """Remember where its offsets are."""
+def _remember_offsets(armature: bpy.types.Object) -> None:
+    """Remember where a character's offsets are."""
     character = armature.manient.character
     if any(getattr(character, side).offset is not None for side in SIDES):
-        _offsets[armature.session_uid] = Remembered.of("objects", armature), _places(armature)
+        _offsets[armature.session_uid] = BlockReference.of("objects", armature), _places(armature)
     else:
         _offsets.pop(armature.session_uid, None)
 
@@ -116,12 +116,12 @@ def _places(armature: bpy.types.Object) -> dict:
 @bpy.app.handlers.persistent
 def _on_update(*_args) -> None:
     """Something in the scene has changed: perhaps an offset was dragged, or deleted."""
-    for uid, (remembered, places) in list(_offsets.items()):
-        armature = remembered.find()
+    for uid, (reference, places) in list(_offsets.items()):
+        armature = reference.find()
         if armature is None:
             del _offsets[uid]
         elif _places(armature) != places:
-            followed(armature.manient.character)
+            on_settings_changed(armature.manient.character)
 
 
 @bpy.app.handlers.persistent
@@ -129,10 +129,10 @@ def _on_file(*_args) -> None:
     """Another file is open."""
     _changes.clear()
     _offsets.clear()
-    _said.clear()
+    _messages.clear()
     for armature in bpy.data.objects:
         if armature.type == "ARMATURE":
-            _look(armature)
+            _remember_offsets(armature)
 
 
 @bpy.app.handlers.persistent
@@ -141,7 +141,7 @@ def _on_time_travel(*_args) -> None:
     _on_file()
     for armature in bpy.data.objects:
         if armature.type == "ARMATURE" and not armature.manient.character.live:
-            _wait(armature)
+            _schedule(armature)
 
 
 HANDLERS = {
@@ -150,13 +150,13 @@ HANDLERS = {
     "undo_post": _on_time_travel,
     "redo_post": _on_time_travel,
 }
-FOLLOWS = {"hand_motion": followed}
+LISTENERS = {"hand_motion": on_settings_changed}
 
 
 def unregister() -> None:
     """Follow nobody any more."""
     _changes.clear()
     _offsets.clear()
-    _said.clear()
+    _messages.clear()
     if bpy.app.timers.is_registered(step):
         bpy.app.timers.unregister(step)

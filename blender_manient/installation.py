@@ -98,9 +98,9 @@ class Place:
     site_packages: Path
     """Where Blender unpacks the wheels of all extensions"""
     platform: str
-    """As in linux-x64"""
+    """for example linux-x64"""
     python: str
-    """As in 3.11"""
+    """for example 3.11"""
 
 
 def this_place(extensions: Path) -> Place:
@@ -167,10 +167,10 @@ def examine(place: Place) -> list[Problem]:
         what = str(error)
         if isinstance(error, OSError):
             what = f"{Path(error.filename).name} cannot be read: {_short(error)}"
-        sentence = f"the add-on's files are damaged ({what}): {_AGAIN}"
+        sentence = f"the add-on's files are damaged ({what}): {_REINSTALL}"
         return [Problem("unreadable", sentence, stops="add-on")]
     if version != contents.version:
-        mixed = f"the add-on's folder mixes the versions {version} and {contents.version}: {_AGAIN}"
+        mixed = f"the add-on's folder mixes the versions {version} and {contents.version}: {_REINSTALL}"
         return [Problem("mixed", mixed, stops="add-on")]
     unfit = _unfit(place, contents)
     unpacked = unpacked_versions(place.site_packages)
@@ -183,10 +183,10 @@ def examine(place: Place) -> list[Problem]:
         or _unpacked_problem(place, contents, wheel, unpacked.get(wheel.name))
         for wheel in wheels
     ]
-    return in_order([problem for problem in (unfit, *of_wheels) if problem is not None])
+    return causes_first([problem for problem in (unfit, *of_wheels) if problem is not None])
 
 
-def in_order(problems: Sequence[Problem]) -> list[Problem]:
+def causes_first(problems: Sequence[Problem]) -> list[Problem]:
     """Causes before their consequences, and of the same kind the one that stops more."""
     kinds, stops = get_args(Kind), get_args(Stops)
     return sorted(problems, key=lambda problem: (kinds.index(problem.kind), stops.index(problem.stops)))
@@ -230,7 +230,7 @@ def report(place: Place, problems: Sequence[Problem]) -> str:
     return "\n".join(lines)
 
 
-_AGAIN = "remove the add-on, restart Blender, get the zip once more and install it"
+_REINSTALL = "remove the add-on, restart Blender, get the zip once more and install it"
 
 
 def _unfit(place: Place, contents: Contents) -> Problem | None:
@@ -325,7 +325,7 @@ def import_problem(error: Exception) -> Problem:
     return Problem(
         "module",
         f"the add-on's files are damaged, or mixed with those of another version ({type(error).__name__}: "
-        f"{_short(error)}): {_AGAIN}",
+        f"{_short(error)}): {_REINSTALL}",
         stops="add-on",
     )
 

@@ -26,30 +26,30 @@ from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
 from . import details, shared_worker
+from .block_reference import BlockReference
 from .cache import folder_path, temporary_take
-from .remembered import Remembered
 from .scene.apply import apply_track, track_for
 from .scene.build import BuildOptions, building
 from .scene.captures import comes_in_front
 from .scene.controls import add_controls
-from .scene.matching import Choice, Footage, matches, said
+from .scene.matching import Choice, Footage, matches, scene_sentence
 from .scene.store import hand_of
 from .scene.surroundings import clear_view
 from .wording import capitalised, counted, without_name
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
-_KEPT = 6
+_MAX_FINISHED = 6
 """finished jobs that the panel still shows"""
 
 
 @dataclass(frozen=True)
 class Building:
-    """What to do with the take."""
+    """How a job's take is built into a scene."""
 
-    scene: Remembered
+    scene: BlockReference
     target: Literal["NEW", "ANIMATION", "POSE"] = "NEW"
-    hand: Remembered | None = None
+    hand: BlockReference | None = None
     """The armature that ANIMATION and POSE are for"""
     frame: float = 1.0
     """The scene frame of POSE, and of new hands in a scene that keeps its time"""
@@ -59,7 +59,7 @@ class Building:
     matching: Choice = "AUTO"
     retimed: float | None = None
     """Frames per second of the scene that a clip of another rate will be retimed to"""
-    camera: Remembered | None = None
+    camera: BlockReference | None = None
     """An existing camera to look through instead of a new one"""
 
 
@@ -71,16 +71,16 @@ class Job:
     files: tuple[str, ...]
     options: CaptureOptions
     building: Building
-    asks: bool = False
-    """Whether more than a few hands are not built before somebody has chosen among them"""
+    ask_if_many: bool = False
+    """Whether the artist chooses first where there are more than a few hands"""
     bare: bool = False
     """Whether nobody looks for hands: the picture is shown for an artist to add some"""
     button: Literal["capture", "frame", "add"] = "capture"
-    """Which of the panel's buttons has asked for it"""
-    adds: bool = False
-    """Whether the artist goes on by adding a hand to its picture"""
-    crowd: int = 0
-    """How many hands were found where there were too many to build without asking"""
+    """the button of the panel that queued the job"""
+    then_add_hand: bool = False
+    """Whether Add Hand begins in the job's picture afterwards"""
+    hands_to_choose: int = 0
+    """the number of hands found, where there were too many to build without asking; else 0"""
     state: State = "waiting"
     stage: str = ""
     done: int = 0
@@ -94,14 +94,14 @@ class Job:
     """Whether the scene was given the footage's rate, range, size and camera"""
     in_front: bool = False
     """Whether it became the active capture, whose camera the scene looks through"""
-    scene_said: str = ""
+    scene_message: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
     """Names of the armatures that came of it"""
     key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
-    """What scenes know it by"""
+    """the key under which scenes note the job, so that an undo is seen"""
     _request: int = 0
     _stage_began: float = 0.0
     _stage_first: int = 0
@@ -113,17 +113,17 @@ class Job:
 
     @property
     def running(self) -> bool:
-        """Whether it waits for nothing but work."""
+        """Whether the job is being captured or built."""
         return self.state in ("capturing", "building")
 
     @property
     def finished(self) -> bool:
-        """Whether nothing more happens to it."""
+        """Whether the job is done, failed or cancelled."""
         return self.state in ("done", "failed", "cancelled")
 
     @property
-    def stop_said(self) -> tuple[str, bool]:
-        """What stands on the button that stops it, and whether that can be pressed: once, and not when
+    def stop_button(self) -> tuple[str, bool]:
+        """The text of the button that stops the job, and whether it can be pressed: once, and not when
         finished frames would be lost by it."""
         if self.state == "building":
             return "Building Hands", False
@@ -140,8 +140,8 @@ class Job:
         spent, frames = time.monotonic() - self._stage_began, self.done - self._stage_first
         return frames / spent if self._stage_began and frames > 0 and spent > 0.2 else 0.0
 
-    def doing(self) -> str:
-        """What happens to it now, short enough for a progress bar; of a finished one, what came of it."""
+    def activity(self) -> str:
+        """What the job does now, short enough for a progress bar; of a finished job its result."""
         if self.state == "waiting":
             return "Waiting"
         if self.state == "building":
@@ -155,16 +155,16 @@ class Job:
         text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
-    def pace(self) -> str:
-        """How fast it goes and how long it will take; empty while nobody knows."""
+    def speed_text(self) -> str:
+        """Frames per second and the time that is left; empty while they are unknown."""
         if self.state != "capturing" or self._stopping or self.total <= 1 or not self.rate:
             return ""
         left = (self.total - self.done) / self.rate
         return f"{self.rate:.0f} fps  {_duration(left)} left"
 
     def status(self) -> str:
-        """Both in a line."""
-        return "  ".join(filter(None, (self.doing(), self.pace())))
+        """`activity` and `speed_text` in one line."""
+        return "  ".join(filter(None, (self.activity(), self.speed_text())))
 
 
 _queue: list[Job] = []
@@ -185,13 +185,13 @@ def current() -> Job | None:
     return next((job for job in _queue if job.running), None)
 
 
-def awaited() -> Job | None:
+def current_or_next() -> Job | None:
     """The job that runs, or is the next to."""
     return next((job for job in _queue if not job.finished), None)
 
 
 def is_repeated(job: Job) -> bool:
-    """Whether one is not through yet that does the same: a double click has asked for it twice."""
+    """Whether an equal job is not finished yet, as after a double click."""
     return any(
         (other.files, other.options, other.building) == (job.files, job.options, job.building)
         for other in _queue
@@ -204,7 +204,7 @@ def submit(job: Job) -> None:
     job._replaces = tuple(old for old in _queue if old.state == "failed")
     _queue.append(job)
     finished = [j for j in _queue if j.finished]
-    for old in finished[: max(0, len(finished) - _KEPT)]:
+    for old in finished[: max(0, len(finished) - _MAX_FINISHED)]:
         _queue.remove(old)
 
 
@@ -214,7 +214,7 @@ def forget_finished() -> None:
 
 
 def cancel(job: Job) -> None:
-    """Stop a job as soon as it can be, keeping the frames that are finished; of a second time: nothing."""
+    """Stop a job as soon as it can be, keeping finished frames; a second call keeps none."""
     if job.state == "waiting":
         job.state, job.message = "cancelled", "Cancelled"
     elif job.state == "capturing" and not job._stopping:
@@ -296,7 +296,7 @@ def _follow(job: Job) -> bool:
         changed = True
         kind = event.get("event")
         if kind == "progress":
-            _progressed(job, event)
+            _on_progress(job, event)
         elif kind == "warning":
             job.warnings.append(str(event.get("message", "")))
         elif kind == "error":
@@ -306,13 +306,13 @@ def _follow(job: Job) -> bool:
         elif kind == "done":
             job.stopped = bool(event.get("stopped"))
             job.state, job.fraction = "building", 0.9
-            if job.asks and len(event.get("hands", ())) > CROWD:
-                job.crowd = len(event["hands"])
-                job.state, job.message = "cancelled", f"{job.crowd} hands: choose those to build"
+            if job.ask_if_many and len(event.get("hands", ())) > CROWD:
+                job.hands_to_choose = len(event["hands"])
+                job.state, job.message = "cancelled", f"{job.hands_to_choose} hands: choose those to build"
     return changed
 
 
-def _progressed(job: Job, event: dict[str, Any]) -> None:
+def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
     if stage != job.stage:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
@@ -392,7 +392,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     _pack_cached_pictures(take)
     warnings += built.warnings
     if not job.bare:
-        job.scene_said = said(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
+        job.scene_message = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if (job.matched or job.in_front) and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))

@@ -20,7 +20,7 @@ from .wording import capitalised
 
 _PAUSE = 0.02
 """seconds between two slices"""
-_AFTER_CHANGE = 0.1
+_QUIET_SECONDS = 0.1
 """seconds from a slider's change to the first slice"""
 
 _changes = 0
@@ -31,7 +31,7 @@ _found: list[Thinned] | str | None = None
 
 
 def bounds_of(scene: bpy.types.Scene) -> Bounds:
-    """What the panel says."""
+    """The bounds that the panel's sliders say."""
     settings = scene.manient
     parts = frozenset(part.lower() for part in settings.keys_parts)
     return Bounds(settings.keys_degrees, settings.keys_pixels, settings.keys_together, parts)
@@ -45,7 +45,7 @@ def preview(context: bpy.types.Context) -> list[Thinned] | str | None:
     if key != _key:
         _key, _steps, _found = key, _finding(hands, bounds_of(context.scene)), None
         if not bpy.app.timers.is_registered(_continue):
-            bpy.app.timers.register(_continue, first_interval=_AFTER_CHANGE)
+            bpy.app.timers.register(_continue, first_interval=_QUIET_SECONDS)
     return _found
 
 

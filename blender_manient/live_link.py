@@ -21,18 +21,18 @@ from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import map_yields, run_to_completion, slice_clock
 
 from . import screen
-from .remembered import Remembered
+from .block_reference import BlockReference
 from .scene.characters import hands_to_move
 from .scene.editable import check_unlayered
-from .scene.hand_motion import BoneKeys, without_own
+from .scene.hand_motion import BoneKeys, without_artist_keys
 from .scene.keys import nearest, remove_pose_keys, set_pose
 from .scene.onto_character import (
     Motion,
-    Onto,
+    TransferOptions,
     computing,
-    noting,
+    is_keyframed,
     reading_motion,
-    told_by_keys,
+    record_all_written_keys,
     writing,
     writing_anew,
 )
@@ -42,12 +42,12 @@ _T = TypeVar("_T")
 
 _TICK = 1 / 60
 """seconds between two looks while something is to be done"""
-_CALM = 0.2
+_QUIET_SECONDS = 0.2
 """seconds without a change after which keys are written"""
-_TOLD = 10
-"""times that the panel tells of one writing of keys how far it is"""
-_COMPUTED = 0.8
-"""The share of that until the keys are known, and only have to be written"""
+_PROGRESS_REDRAWS = 10
+"""redraws of the panel while one set of keys is written"""
+_COMPUTE_SHARE = 0.8
+"""share of the progress that computing the keys takes; writing them takes the rest"""
 _SAME = 1e-6
 """Parts of quaternions, and locations, that differ by less are the same key"""
 
@@ -56,8 +56,8 @@ class _Link:
     """A character that follows captured hands."""
 
     def __init__(self, armature: bpy.types.Object, *, shows: bool = False) -> None:
-        self.armature = Remembered.of("objects", armature)
-        self.changed: float | None = time.monotonic() - _CALM
+        self.armature = BlockReference.of("objects", armature)
+        self.changed: float | None = time.monotonic() - _QUIET_SECONDS
         """When a change was last seen that is not keyed yet"""
         self.shows = shows
         """Whether the pose is to be shown at once"""
@@ -73,7 +73,7 @@ _links: dict[int, _Link] = {}
 _settling = False
 """Whether a property is being set by this module itself"""
 _troubles: dict[int, str] = {}
-"""Why a character follows no more, a sentence each"""
+"""the reason, a sentence, why a character follows no more, by its armature's session_uid"""
 
 
 def trouble(armature: bpy.types.Object) -> str | None:
@@ -81,9 +81,8 @@ def trouble(armature: bpy.types.Object) -> str | None:
     return _troubles.get(armature.session_uid)
 
 
-def keyed(armature: bpy.types.Object) -> float | None:
-    """Which share is written, 0..1, of the keys that a linked character is getting; None while it gets
-    none."""
+def keying_progress(armature: bpy.types.Object) -> float | None:
+    """Progress of writing a linked character's keys, 0..1; None while none are written."""
     link = _links.get(armature.session_uid)
     return None if link is None or link.steps is None else link.done
 
@@ -92,7 +91,7 @@ def step() -> float | None:
     """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
     None where nothing is to be done."""
     if bpy.app.is_job_running("RENDER"):
-        return _CALM
+        return _QUIET_SECONDS
     is_over = slice_clock()
     windows = bpy.context.window_manager.windows
     for uid, link in list(_links.items()):
@@ -116,12 +115,12 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
         _show(armature)
         return  # so that the window draws it before anything is keyed
     if link.steps is None:
-        if link.changed is None or time.monotonic() - link.changed < _CALM:
+        if link.changed is None or time.monotonic() - link.changed < _QUIET_SECONDS:
             return
         link.steps, link.began, link.done = _keying(link, armature), time.monotonic(), 0.0
     for done in link.steps:
-        told, link.done = link.done, max(done, link.done)
-        if int(_TOLD * told) != int(_TOLD * link.done):
+        before, link.done = link.done, max(done, link.done)
+        if int(_PROGRESS_REDRAWS * before) != int(_PROGRESS_REDRAWS * link.done):
             screen.redraw_sidebars()
         if is_over():
             return
@@ -141,7 +140,7 @@ def _show(armature: bpy.types.Object) -> None:
         basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
         turns = rest.frames @ basis @ np.swapaxes(rest.frames, -1, -2)
         motion = Motion.of(hand, np.zeros(1), turns[None], np.zeros((1, 3)))
-        onto = Onto(contacts=armature.manient.character.contacts)
+        onto = TransferOptions(contacts=armature.manient.character.contacts)
         for one in run_to_completion(computing(armature, [(hand_map, motion)], onto)).keys:
             quats = one.keys.quats[0]
             quats[~one.keyed] = np.nan
@@ -152,21 +151,21 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     """Write what is not what the link has written before; tells how much is done, 0..1."""
     character, hands = armature.manient.character, hands_to_move(armature, bpy.context)
     for _, hand in hands:
-        if not told_by_keys(hand.rig):
+        if not is_keyframed(hand.rig):
             raise OptionError(
                 f"{hand.armature.name} is moved by more than its keys (layers, constraints or controls), so "
                 "that the link only shows its pose: press Apply to Character to key the motion"
             )
-    onto = Onto.of(armature, into="NEW")
+    onto = TransferOptions.of(armature, into="NEW")
     keys: list[BoneKeys] = []
     for number, (hand_map, hand) in enumerate(hands):
-        before, share = _COMPUTED * number / len(hands), _COMPUTED / len(hands)
+        before, share = _COMPUTE_SHARE * number / len(hands), _COMPUTE_SHARE / len(hands)
         motion = yield from map_yields(reading_motion(hand), lambda before=before: before)
         yield before
-        computed = yield from _part(computing(armature, [(hand_map, motion)], onto), before, share)
+        computed = yield from _scaled_progress(computing(armature, [(hand_map, motion)], onto), before, share)
         keys += computed.keys
     if character.action is None:
-        yield from _part(writing_anew(armature, keys, "NEW"), _COMPUTED, 1.0 - _COMPUTED)
+        yield from _scaled_progress(writing_anew(armature, keys, "NEW"), _COMPUTE_SHARE, 1.0 - _COMPUTE_SHARE)
         character.action = armature.animation_data.action
     elif armature.animation_data is None or armature.animation_data.action is not character.action:
         raise OptionError(
@@ -175,22 +174,25 @@ def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, N
     elif _digest(keys) != character.linked:
         for number, one in enumerate(keys):
             old = next((b for b in link.written or [] if b.rig.bones == one.rig.bones), None)
-            share = (1.0 - _COMPUTED) / len(keys)
-            wanted = without_own(armature, one)
+            share = (1.0 - _COMPUTE_SHARE) / len(keys)
+            wanted = without_artist_keys(armature, one)
             steps = _written(armature, wanted if old is None else _changed(old, wanted))
-            yield from _part(steps, _COMPUTED + number * share, share)
+            yield from _scaled_progress(steps, _COMPUTE_SHARE + number * share, share)
     link.written, character.linked = keys, _digest(keys)
 
 
 def _written(armature: bpy.types.Object, one: BoneKeys) -> Generator[float, None, None]:
     """Write and note keys; a hand itself has one bone, so that a stop cannot come between the two."""
     for done in writing([one]):
-        noting(armature, [one])
+        record_all_written_keys(armature, [one])
         yield done
 
 
-def _part(steps: Generator[float, None, _T], before: float, share: float) -> Generator[float, None, _T]:
-    """Go through steps that are `share` of the whole, after its part `before`; yields the progress."""
+def _scaled_progress(
+    steps: Generator[float, None, _T], before: float, share: float
+) -> Generator[float, None, _T]:
+    """Yield the progress `before + share * done` for each `done` that the steps yield; returns their
+    result."""
     while True:
         try:
             done = next(steps)
@@ -200,8 +202,8 @@ def _part(steps: Generator[float, None, _T], before: float, share: float) -> Gen
 
 
 def _changed(old: BoneKeys, new: BoneKeys) -> BoneKeys:
-    """Those of the new keys that are not the old ones. Takes the keys of a range away in which there are
-    fewer now, and has all of that range be written."""
+    """The new keys that differ from the old ones. Where keys are gone, removes all keys of their range and
+    returns all new keys there."""
     _, stays = nearest(new.keys.frames, old.keys.frames)
     gone = old.keys.frames[~stays]
     at, same = nearest(old.keys.frames, new.keys.frames)
@@ -246,7 +248,7 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             _wake()
 
 
-def followed(group: bpy.types.PropertyGroup) -> None:
+def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
     """A character's settings have changed: whether it follows, whom, or how."""
     global _settling
     armature = group.id_data
@@ -299,7 +301,7 @@ def _wake() -> None:
 
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel)
-FOLLOWS = {"character": followed}
+LISTENERS = {"character": on_settings_changed}
 
 
 def unregister() -> None:

@@ -19,8 +19,8 @@ from handfit_core.files import shown
 KINDS = ("exporters", "rigs")
 """The folders, called as the packages that they belong to"""
 
-_named: dict[str, None] = {}
-"""What the console has been told already, in order"""
+_printed: dict[str, None] = {}
+"""Sentences that were printed already, in order"""
 
 
 def folder() -> Path:
@@ -30,10 +30,10 @@ def folder() -> Path:
 
 def troubles() -> list[str]:
     """What was wrong with plug-ins since the add-on was enabled, a sentence each."""
-    return list(_named)
+    return list(_printed)
 
 
-def found_in(
+def find_plugins(
     package: str, kind: type, needed: tuple[str, ...] = (), first: tuple[str, ...] = ()
 ) -> list[Any]:
     """The concrete classes of that kind that a package's modules, and those in the user's folder of its name,
@@ -47,7 +47,7 @@ def found_in(
     ours = {module.name for module in pkgutil.iter_modules(path)}
     added = {module.name for module in pkgutil.iter_modules([own])}
     for name in sorted(ours & added):
-        tell_once(f"{shown(name)}.py is left out: the add-on has a file of this name, choose another one")
+        print_once(f"{shown(name)}.py is left out: the add-on has a file of this name, choose another one")
     if own not in path:
         path.append(own)
     there = ours | added
@@ -55,7 +55,7 @@ def found_in(
         try:
             content = vars(importlib.import_module(f"{package}.{name}"))
         except (Exception, SystemExit) as error:
-            tell_once(f"{shown(name)}.py is left out: {error}")
+            print_once(f"{shown(name)}.py is left out: {error}")
             continue
         for value in content.values():
             if not (isinstance(value, type) and issubclass(value, kind)) or value is kind:
@@ -64,21 +64,21 @@ def found_in(
                 continue
             lacking = [n for n in needed if not hasattr(value, n)] + sorted(value.__abstractmethods__)
             if lacking:
-                tell_once(f"{shown(name)}.py is left out: {value.__name__} has no {', '.join(lacking)}")
+                print_once(f"{shown(name)}.py is left out: {value.__name__} has no {', '.join(lacking)}")
             else:
                 found.append(value)
     return found
 
 
-def failed(plugin: type, error: BaseException) -> str:
+def failure_sentence(plugin: type, error: BaseException) -> str:
     """A sentence about an error in a plug-in's own code."""
     file = shown(plugin.__module__.rpartition(".")[2])
     said = f"{type(error).__name__}: {' '.join(str(error).split())}"
     return f"the plug-in {file}.py failed in {plugin.__name__} ({said}): mend or remove that file"
 
 
-def tell_once(sentence: str) -> None:
-    """Say something on the console, the first time that it is to be said."""
-    if sentence not in _named:
-        _named[sentence] = None
+def print_once(sentence: str) -> None:
+    """Print a sentence on the console, once a session."""
+    if sentence not in _printed:
+        _printed[sentence] = None
         print(f"Hand Capture: {sentence}", file=sys.stderr)

@@ -11,7 +11,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from handfit_core.options import OPTIONS
 from handfit_core.worker.interpreter import unquoted
 
-from .properties import PRESETS, told
+from .properties import PRESETS, notifier
 
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
 """The name of the add-on in Blender's preferences; of an extension it is bl_ext.REPOSITORY.ID"""
@@ -76,7 +76,7 @@ class Values:
         min=0.0,
         max=1.0,
         subtype="FACTOR",
-        update=told("hand_opacity"),
+        update=notifier("hand_opacity"),
     )
 
 

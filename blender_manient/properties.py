@@ -87,22 +87,22 @@ BLEND: Any = {
 }
 
 listeners: dict[str, Callable[[Any], None]] = {}
-"""Name of what is followed -> what is called with the group that has changed; the parts' FOLLOWS"""
+"""Name of a notifier -> the function that it calls with the group that has changed; modules' LISTENERS"""
 
 
-def told(name: str) -> Callable[[Any, bpy.types.Context], None]:
-    """The `update` of a property that somebody follows under that name."""
+def notifier(name: str) -> Callable[[Any, bpy.types.Context], None]:
+    """A property's `update` function: calls the listener of that name."""
     return lambda group, _context: listeners[name](group) if name in listeners else None
 
 
-offered: dict[str, Callable[[], list[str]]] = {}
-"""Name of an option -> asks for what there is to choose from; a part adds itself when it is registered"""
+choices_of_option: dict[str, Callable[[], list[str]]] = {}
+"""Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
 
 
 def _found(option: str) -> Callable[[Any, bpy.types.Context, str], list[str]]:
-    """The search of a text field for an option: names that contain what is typed."""
+    """A text field's `search` function: the option's choices that contain what is typed."""
     return lambda _settings, _context, typed: [
-        name for name in offered.get(option, list)() if typed.lower() in name.lower()
+        name for name in choices_of_option.get(option, list)() if typed.lower() in name.lower()
     ]
 
 
@@ -111,11 +111,11 @@ EXPORT_FORMATS = tuple(
 )
 
 
-def of_option(name: str, units: float = 1.0, said: str = "") -> dict[str, Any]:
-    """A property's description, default and range, as the capture's option of that name has them; `units`:
-    how many of the panel's units one of the option's has."""
+def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[str, Any]:
+    """A property's description, default and range, as the capture's option of that name has them. `units`:
+    the panel's units in one of the option's; `more_help` is added to the description."""
     option = OPTIONS[name]
-    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + said}
+    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + more_help}
     if option.default is not None:
         shown["default"] = option.default
     if math.isfinite(option.most):
@@ -131,13 +131,13 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Source",
         description="Photo, video, or one picture or the folder of an image sequence",
         subtype="FILE_PATH",
-        update=told("source"),
+        update=notifier("source"),
     )
     as_sequence: BoolProperty(  # type: ignore
         name="Image Sequence",
         description="The numbered pictures beside this one are the frames of one clip",
         default=False,
-        update=told("as_sequence"),
+        update=notifier("as_sequence"),
     )
     keypoints: StringProperty(  # type: ignore
         name="Keypoints",
@@ -184,7 +184,7 @@ class ManientSettings(bpy.types.PropertyGroup):
             ("right", "Right", "The person's right hand only"),
             ("both", "Both", "One left and one right hand"),
         ),
-        **of_option("hands"),
+        **option_property("hands"),
     )
     added_side: EnumProperty(  # type: ignore
         name="Side", description="Which hand Add Hand adds", items=SIDE_ITEMS, default="right"
@@ -193,7 +193,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Expected Size", description="Tell how large the hand is, for its distance and shape"
     )
     hand_length: FloatProperty(  # type: ignore
-        name="Length", default=18.5, precision=1, **of_option("hand_length", 100.0, ", in centimeters")
+        name="Length", default=18.5, precision=1, **option_property("hand_length", 100.0, ", in centimeters")
     )
 
     # Capture
@@ -205,13 +205,17 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
     # Texts, which stay what they are in a file that is opened where there is no such plug-in.
-    solver: StringProperty(name="Solver", search=_found("solver"), **of_option("solver"))  # type: ignore
-    detector: StringProperty(name="Detector", search=_found("detector"), **of_option("detector"))  # type: ignore
+    solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))  # type: ignore
+    detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))  # type: ignore
     smoothing: FloatProperty(  # type: ignore
-        name="Smoothing", soft_max=4.0, **of_option("smoothing")
+        name="Smoothing", soft_max=4.0, **option_property("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
-        name="Detection Threshold", subtype="FACTOR", soft_min=0.05, soft_max=0.95, **of_option("threshold")
+        name="Detection Threshold",
+        subtype="FACTOR",
+        soft_min=0.05,
+        soft_max=0.95,
+        **option_property("threshold"),
     )
     camera: EnumProperty(  # type: ignore
         name="Camera",
@@ -283,7 +287,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
     )
     pose_blend: FloatProperty(**BLEND)  # type: ignore
-    pose_scope: EnumProperty(**SCOPES, update=told("pose_scope"))  # type: ignore
+    pose_scope: EnumProperty(**SCOPES, update=notifier("pose_scope"))  # type: ignore
     pose_first: IntProperty(name="First", description="First scene frame of the range", default=1)  # type: ignore
     pose_last: IntProperty(name="Last", description="Last scene frame of the range", default=250)  # type: ignore
 
@@ -364,7 +368,7 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         name="Use",
         description="Whether this hand gets motion",
         default=True,
-        update=told("character"),
+        update=notifier("character"),
         override=_OVERRIDABLE,
     )
     source: PointerProperty(  # type: ignore
@@ -373,7 +377,7 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         "scene's only one of its side",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
-        update=told("character"),
+        update=notifier("character"),
         override=_OVERRIDABLE,
     )
     offset: PointerProperty(  # type: ignore
@@ -381,13 +385,13 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         description="The empty by whose location this hand's whole motion is moved",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "EMPTY",
-        update=told("hand_motion"),
+        update=notifier("hand_motion"),
         override=_OVERRIDABLE,
     )
     hand_map: StringProperty(  # type: ignore
         description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
         "that are recognised",
-        update=told("character"),
+        update=notifier("character"),
         override=_OVERRIDABLE,
     )
 
@@ -420,14 +424,14 @@ class ManientCharacter(bpy.types.PropertyGroup):
             ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
         ),
         default="FINGERS",
-        update=told("character"),
+        update=notifier("character"),
         override=_OVERRIDABLE,
     )
     reference: IntProperty(  # type: ignore
         name="Marked Frame",
         description="The scene frame in which the character's hand is as it is to be in the captured pose",
         default=1,
-        update=told("hand_motion"),
+        update=notifier("hand_motion"),
         override=_OVERRIDABLE,
     )
     travel: FloatProperty(  # type: ignore
@@ -438,7 +442,7 @@ class ManientCharacter(bpy.types.PropertyGroup):
         min=0.0,
         max=2.0,
         override=_OVERRIDABLE,
-        update=told("hand_motion"),
+        update=notifier("hand_motion"),
     )
     smoothing: IntProperty(  # type: ignore
         name="Smoothing",
@@ -449,20 +453,20 @@ class ManientCharacter(bpy.types.PropertyGroup):
         soft_max=20,
         max=1000,
         override=_OVERRIDABLE,
-        update=told("hand_motion"),
+        update=notifier("hand_motion"),
     )
     contacts: BoolProperty(  # type: ignore
         name="Keep Contacts",
         description="Where captured fingertips touch, the character's touch too: both fingers give way",
         default=True,
-        update=told("character"),
+        update=notifier("character"),
         override=_OVERRIDABLE,
     )
     live: BoolProperty(  # type: ignore
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
         default=False,
-        update=told("character"),
+        update=notifier("character"),
         override=_OVERRIDABLE,
     )
     action: PointerProperty(  # type: ignore
@@ -496,14 +500,14 @@ class ManientHand(bpy.types.PropertyGroup):
         soft_max=3.0,
         min=-10.0,
         max=10.0,
-        update=told("shape"),
+        update=notifier("shape"),
     )
     forearm: BoolProperty(  # type: ignore
         name="Forearm",
         description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
         "Exports have what is shown",
         default=False,
-        update=told("shape"),
+        update=notifier("shape"),
     )
     wrist: StringProperty(  # type: ignore
         default="open", description="How the mesh ends now: open, cap or forearm"
@@ -515,7 +519,9 @@ class ManientHand(bpy.types.PropertyGroup):
         description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
     )
     smoothing: FloatProperty(  # type: ignore
-        **of_option("smoothing")  # of the keys; not set in files of older versions (refiner.smoothing_of)
+        **option_property(
+            "smoothing"
+        )  # of the keys; not set in files of older versions (refiner.smoothing_of)
     )
     locked: BoolVectorProperty(  # type: ignore
         name="Locked Joints",
@@ -529,26 +535,26 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Controls",
         description="Have the controls move the hand; without them it does what its keys say",
         default=True,
-        update=told("controls"),
+        update=notifier("controls"),
     )
     limits: BoolProperty(  # type: ignore
         name="Joint Limits",
         description="Stop fingers where joints do, but no sooner than the captured motion goes",
         default=True,
-        update=told("controls"),
+        update=notifier("controls"),
     )
     show_confidence: BoolProperty(  # type: ignore
         name="Confidence Colors",
         description="Color bones by how well they meet the picture in this frame",
         default=False,
-        update=told("confidence"),
+        update=notifier("confidence"),
     )
     show_error: BoolProperty(  # type: ignore
         name="Error over Time",
         description="Draw how far the hand is from the picture, frame by frame, along the bottom of the "
         "Timeline, the Dope Sheet and the Graph Editor",
         default=False,
-        update=told("error"),
+        update=notifier("error"),
     )
     own_colors: StringProperty(  # type: ignore
         description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"

@@ -23,7 +23,8 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import HandTrack
 
-from .remembered import Remembered
+from . import jobs
+from .block_reference import BlockReference
 from .scene import corrections
 from .scene.editable import why_not_keyable
 from .scene.keys import displayed_pose, pose_at
@@ -68,7 +69,7 @@ class Refiner:
         why = why_not_refinable(hand.track)
         if why is not None:
             raise TakeError(f"{armature.name!r}: {why}")
-        self._remembered = Remembered.of("objects", armature)
+        self._reference = BlockReference.of("objects", armature)
         self.name = armature.name
         self.take, self.track = hand.take, hand.track
         self.side: Side = hand.side
@@ -78,16 +79,16 @@ class Refiner:
     @property
     def hand(self) -> CapturedHand:
         """The hand as it is now. Raises OptionError where it is gone."""
-        armature = self.found
+        armature = self.armature_or_none
         hand = hand_of(armature) if armature is not None else None
         if hand is None:
             raise OptionError(f"the hand {self.name!r} is gone: select another captured hand")
         return hand
 
     @property
-    def found(self) -> bpy.types.Object | None:
+    def armature_or_none(self) -> bpy.types.Object | None:
         """The hand's armature, under whatever name it has now; None where it is gone."""
-        return self._remembered.find()
+        return self._reference.find()
 
     @property
     def armature(self) -> bpy.types.Object:
@@ -297,8 +298,6 @@ def smoothing_of(scene: bpy.types.Scene, armature: bpy.types.Object) -> float:
 
 def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None:
     """Why a hand cannot be refined now: a sentence for a tooltip; None where it can."""
-    from . import jobs
-
     if hand is None:
         return "Select a captured hand: its armature or its mesh"
     why = why_not_keyable(hand.armature) or corrections.why_elsewhere(hand.armature)

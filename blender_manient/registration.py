@@ -1,4 +1,4 @@
-"""Registration of all parts of the add-on, or of the one that says why they cannot run.
+"""Registration of all modules of the add-on, or of the one that says why they cannot run.
 
 Nothing of handfit_core is imported before the installation was looked at.
 """
@@ -20,7 +20,7 @@ from . import command, installation, unusable, verification
 PACKAGE = __package__ or ""
 
 
-def _forget(names: Iterable[str]) -> None:
+def _unload(names: Iterable[str]) -> None:
     """Have modules imported anew. Where the package holds one as an attribute, `from . import` finds it."""
     for name in list(names):
         sys.modules.pop(name, None)
@@ -29,27 +29,27 @@ def _forget(names: Iterable[str]) -> None:
             vars(sys.modules[package]).pop(leaf, None)
 
 
-def _own() -> list[str]:
+def _loaded_modules() -> list[str]:
     """The names of this package's modules that are loaded."""
     return [name for name in sys.modules if name.startswith(f"{PACKAGE}.")]
 
 
-_WITHOUT_CORE = frozenset(_own())
+_WITHOUT_CORE = frozenset(_loaded_modules())
 """Modules that can be imported where handfit_core cannot"""
 _registered: list[Any] = []
 """In the order of registration"""
 _core: ModuleType | None = None
-"""The handfit_core with which the parts were imported"""
+"""The handfit_core with which the modules were imported"""
 
 
 def register() -> None:
-    """Register every part of the add-on, or only what tells why it cannot run."""
-    parts = _parts() if _can_run() else (unusable,)
+    """Register every module of the add-on, or only the panel that says why it cannot run."""
+    modules = _addon_modules() if _can_run() else (unusable,)
     try:
-        for part in (verification, *parts):
-            _registered.append(part)  # before: where it fails, half of it may be registered
-            part.register()
-        _take_command()
+        for module in (verification, *modules):
+            _registered.append(module)  # before: where it fails, half of it may be registered
+            module.register()
+        _register_command()
     except Exception:
         with contextlib.suppress(Exception):
             unregister()
@@ -60,7 +60,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Undo `register`, in reverse; all of it, whatever a part raises. Raises the first such error then."""
+    """Undo `register`, in reverse; all of it, whatever a module raises. Raises the first such error then."""
     atexit.unregister(unregister)
     errors: list[Exception] = []
     while _registered:
@@ -74,13 +74,13 @@ def unregister() -> None:
 
 
 def runs() -> bool:
-    """Whether the add-on is registered with all its parts."""
+    """Whether the add-on is registered with all its modules."""
     return bool(_registered) and unusable not in _registered
 
 
 def _can_run() -> bool:
-    verification.look()
-    if verification.refused():
+    verification.examine()
+    if verification.is_refused():
         return False
     other = _running_copy()
     if other:
@@ -88,7 +88,7 @@ def _can_run() -> bool:
     return not other
 
 
-def _take_command() -> None:
+def _register_command() -> None:
     """Register the command, of which Blender knows one of a name: the copy's that runs, else the first's."""
     others = [module for _, module in _copies() if isinstance(getattr(module, "command", None), ModuleType)]
     if runs():
@@ -117,24 +117,25 @@ def _running_copy() -> str:
     return ""
 
 
-def _parts() -> tuple[Any, ...]:
-    """All parts, or the one that says why they cannot be imported."""
+def _addon_modules() -> tuple[Any, ...]:
+    """The modules to register, or the one that says why they cannot be imported."""
     global _core
     installed = installation.is_installed()
     if installed and verification.core_problem() is not None:
         verification.forget_core()
     if installed and _core is not None and _core is not sys.modules.get("handfit_core"):
         # Another copy of the add-on has run meanwhile, with a handfit_core of its own.
-        _forget(name for name in _own() if name not in _WITHOUT_CORE)
+        _unload(name for name in _loaded_modules() if name not in _WITHOUT_CORE)
     before = set(sys.modules)
     try:
-        from . import parts
+        # Needs handfit_core, which must be looked at before it is imported.
+        from . import modules
     except Exception as error:
         if not installed:
             raise
         traceback.print_exc()
         # Half of them would be met again.
-        _forget(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
+        _unload(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
         verification.refuse(installation.import_problem(error))
         return (unusable,)
     _core = sys.modules.get("handfit_core")
@@ -142,12 +143,12 @@ def _parts() -> tuple[Any, ...]:
     if problem is not None:
         verification.refuse(problem)
         return (unusable,)
-    return parts.PARTS
+    return modules.MODULES
 
 
 def _unregister_classes() -> None:
-    """Take away what parts that failed have left with Blender: it would refuse them the next time."""
-    modules = [sys.modules[name] for name in _own()]
+    """Take away what modules that failed have left with Blender: it would refuse them the next time."""
+    modules = [sys.modules[name] for name in _loaded_modules()]
     classes = {cls for module in modules for cls in vars(module).values() if isinstance(cls, type)}
     for cls in classes:
         if cls.__module__.startswith(f"{PACKAGE}.") and "bl_rna" in vars(cls):

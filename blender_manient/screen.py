@@ -156,16 +156,16 @@ def enlarged(
     offset: Sequence[float],
     region: tuple[float, float],
     factor: float,
-    here: np.ndarray,
-    there: np.ndarray,
+    source: np.ndarray,
+    target: np.ndarray,
 ) -> tuple[float, tuple[float, float]]:
     """`view_camera_zoom` and `view_camera_offset` of a camera view that is enlarged by `factor`, as far as
-    Blender's limits allow, and in which `there` lies what lay `here`: (2,) pixels of the region each."""
+    Blender's limits allow, and in which `target` lies what lay `source`: (2,) pixels of the region each."""
     before = _enlargement(zoom)
     zoom = _zoom_of(before * factor)
     grown = _enlargement(zoom) / before
     middle = [size * (0.5 - 2.0 * before * moved) for size, moved in zip(region, offset, strict=True)]
-    x, y = (to + (at - old) * grown for at, old, to in zip(middle, here, there, strict=True))
+    x, y = (to + (at - old) * grown for at, old, to in zip(middle, source, target, strict=True))
     return zoom, _offset(zoom, region, (x, y))
 
 
@@ -193,13 +193,13 @@ def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
     for other in area.regions:
         if other.type in _OVER_THE_VIEW and min(other.width, other.height) > 1:
             left, bottom = other.x - region.x, other.y - region.y
-            free = _beside(free, (left, bottom, left + other.width, bottom + other.height))
+            free = _largest_side(free, (left, bottom, left + other.width, bottom + other.height))
     if min(free[2] - free[0], free[3] - free[1]) < _LEAST * scale:
         free = whole
     return _shrunk(free, _MARGIN * scale)
 
 
-def _beside(free: Box, cover: Box) -> Box:
+def _largest_side(free: Box, cover: Box) -> Box:
     """The largest part of `free` on one side of `cover`; all of it where they do not meet."""
     left, bottom, right, top = free
     if cover[0] >= right or cover[2] <= left or cover[1] >= top or cover[3] <= bottom:

@@ -11,7 +11,7 @@ from .wording import shortened
 
 CATEGORY = "Hand Capture"
 
-_BESIDE = 100
+_LABEL_MARGIN = 100
 """Pixels at scale 1 of a sidebar that are no label: margins, those of a box too, icon, the tabs"""
 _BUTTON = 22
 """pixels at scale 1 of a button that is only an icon"""
@@ -32,17 +32,17 @@ def sentence(
     icon: str = "NONE",
     alert: bool = False,
     width: int | None = None,
-    least: Sequence[str] = (),
+    reserve_for: Sequence[str] = (),
     rows: int = 1,
 ) -> None:
     """A text of any length, wrapped to the region's width; in a dialog, which has none, to `width` pixels at
-    scale 1. It takes at least the room that any text of `least` would, and so many rows."""
+    scale 1. It takes at least the room that any text of `reserve_for` would, and so many rows."""
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
     room = _room(context, width)
     lines = wrapped(text, room)
-    rows = max([rows, *(len(wrapped(other, room)) for other in least)])
+    rows = max([rows, *(len(wrapped(other, room)) for other in reserve_for)])
     lines += [""] * (rows - len(lines))
     for number, line in enumerate(lines):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
@@ -67,8 +67,8 @@ def _room(context: bpy.types.Context, width: int | None) -> float:
     scale = context.preferences.system.ui_scale
     blf.size(0, context.preferences.ui_styles[0].widget.points * scale)
     if width is not None:
-        return (width - _BESIDE) * scale
-    return (context.region.width if context.region else 300) - _BESIDE * scale
+        return (width - _LABEL_MARGIN) * scale
+    return (context.region.width if context.region else 300) - _LABEL_MARGIN * scale
 
 
 def wrapped(text: str, room: float) -> list[str]:

@@ -11,7 +11,7 @@ import bpy
 
 from handfit_core.solvers import SOLVERS
 from handfit_core.worker.client import Advice, Worker
-from handfit_core.worker.interpreter import find_python, runs_here
+from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
 from handfit_core.worker.runner import Event, WorkerError, as_error
 
@@ -19,17 +19,17 @@ from . import installation, preferences, properties, verification
 from .cache import remove_temporary_takes
 from .wording import capitalised
 
-_LAST_WAIT = 3.0
+_EXIT_WAIT_SECONDS = 3.0
 """seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
 
-_EVERY = 0.2
+_POLL_SECONDS = 0.2
 """seconds between two looks for answers that nobody waits for"""
 
 ADVICE = Advice(
     where=installation.IN_PREFERENCES,
     crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
 )
-"""For who sits before a window"""
+"""advice of errors that are shown in Blender's window"""
 
 
 class BlendersWorker(Worker):
@@ -53,7 +53,7 @@ class _Settings:
 
 
 _worker: Worker | None = None
-_made_for: _Settings | None = None
+_worker_settings: _Settings | None = None
 _abandoned: set[int] = set()
 """Requests whose answers nobody waits for any more"""
 
@@ -63,46 +63,47 @@ def worker() -> Worker:
 
     Another one after the preferences have changed, as soon as the old one has nothing left to do.
     """
-    global _worker, _made_for
+    global _worker, _worker_settings
     settings = _settings()
-    if _worker is None or (settings != _made_for and not _worker.busy):
+    if _worker is None or (settings != _worker_settings and not _worker.busy):
         if _worker is not None:
             _worker.stop()
-        _worker, _made_for = own(), settings
+        _worker, _worker_settings = new_worker(), settings
     return _worker
 
 
 def current() -> Worker | None:
-    """The shared worker if there is one already; for those who only look."""
+    """The shared worker; None where it was not made yet."""
     return _worker
 
 
 def detectors() -> list[str]:
     """The names of the detectors that the Python has which captures; none before it was started."""
-    return _has("detectors")
+    return _offered_names("detectors")
 
 
 def solvers() -> list[str]:
-    """The names of its solvers but for the paper's experiments, where there are plug-ins among them."""
-    names, ours = _has("solvers"), SOLVERS.built_in()
+    """The names of the capturing Python's solvers without the paper's experiments; none where no plug-in adds
+    any."""
+    names, ours = _offered_names("solvers"), SOLVERS.built_in()
     return [n for n in names if n not in ours or not ours[n].slow] if {*names} - {*ours} else []
 
 
-def _has(kind: str) -> list[str]:
+def _offered_names(kind: str) -> list[str]:
     ready = _worker.ready if _worker is not None else None
     return ready.get(kind, []) if ready is not None else []
 
 
-def own(python: str | None = None) -> Worker:
-    """A worker of one's own, with the preferences' settings, or with another `python`."""
+def new_worker(python: str | None = None) -> Worker:
+    """A worker beside the shared one, with the preferences' settings, or with another `python`."""
     settings = _settings()
-    return make(python or settings.python, settings.threads, settings.debug)
+    return configured_worker(python or settings.python, settings.threads, settings.debug)
 
 
-def make(
+def configured_worker(
     python: str | None, threads: int | None = None, debug: bool = False, advice: Advice = ADVICE
 ) -> Worker:
-    """A worker with settings that somebody else has chosen."""
+    """A worker with the given settings instead of the preferences'."""
     if installation.is_installed():
         broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
         advice = Advice(advice.where, advice.crash, broken)
@@ -118,17 +119,17 @@ def capture_sentence(python: str | None = None) -> str:
 
 def stop() -> None:
     """End the shared worker and remove what it left in the cache folder."""
-    global _worker, _made_for
+    global _worker, _worker_settings
     if _worker is not None:
         _worker.stop()
-    _worker = _made_for = None
+    _worker = _worker_settings = None
     remove_temporary_takes()
 
 
-def answer(request: int, asked: Worker | None = None) -> Event | None:
-    """The `done` event of a request to the shared worker, or to another; None while there is none. Raises
-    HandfitError where it failed."""
-    for event in (asked or worker()).events(request):
+def answer(request: int, from_worker: Worker | None = None) -> Event | None:
+    """The `done` event of a request to the shared worker, or to `from_worker`; None while there is none.
+    Raises HandfitError where the request failed."""
+    for event in (from_worker or worker()).events(request):
         if event["event"] == "error":
             raise as_error(event)
         if event["event"] == "done":
@@ -140,7 +141,7 @@ def abandon(request: int) -> None:
     """Throw the answer to a request away when it comes, so that the worker is not kept busy."""
     _abandoned.add(request)
     if not bpy.app.timers.is_registered(_collect):
-        bpy.app.timers.register(_collect, first_interval=_EVERY, persistent=True)
+        bpy.app.timers.register(_collect, first_interval=_POLL_SECONDS, persistent=True)
 
 
 def _collect() -> float | None:
@@ -150,11 +151,11 @@ def _collect() -> float | None:
         if event["event"] in ("done", "error"):
             _abandoned.discard(event["id"])
     # Another worker's numbers mean nothing to this one.
-    return _EVERY if _abandoned and _worker.busy else _abandoned.clear()
+    return _POLL_SECONDS if _abandoned and _worker.busy else _abandoned.clear()
 
 
 def _problem_of(python: str) -> installation.Problem | None:
-    return verification.capture_problem() if runs_here(python) else None
+    return verification.capture_problem() if is_current_interpreter(python) else None
 
 
 def _settings() -> _Settings:
@@ -179,7 +180,7 @@ def _bytecode_folder() -> Path | None:
 
 def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
-    properties.offered |= {"detector": detectors, "solver": solvers}
+    properties.choices_of_option |= {"detector": detectors, "solver": solvers}
     if sentence := capture_sentence():
         verification.print_sentence(sentence)
 
@@ -189,4 +190,4 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(_collect):
         bpy.app.timers.unregister(_collect)
     stop()
-    wait_for_killed(_LAST_WAIT)
+    wait_for_killed(_EXIT_WAIT_SECONDS)

@@ -28,7 +28,7 @@ from .scene.matching import Footage
 from .scene.store import captures_of, clip_timing
 from .wording import capitalised, without_name
 
-_LOOK_AGAIN = 0.1
+_POLL_SECONDS = 0.1
 """seconds"""
 
 
@@ -139,7 +139,7 @@ def of(settings) -> SourceInfo:
     """What is known of the panel's source; cheap enough for drawing."""
     global _known
     if _known is None or not _is_known(settings) or _known.is_gone:
-        _known = _look(settings.source, settings.as_sequence)
+        _known = _inspect(settings.source, settings.as_sequence)
     return _known
 
 
@@ -180,17 +180,17 @@ def lacks_size(settings, info: SourceInfo) -> bool:
     return info.unsized and not all(settings.picture_size)
 
 
-def guises(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
-    """The same source before the worker has looked, and with what it may find at the longest."""
+def layout_variants(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
+    """The source without the worker's answer and with the longest answer, for a layout with room for both."""
     times = {"fps": 23.976, "first": 10000, "last": 20000}
     if info.files is None or info.files.kind == "photo":
         times = {}
     return replace(info, width=0), replace(info, width=3840, height=2160, **times)
 
 
-def of_dropped(settings, path: Path) -> Footage | None:
-    """What a scene would get from a file that nobody has chosen yet; only videos have a header that Blender
-    reads at once."""
+def dropped_footage(settings, path: Path) -> Footage | None:
+    """What a scene would take over from a dropped file; None but for videos, whose headers Blender reads at
+    once."""
     if path.suffix.lower() not in VIDEO_SUFFIXES:
         return None
     try:
@@ -217,7 +217,7 @@ def source_changed(settings) -> None:
             "probe", input=list(info.files.files), max_megapixels=preferences.get().max_megapixels or None
         )
         if not bpy.app.timers.is_registered(_await_answer):
-            bpy.app.timers.register(_await_answer, first_interval=_LOOK_AGAIN)
+            bpy.app.timers.register(_await_answer, first_interval=_POLL_SECONDS)
 
 
 def source_chosen(settings) -> None:
@@ -246,7 +246,7 @@ def thumbnail(info: SourceInfo) -> int:
     return previews[path].icon_id if path in previews else 0
 
 
-def _look(path: str, as_sequence: bool) -> SourceInfo:
+def _inspect(path: str, as_sequence: bool) -> SourceInfo:
     info = SourceInfo(path, as_sequence)
     try:
         info.files = resolve(path, as_sequence=as_sequence)
@@ -280,7 +280,7 @@ def _await_answer() -> float | None:
         info.problem = capitalised(without_name(str(error), info.files.files if info.files else ()))
     else:
         if found is None:
-            return _LOOK_AGAIN if shared_worker.worker().alive else None
+            return _POLL_SECONDS if shared_worker.worker().alive else None
         info.width, info.height = int(found["width"]), int(found["height"])
         info.fps, info.frames = float(found["fps"]), int(found["frames"])
         info.first, info.last = int(found["first"]), int(found["last"])
@@ -299,7 +299,7 @@ def _on_undo(*_args) -> None:
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
-FOLLOWS = {"source": source_chosen, "as_sequence": source_changed}
+LISTENERS = {"source": source_chosen, "as_sequence": source_changed}
 
 
 def unregister() -> None:

@@ -14,30 +14,30 @@ import bpy
 
 from . import screen
 
-_LONGER: Final = 0.15
+_EXTRA_SECONDS: Final = 0.15
 """seconds beyond those of a double click"""
 
-_there: dict[str, tuple[str, float]] = {}
-"""Place -> the button that was drawn there last, and since when"""
+_drawn: dict[str, tuple[str, float]] = {}
+"""Place -> the button that was drawn in it last, and since when"""
 
 
-def settled(place: str, button: str) -> bool:
-    """Whether a button that a panel draws now can be pressed: one that has taken another's place only after a
+def is_pressable(place: str, button: str) -> bool:
+    """Whether a button that a panel draws can be pressed: where it has replaced another one, only after a
     moment, when the panel is drawn again."""
     now = time.monotonic()
-    before, since = _there.get(place, (button, -math.inf))
+    before, since = _drawn.get(place, (button, -math.inf))
     if before != button:
         since = now
         if not bpy.app.background:
-            bpy.app.timers.register(screen.redraw_sidebars, first_interval=1.1 * _moment())
-    _there[place] = button, since
-    return now - since >= _moment()
+            bpy.app.timers.register(screen.redraw_sidebars, first_interval=1.1 * _delay())
+    _drawn[place] = button, since
+    return now - since >= _delay()
 
 
-def _moment() -> float:
-    return bpy.context.preferences.inputs.mouse_double_click_time / 1000.0 + _LONGER
+def _delay() -> float:
+    return bpy.context.preferences.inputs.mouse_double_click_time / 1000.0 + _EXTRA_SECONDS
 
 
 def unregister() -> None:
     """Forget what was drawn."""
-    _there.clear()
+    _drawn.clear()

@@ -27,21 +27,21 @@ def problems() -> tuple[Problem, ...]:
     return tuple(_known)
 
 
-def refused() -> bool:
+def is_refused() -> bool:
     """Whether something keeps the add-on from running."""
     return any(problem.stops == "add-on" for problem in _known)
 
 
-def look() -> None:
-    """Look at the installation again: names, sizes and versions."""
+def examine() -> None:
+    """Examine the installation anew: names, sizes and versions."""
     examined = installation.examine(place())
     importlib.invalidate_caches()  # Blender may just have unpacked it
-    _known[:] = installation.in_order([*examined, *_module_problems(examined)])
+    _known[:] = installation.causes_first([*examined, *_module_problems(examined)])
 
 
 def refuse(problem: Problem) -> None:
     """Add a reason why the add-on does not run."""
-    _known[:] = installation.in_order([problem, *_known])
+    _known[:] = installation.causes_first([problem, *_known])
 
 
 def capture_problem() -> Problem | None:
@@ -55,7 +55,7 @@ def report() -> str:
 
 
 def print_sentence(sentence: str) -> None:
-    """On the console."""
+    """Print a sentence on the console."""
     print(f"Manient Hand Capture: {sentence}", file=sys.stderr)
 
 
@@ -84,16 +84,16 @@ _NEEDED = {
 
 
 def _module_problems(already: list[Problem]) -> list[Problem]:
-    """What of that is not there, unless the reason is known already."""
+    """Problems of needed modules that cannot be imported, without those whose reason is known already."""
     told = any(problem.wheel == CORE and problem.stops == "add-on" for problem in already)
     return [
         Problem("module", sentence, CORE if name == CORE_MODULE else name, "add-on")
         for name, sentence in _NEEDED.items()
-        if not _is_there(name) and not (told and name == CORE_MODULE)
+        if not _is_importable(name) and not (told and name == CORE_MODULE)
     ]
 
 
-def _is_there(name: str) -> bool:
+def _is_importable(name: str) -> bool:
     """Whether a package can be imported; an empty folder of its name is none."""
     try:
         spec = importlib.util.find_spec(name)
@@ -104,7 +104,7 @@ def _is_there(name: str) -> bool:
 
 def register() -> None:
     """Say on the console why the add-on cannot run; what follows the first reason are consequences of it."""
-    if refused():
+    if is_refused():
         print_sentence(_known[0].sentence)
 
 

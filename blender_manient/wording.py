@@ -27,7 +27,8 @@ def counted(number: int, thing: str) -> str:
 
 
 def without_name(sentence: str, names: Sequence[str]) -> str:
-    """Without a name and a colon at its beginning, for where the name is shown already."""
+    """The sentence without one of `names` and a colon at its beginning, for where the name is shown
+    already."""
     for name in sorted(names, key=len, reverse=True):
         if name and sentence.startswith(f"{name}: "):
             return sentence[len(name) + 2 :]

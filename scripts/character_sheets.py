@@ -140,7 +140,7 @@ def following(
 
     from blender_manient.rigs import found_hand
     from blender_manient.rigs.character import bones_of
-    from blender_manient.scene.onto_character import Motion, Onto, applying
+    from blender_manient.scene.onto_character import Motion, TransferOptions, applying
 
     path, _, named = where.partition(".blend")
     path = Path(f"{path}.blend")
@@ -161,7 +161,9 @@ def following(
     found = []
     for pose in wanted:  # each for itself: from one to the next nothing is smooth
         motion = Motion(source, np.ones(1), pose.turns(side)[None], np.zeros((1, 3)), skins)
-        run_to_completion(applying(armature, [(hand_map, motion)], Onto(into="ACTION", contacts=contacts)))
+        run_to_completion(
+            applying(armature, [(hand_map, motion)], TransferOptions(into="ACTION", contacts=contacts))
+        )
         bpy.context.scene.frame_set(1)
         found.append(_skin(meshes, armature, target))
     return found

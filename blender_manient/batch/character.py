@@ -20,7 +20,7 @@ from handfit_core.take import HandTrack, Take
 
 from ..blender_versions import versions
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
-from ..scene.onto_character import Into, Onto, Wrist, applying, motion_of, shortcomings
+from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
@@ -84,7 +84,7 @@ class Character:
     """By its own hands, which captured one they get: left, right, or a number from 1"""
     bones: Mapping[Side, HandMap]
     """Those that a preset tells"""
-    onto: Onto
+    onto: TransferOptions
     reference: float | None
 
     @classmethod
@@ -108,7 +108,7 @@ class Character:
                 )
         path, armature = file_and_armature(args.apply_to)
         tables = read_preset(args.bones) if args.bones else []
-        onto = Onto(
+        onto = TransferOptions(
             into=cast(Into, (args.into or "new").upper()),
             wrist=cast(Wrist, (args.wrist or "fingers").upper()),
             contacts=not args.no_contacts,

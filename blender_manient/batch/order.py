@@ -17,7 +17,7 @@ from handfit_core.files import is_file, is_folder
 from handfit_core.hand_model.files import files_of_model
 from handfit_core.options import CaptureOptions
 from handfit_core.solvers import SOLVERS, get_solver
-from handfit_core.worker.interpreter import find_python, runs_here
+from handfit_core.worker.interpreter import find_python, is_current_interpreter
 
 from ..exporters import EXPORTERS, find_exporter
 from .character import Character, file_and_armature
@@ -63,7 +63,7 @@ class Order:
         if args.python is None:  # a Python that is named may have solvers and detectors of its own
             SOLVERS.get(options.solver)
             DETECTORS.get(options.detector)
-        if runs_here(find_python(python)):  # another may have what a solver needs
+        if is_current_interpreter(find_python(python)):  # another may have what a solver needs
             get_solver(options.solver)
         return cls(
             formats=formats,

@@ -22,7 +22,7 @@ from handfit_core.farm.folder import Lost
 from handfit_core.farm.inputs import Input, expand
 from handfit_core.farm.plan import FOLDER, Plan, PlanGone, make_plan, plans_in
 from handfit_core.farm.pool import Pool, is_final, share, usable_jobs
-from handfit_core.farm.show import Shown, clock
+from handfit_core.farm.show import ProgressReporter, clock
 from handfit_core.farm.templates import write_template
 from handfit_core.files import check_writable
 from handfit_core.media.frame_range import FrameRange, part_ranges
@@ -85,7 +85,7 @@ def _task(args: argparse.Namespace, host: Host) -> int:
         if args.id in other.by_id:
             plan = other
     tasks = plan.chosen(args.id)
-    with closing(Shown(tasks, args.progress)) as shown, _pool(args, host, 1) as pool:
+    with closing(ProgressReporter(tasks, args.progress)) as shown, _pool(args, host, 1) as pool:
         results = pool.run(plan, tasks, shown, again=args.again, retry_failed=args.retry_failed, wait=False)
     return task_exit_code(results, accept_failed=args.accept_failed)
 

@@ -39,15 +39,15 @@ def serve(host: Host) -> int:
     requests, events = _own_streams()
     # Where nobody looks, the next event finds out that nobody hears it any more.
     end_with_parent(os.getppid(), _end_group)
-    with _Doing(host, events) as doing:
-        doing.say("ready", version=__version__, pid=os.getpid())
+    with _TaskServer(host, events) as server:
+        server.say("ready", version=__version__, pid=os.getpid())
         while line := requests.readline():
-            doing.do(json.loads(line))
+            server.do(json.loads(line))
     return EXIT_OK
 
 
 @dataclass
-class _Doing:
+class _TaskServer:
     """What stays from task to task: the worker, and what the options mean."""
 
     host: Host
@@ -56,7 +56,7 @@ class _Doing:
     made_for: Any = None
     orders: dict[str, Order] = field(default_factory=dict)
 
-    def __enter__(self) -> _Doing:
+    def __enter__(self) -> _TaskServer:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -115,7 +115,7 @@ def make_worker(host: Host, python: str | None, threads: int | None, debug: bool
     """A worker for batches."""
     where = host.python_is_chosen
     advice = Advice(where, crash=f"try again with --debug, or choose another Python {where}")
-    return shared_worker.make(python or host.python, threads, debug, advice)
+    return shared_worker.configured_worker(python or host.python, threads, debug, advice)
 
 
 def _own_streams() -> tuple[BinaryIO, BinaryIO]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from handfit_core.errors import OptionError
 
-from ..plugins import found_in, tell_once
+from ..plugins import find_plugins, print_once
 from .exporter import Exporter
 
 PRESETS = (
@@ -14,16 +14,16 @@ PRESETS = (
 )
 """Name, label and description of the programs that formats know"""
 
-_TOLD = ("name", "label", "description", "suffix")
-_OURS = ("blend", "fbx", "gltf", "usd", "bvh", "alembic", "vrma", "take")
+_REQUIRED = ("name", "label", "description", "suffix")
+_BUILT_IN = ("blend", "fbx", "gltf", "usd", "bvh", "alembic", "vrma", "take")
 """The files of this folder that are no plug-ins, in the order of the buttons"""
 
 EXPORTERS: dict[str, Exporter] = {}
 """Every format by its name, in the order of the buttons; who comes later cannot take a name away"""
-for _kind in found_in(__name__, Exporter, _TOLD, _OURS):
+for _kind in find_plugins(__name__, Exporter, _REQUIRED, _BUILT_IN):
     if EXPORTERS.setdefault(_kind.name, _exporter := _kind()) is not _exporter:
         _file = _kind.__module__.rpartition(".")[2]
-        tell_once(f"{_kind.__name__} of {_file}.py is left out: there is a format {_kind.name!r} already")
+        print_once(f"{_kind.__name__} of {_file}.py is left out: there is a format {_kind.name!r} already")
 
 
 def find_exporter(name: str) -> Exporter:

@@ -28,7 +28,7 @@ class HandObjects(Protocol):
 
     @property
     def armature(self) -> bpy.types.Object:
-        """Its rig."""
+        """The armature that is written."""
         ...
 
     @property

@@ -62,5 +62,5 @@ class FbxExporter(Exporter):
             "path_mode": "STRIP",  # textures by name: where they lie is private
         }
         bpy.ops.export_scene.fbx(**keywords | preset.keywords)
-        # It also names each texture with the folder that the file is in.
+        # The exporter also names each texture with the folder that the file is in.
         blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.

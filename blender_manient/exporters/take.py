@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
+from ..scene.retake import retaken
+from ..scene.store import CapturedHand
 from .exporter import Exporter, HandObjects, Preset
 
 
@@ -21,7 +23,4 @@ class TakeExporter(Exporter):
 
     def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write the take that the hands make now."""
-        from ..scene.retake import retaken
-        from ..scene.store import CapturedHand
-
         path.write_bytes(retaken(cast("Sequence[CapturedHand]", hands)).to_bytes(compact=False))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
@@ -23,10 +22,9 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from ..rigs import rig_of
 from ..rigs.character import bones_of
 from ..rigs.rig import Rig
+from ..scene.characters import CharacterObjects, hand_map_of
+from ..scene.sampling import Sampled, rotations_of, sample
 from .exporter import Exporter, HandObjects, Preset
-
-if TYPE_CHECKING:
-    from ..scene.sampling import Sampled
 
 _STILL = 1e-3
 """radians by which a hand that is not turned to its forearm may be off"""
@@ -56,9 +54,6 @@ class VrmaExporter(Exporter):
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
     """What the open scene shows of a captured hand, or of a character's hands, over its frame range."""
-    from ..scene.characters import CharacterObjects, hand_map_of
-    from ..scene.sampling import sample
-
     bones = bones_of(hand.armature)
     sources: list[tuple[HandMap, SourceHand]] = []
     if hand.side is not None:
@@ -92,7 +87,7 @@ class _Mapped:
     source: SourceHand
     target: TargetHand
     wrist: tuple[str, str] | None
-    """As `_wrist_and_forearm`"""
+    """the bones between which the wrist bends, as `_wrist_and_forearm` returns them"""
 
     @classmethod
     def of(cls, bones: Bones, hand_map: HandMap, source: SourceHand) -> _Mapped:
@@ -101,7 +96,7 @@ class _Mapped:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The bones that tell what it does."""
+        """The bones from which the hand's motion is read."""
         return self.hand_map.bones[0], *self.target.bones, *(self.wrist or ())
 
 
@@ -121,8 +116,6 @@ def _flat(rig: Rig, bones: Bones) -> SourceHand:
 
 def _moving(bones: Bones, mapped: _Mapped, times: np.ndarray, sampled: Sampled) -> HumanoidHand:
     """One hand, as it is shown at those times."""
-    from ..scene.sampling import rotations_of
-
     hand_map, source, target = mapped.hand_map, mapped.source, mapped.target
 
     def posed(name: str) -> np.ndarray:

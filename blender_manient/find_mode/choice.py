@@ -12,33 +12,33 @@ from handfit_core.options import CROWD, HandChoice, Region
 from handfit_core.skeleton import SIDES, Side, other_side
 from handfit_core.worker.protocol import unpack
 
-SAME: Final = 0.25
+SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
-NEAR: Final = 0.3
+HOVER_DISTANCE: Final = 0.3
 """A hand is pointed at within this part of its size from one of its points"""
-MOST_ZOOM: Final = 64.0
+MAX_ZOOM: Final = 64.0
 """pixels of the region for one of the picture"""
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class FoundHand:
     """One hand of the picture."""
 
     points: np.ndarray
     """(21, 2) pixels of the upright picture"""
     certainty: float
-    judged: Side
-    """Which hand it looks like"""
+    detected_side: Side
+    """the side that the detector named"""
     side: Side
-    """Which hand it is to be"""
+    """the side to capture it as, which the artist may change"""
     box: tuple[float, ...]
     """x, y, width and height in pixels by which a capture finds it again: about its points, or as the artist
     has drawn it"""
     chosen: bool = False
 
     @classmethod
-    def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> Found:
-        """One of a worker's answer; `drawn`: the box in which it was looked for."""
+    def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> FoundHand:
+        """A hand of the answer to a `find` request; `drawn`: the box in which it was searched."""
         points = unpack(hand["keypoints"]).astype(np.float64)
         low = points.min(axis=0)
         box = drawn or (*low.tolist(), *np.maximum(points.max(axis=0) - low, 1.0).tolist())
@@ -49,96 +49,98 @@ class Found:
         """The longer side of the box of its points, pixels of the picture."""
         return float(np.ptp(self.points, axis=0).max())
 
-    def is_one_with(self, other: Found) -> bool:
-        """Whether both are of one hand."""
+    def is_same_hand(self, other: FoundHand) -> bool:
+        """Whether both are detections of one hand."""
         apart = np.linalg.norm(self.points - other.points, axis=-1).mean()
-        return bool(apart < SAME * max(self.extent, other.extent))
+        return bool(apart < SAME_HAND_DISTANCE * max(self.extent, other.extent))
 
 
 class Choice:
     """The hands that are shown, the surest first; each step can be taken back."""
 
     def __init__(self) -> None:
-        self.hands: tuple[Found, ...] = ()
-        self._past: list[tuple[Found, ...]] = []
+        self.hands: tuple[FoundHand, ...] = ()
+        self._undo_steps: list[tuple[FoundHand, ...]] = []
 
     @property
-    def chosen(self) -> tuple[Found, ...]:
-        """Those that are to be built."""
+    def chosen(self) -> tuple[FoundHand, ...]:
+        """The hands that are to be built."""
         return tuple(hand for hand in self.hands if hand.chosen)
 
     def show(self, found: Iterable[dict[str, Any]], wanted: HandChoice) -> None:
         """Begin with the hands of a worker's answer; chosen are the surest of those that are wanted, and no
         more than are built without asking."""
-        hands = [Found.of(hand) for hand in found]
+        hands = [FoundHand.of(hand) for hand in found]
         likely = [hand for hand in hands if wanted not in SIDES or hand.side == wanted][:CROWD]
         self.hands = tuple(replace(hand, chosen=hand in likely) for hand in hands)
-        self._past.clear()
+        self._undo_steps.clear()
 
-    def add(self, hand: Found) -> None:
-        """One that was looked for; it takes the place of what was taken for the same hand."""
-        self._now((*(other for other in self.hands if not other.is_one_with(hand)), hand))
+    def add(self, hand: FoundHand) -> None:
+        """Add a hand that a box search found; it replaces detections of the same hand."""
+        self._set_hands((*(other for other in self.hands if not other.is_same_hand(hand)), hand))
 
-    def toggle(self, hand: Found) -> None:
+    def toggle(self, hand: FoundHand) -> None:
         """Choose a hand, or leave it."""
         self._change(hand, chosen=not hand.chosen)
 
-    def turn(self, hand: Found) -> None:
-        """Make a left hand a right one, or back; who cares for a hand's side wants it."""
+    def flip_side(self, hand: FoundHand) -> None:
+        """Make a left hand a right one, or back, and choose it."""
         self._change(hand, side=other_side(hand.side), chosen=True)
 
-    def drop(self, hand: Found) -> None:
-        """Throw out what is no hand."""
-        self._now(tuple(other for other in self.hands if other is not hand))
+    def remove(self, hand: FoundHand) -> None:
+        """Remove a detection that is no hand."""
+        self._set_hands(tuple(other for other in self.hands if other is not hand))
 
     def toggle_all(self) -> None:
         """Choose all; none where all are chosen."""
         every = len(self.chosen) < len(self.hands)
-        self._now(tuple(replace(hand, chosen=every) for hand in self.hands))
+        self._set_hands(tuple(replace(hand, chosen=every) for hand in self.hands))
 
     def undo(self) -> bool:
         """Take the last step back; whether there was one."""
-        if self._past:
-            self.hands = self._past.pop()
+        if self._undo_steps:
+            self.hands = self._undo_steps.pop()
             return True
         return False
 
     def regions(self, frame: int | None) -> tuple[Region, ...]:
-        """What tells a capture of the chosen hands; `frame` of the source, None for a photo."""
+        """The chosen hands as a capture's regions; `frame` of the source, None for a photo."""
         return tuple(
-            replace(Region.of(hand.box), frame=frame, side=hand.side if hand.side != hand.judged else None)
+            replace(
+                Region.of(hand.box), frame=frame, side=hand.side if hand.side != hand.detected_side else None
+            )
             for hand in self.chosen
         )
 
-    def at(self, place: np.ndarray, scale: float, reach: float) -> Found | None:
+    def hand_at(self, place: np.ndarray, scale: float, reach: float) -> FoundHand | None:
         """The hand with the point nearest to a place (2,) in the picture, if it is near enough: `reach`
         pixels of the region, or more where the hand is large. `scale`: pixels of the region for one of the
         picture."""
-        near: list[tuple[float, Found]] = []
+        near: list[tuple[float, FoundHand]] = []
         for hand in self.hands:
             away = float(np.linalg.norm(hand.points - place, axis=-1).min())
-            if away <= max(reach / scale, NEAR * hand.extent):
+            if away <= max(reach / scale, HOVER_DISTANCE * hand.extent):
                 near.append((away, hand))
         return min(near, key=lambda each: each[0])[1] if near else None
 
-    def _change(self, hand: Found, **fields: Any) -> None:
-        self._now(tuple(replace(other, **fields) if other is hand else other for other in self.hands))
+    def _change(self, hand: FoundHand, **fields: Any) -> None:
+        self._set_hands(tuple(replace(other, **fields) if other is hand else other for other in self.hands))
 
-    def _now(self, hands: tuple[Found, ...]) -> None:
-        self._past.append(self.hands)
+    def _set_hands(self, hands: tuple[FoundHand, ...]) -> None:
+        self._undo_steps.append(self.hands)
         self.hands = hands
 
 
-class Sight:
-    """What of a picture is seen in a view, and how large."""
+class PictureView:
+    """Pan and zoom of a picture in a view."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = np.array(size, dtype=np.float64)
         """(2,) pixels of the picture"""
-        self.whole()
+        self.show_all()
 
-    def whole(self) -> None:
-        """Show all of it."""
+    def show_all(self) -> None:
+        """Show the whole picture."""
         self._zoom, self._centre = 1.0, self.size / 2.0
 
     def scale(self, free: Sequence[float]) -> float:
@@ -155,7 +157,7 @@ class Sight:
     def zoom(self, factor: float, place: np.ndarray, free: Sequence[float]) -> None:
         """Enlarge by a factor about a place (2,) in the picture."""
         before = self._zoom
-        most = MOST_ZOOM * self._zoom / self.scale(free)
+        most = MAX_ZOOM * self._zoom / self.scale(free)
         self._zoom = float(np.clip(before * factor, min(1.0, most), most))
         self._centre = place + (self._centre - place) * before / self._zoom
         self._keep()
@@ -166,5 +168,5 @@ class Sight:
         self._keep()
 
     def _keep(self) -> None:
-        """The middle of the view stays in the picture."""
+        """Keep the middle of the view in the picture."""
         self._centre = np.clip(self._centre, 0.0, self.size)

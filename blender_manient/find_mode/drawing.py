@@ -25,11 +25,11 @@ from ..keypoint_mode.drawing import (
 )
 from ..screen import Box, draw_shape, draw_texture, ui_scale
 from ..section import wrapped
-from .choice import Found, Sight
+from .choice import FoundHand, PictureView
 
 CHOSEN_COLOR: Final = (0.10, 0.38, 0.80)
 LEFT_OUT_COLOR: Final = (0.78, 0.78, 0.78)
-HIGH: Final = 34.0
+STRIP_HEIGHT: Final = 34.0
 """pixels, at a user interface scale of 1, of the strips over and under the picture"""
 SMALL: Final = 60.0
 """pixels of the region, at a user interface scale of 1: the lines of smaller hands are thinner"""
@@ -47,7 +47,7 @@ class Button:
     """What is done"""
     text: str
     box: Box
-    hand: Found | None = None
+    hand: FoundHand | None = None
     """Whose side it is"""
 
     def holds(self, x: float, y: float) -> bool:
@@ -60,11 +60,11 @@ class Scene:
     """What is to be drawn."""
 
     texture: gpu.types.GPUTexture | None
-    sight: Sight | None
+    picture_view: PictureView | None
     free: Box
     """What nothing lies over, pixels of the region"""
-    hands: Sequence[Found]
-    hovered: Found | None
+    hands: Sequence[FoundHand]
+    hovered: FoundHand | None
     buttons: Sequence[Button]
     pressed: str
     """Name of the button under the mouse"""
@@ -76,11 +76,11 @@ class Scene:
 
 def picture_room(free: Box) -> Box:
     """Where the whole picture fits in: between the strips."""
-    high = HIGH * ui_scale()
+    high = STRIP_HEIGHT * ui_scale()
     return (free[0], free[1] + high, free[2], free[3] - high)
 
 
-def side_tags(hands: Sequence[Found], matrix: np.ndarray, free: Box) -> list[Button]:
+def side_tags(hands: Sequence[FoundHand], matrix: np.ndarray, free: Box) -> list[Button]:
     """A tag over each hand: its side, and how sure it is that it is one."""
     scale, tags = ui_scale(), []
     for hand in hands:
@@ -117,9 +117,11 @@ def draw(scene: Scene, size: tuple[int, int]) -> None:
     gpu.state.blend_set("ALPHA")
     try:
         fill_box((0.0, 0.0, *size), (*DARK, 1.0))
-        if scene.sight is not None:
-            matrix = scene.sight.matrix(picture_room(scene.free))
-            corners = mapped(matrix, np.array([[0.0, scene.sight.size[1]], [scene.sight.size[0], 0.0]]))
+        if scene.picture_view is not None:
+            matrix = scene.picture_view.matrix(picture_room(scene.free))
+            corners = mapped(
+                matrix, np.array([[0.0, scene.picture_view.size[1]], [scene.picture_view.size[0], 0.0]])
+            )
             if scene.texture is not None:
                 draw_texture(scene.texture, tuple(corners.ravel().tolist()))
             _draw_hands(scene, matrix, scale)

@@ -24,13 +24,13 @@ from .. import cache, details, jobs, screen, shared_worker
 from ..keypoint_mode import view
 from ..wording import capitalised, counted
 from . import drawing
-from .choice import Choice, Found, Sight
+from .choice import Choice, FoundHand, PictureView
 
 REACH: Final = 14.0
 """pixels from a point of a hand within which the mouse means it, at a user interface scale of 1"""
-STILL: Final = 6.0
+CLICK_PIXELS: Final = 6.0
 """pixels at a user interface scale of 1. A press that moves less is a click"""
-LEAST_BOX: Final = 8.0
+MIN_BOX_PIXELS: Final = 8.0
 """pixels of the picture a side: in smaller boxes nobody sees a hand"""
 
 _KEYS = (
@@ -45,7 +45,7 @@ NOTHING_THERE: Final = (
 
 
 class Source(NamedTuple):
-    """What hands are looked for in, and how."""
+    """The files, the frame and the options of a search for hands."""
 
     files: tuple[str, ...]
     frame: int | None
@@ -64,8 +64,8 @@ class Source(NamedTuple):
         return fields if picture is None else {**fields, "picture": str(picture)}
 
 
-class _Look(NamedTuple):
-    """A box that the worker looks into."""
+class _BoxSearch(NamedTuple):
+    """A request that searches a box for a hand."""
 
     request: int
     box: tuple[float, ...]
@@ -76,14 +76,14 @@ class FindMode:
 
     keys: Final = _KEYS
 
-    def __init__(self, source: Source, viewport: view.Viewport, followed: str) -> None:
-        """Ask the worker. `followed`: what the panel names as the source now. Raises HandfitError."""
+    def __init__(self, source: Source, viewport: view.Viewport, source_path: str) -> None:
+        """Ask the worker. `source_path`: what the panel names as the source now. Raises HandfitError."""
         self.source = source
-        self.followed = followed
+        self.source_path = source_path
         self.choice = Choice()
-        self.sight: Sight | None = None
+        self.picture_view: PictureView | None = None
         self.message = ""
-        self.hovered: Found | None = None
+        self.hovered: FoundHand | None = None
         self.pressed = ""
         """Name of the button under the mouse"""
         self.dragged: tuple[np.ndarray, np.ndarray] | None = None
@@ -93,7 +93,7 @@ class FindMode:
         self.ended = False
         self.address = viewport.area.as_pointer()
         self._texture: gpu.types.GPUTexture | None = None
-        self._looks: list[_Look] = []
+        self._searches: list[_BoxSearch] = []
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
         self._showing = shared_worker.worker().submit("find", **source.fields(picture=self._picture))
         self._finding = shared_worker.worker().submit("find", **source.fields())
@@ -106,7 +106,7 @@ class FindMode:
             return
         bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
         self._handler, self._texture, self.ended = None, None, True
-        self._stop_asking()
+        self._cancel_requests()
         self._picture.unlink(missing_ok=True)
         screen.redraw("VIEW_3D")
 
@@ -118,7 +118,7 @@ class FindMode:
             return "Find Hands: a capture has begun"
         if view.viewport_at(context, self.address) is None:
             return "Find Hands: the viewport is gone"
-        if context.scene is None or context.scene.manient.source != self.followed:
+        if context.scene is None or context.scene.manient.source != self.source_path:
             return "Find Hands: another source was chosen"
         return None
 
@@ -127,57 +127,57 @@ class FindMode:
     @property
     def busy(self) -> bool:
         """Whether the worker still looks for something."""
-        return bool(self._showing or self._finding or self._looks)
+        return bool(self._showing or self._finding or self._searches)
 
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers."""
         try:
             if self._showing and (found := shared_worker.answer(self._showing)) is not None:
                 self._showing = 0
-                self.sight = Sight((found["width"], found["height"]))
+                self.picture_view = PictureView((found["width"], found["height"]))
                 self._texture = screen.texture_of(str(self._picture))
                 screen.redraw("VIEW_3D")
             if self._finding and (found := shared_worker.answer(self._finding)) is not None:
                 self._finding = 0
                 self.choice.show(found["hands"], context.scene.manient.hands)
                 screen.redraw("VIEW_3D")
-            for look in list(self._looks):
-                if (found := shared_worker.answer(look.request)) is not None:
-                    self._looks.remove(look)
+            for search in list(self._searches):
+                if (found := shared_worker.answer(search.request)) is not None:
+                    self._searches.remove(search)
                     self.message = ""
-                    self._looked(look.box, found["hands"])
+                    self._add_found(search.box, found["hands"])
                     screen.redraw("VIEW_3D")
         except (HandfitError, RuntimeError) as error:
-            self._stop_asking()
+            self._cancel_requests()
             self.message = capitalised(str(error).strip())
             details.write_details("Find Hands", self.message, getattr(error, "details", "") or "")
             screen.redraw("VIEW_3D")
 
-    def _stop_asking(self) -> None:
-        for request in (self._showing, self._finding, *(look.request for look in self._looks)):
+    def _cancel_requests(self) -> None:
+        for request in (self._showing, self._finding, *(search.request for search in self._searches)):
             if request:
                 shared_worker.worker().cancel(request)
                 shared_worker.abandon(request)
-        self._showing, self._finding, self._looks = 0, 0, []
+        self._showing, self._finding, self._searches = 0, 0, []
 
-    def look_in(self, corners: np.ndarray) -> None:
+    def search_box(self, corners: np.ndarray) -> None:
         """Have the worker look for a hand in a box with these corners (2, 2), pixels of the picture."""
-        assert self.sight is not None
-        low, high = np.clip(np.sort(corners, axis=0), 0.0, self.sight.size)
-        if (high - low).min() < LEAST_BOX:
+        assert self.picture_view is not None
+        low, high = np.clip(np.sort(corners, axis=0), 0.0, self.picture_view.size)
+        if (high - low).min() < MIN_BOX_PIXELS:
             return
         box = (*low.tolist(), *(high - low).tolist())
         self.message, self.nothing_there = "", False
         request = shared_worker.worker().submit("find", **self.source.fields(box))
-        self._looks.append(_Look(request, box))
+        self._searches.append(_BoxSearch(request, box))
 
-    def _looked(self, box: tuple[float, ...], hands: list[dict[str, Any]]) -> None:
+    def _add_found(self, box: tuple[float, ...], hands: list[dict[str, Any]]) -> None:
         self.nothing_there = not hands
         for hand in hands:
-            self.choice.add(Found.of(hand, drawn=box))
+            self.choice.add(FoundHand.of(hand, drawn=box))
 
     def regions(self) -> tuple[Region, ...]:
-        """What tells a capture of the chosen hands."""
+        """The chosen hands as a capture's regions."""
         return self.choice.regions(self.source.frame)
 
     # The mouse
@@ -186,39 +186,42 @@ class FindMode:
         """Where the whole picture fits in, pixels of the region."""
         return drawing.picture_room(screen.free_box(viewport.area, viewport.region))
 
-    def place(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
-        """(2,) pixels of the region -> of the picture."""
-        assert self.sight is not None
-        return mapped(np.linalg.inv(self.sight.matrix(self.room(viewport))), mouse)
+    def picture_point(self, viewport: view.Viewport, mouse: np.ndarray) -> np.ndarray:
+        """A place (2,) in pixels of the region -> in pixels of the picture."""
+        assert self.picture_view is not None
+        return mapped(np.linalg.inv(self.picture_view.matrix(self.room(viewport))), mouse)
 
     def hover(self, viewport: view.Viewport, mouse: np.ndarray) -> bool:
-        """The mouse is there; whether that changes what is shown."""
+        """Take the mouse's place, (2,) pixels of the region; whether that changes what is shown."""
         before = self.hovered, self.pressed
         button = next((b for b in reversed(self.buttons(viewport)) if b.holds(*mouse)), None)
         self.pressed = button.name if button is not None else ""
         self.hovered = button.hand if button is not None else None
-        if button is None and self.sight is not None:
-            scale = self.sight.scale(self.room(viewport))
-            self.hovered = self.choice.at(self.place(viewport, mouse), scale, REACH * screen.ui_scale())
+        if button is None and self.picture_view is not None:
+            scale = self.picture_view.scale(self.room(viewport))
+            self.hovered = self.choice.hand_at(
+                self.picture_point(viewport, mouse), scale, REACH * screen.ui_scale()
+            )
         return before != (self.hovered, self.pressed)
 
     def click(self) -> str:
-        """Do what a click on what the mouse is over means; the name of what others have to do."""
+        """Handle a click on what the mouse is over; the name of the button that the operator has to
+        handle."""
         if self.pressed and self.pressed != "side":
             return self.pressed
         if self.hovered is not None:
             self.message, self.nothing_there = "", False
-            (self.choice.turn if self.pressed == "side" else self.choice.toggle)(self.hovered)
+            (self.choice.flip_side if self.pressed == "side" else self.choice.toggle)(self.hovered)
         return ""
 
     def release(self, viewport: view.Viewport) -> str:
-        """The mouse lets go of what it has dragged, or of a click; the name of what others have to do."""
+        """End a drag or a click; the name of the button that the operator has to handle."""
         assert self.dragged is not None
         (start, stop), self.dragged = self.dragged, None
-        if np.abs(stop - start).max() < STILL * screen.ui_scale():
+        if np.abs(stop - start).max() < CLICK_PIXELS * screen.ui_scale():
             return self.click()
-        if self.sight is not None:
-            self.look_in(self.place(viewport, np.array([start, stop])))
+        if self.picture_view is not None:
+            self.search_box(self.picture_point(viewport, np.array([start, stop])))
         return ""
 
     # Drawing
@@ -227,15 +230,17 @@ class FindMode:
         """All that can be clicked on."""
         free = screen.free_box(viewport.area, viewport.region)
         tags: list[drawing.Button] = []
-        if self.sight is not None:
-            tags = drawing.side_tags(self.choice.hands, self.sight.matrix(drawing.picture_room(free)), free)
+        if self.picture_view is not None:
+            tags = drawing.side_tags(
+                self.choice.hands, self.picture_view.matrix(drawing.picture_room(free)), free
+            )
         count = len(self.choice.chosen)
         capture = ("capture", f"Capture {counted(count, 'Hand')}") if count else None
         add = ("add", "Add Hand") if self.nothing_there else None
         return tags + drawing.row_of(capture, ("leave", "Leave"), add, free)
 
-    def line(self) -> tuple[str, bool]:
-        """A sentence about where the artist is, and whether it is one to worry about."""
+    def status_line(self) -> tuple[str, bool]:
+        """The line over the picture, and whether it is a warning."""
         if self.message:
             return self.message, True
         if self.hovered is not None:
@@ -262,15 +267,15 @@ class FindMode:
         if viewport is None or context.region != viewport.region:
             return
         boxes = [
-            (np.array([look.box[:2], np.add(look.box[:2], look.box[2:])]), "Looking ...")
-            for look in self._looks
+            (np.array([search.box[:2], np.add(search.box[:2], search.box[2:])]), "Looking ...")
+            for search in self._searches
         ]
-        if self.dragged is not None and self.sight is not None:
-            boxes.append((self.place(viewport, np.array(self.dragged)), ""))
-        text, warning = self.line()
+        if self.dragged is not None and self.picture_view is not None:
+            boxes.append((self.picture_point(viewport, np.array(self.dragged)), ""))
+        text, warning = self.status_line()
         scene = drawing.Scene(
             texture=self._texture,
-            sight=self.sight,
+            picture_view=self.picture_view,
             free=screen.free_box(viewport.area, viewport.region),
             hands=self.choice.hands,
             hovered=self.hovered,

@@ -25,7 +25,7 @@ PIN_COLOR: Final = (1.0, 1.0, 1.0)
 DARK: Final = (0.05, 0.05, 0.05)
 DOUBT_COLOR: Final = (1.0, 0.55, 0.15)
 
-LETTERS: Final = 13.0
+TEXT_SIZE: Final = 13.0
 """size of text, at a user interface scale of 1"""
 RADIUS: Final = 5.0
 """pixels of a handle with room around it, at a user interface scale of 1"""
@@ -90,7 +90,7 @@ def draw(picture: Picture) -> None:
         write(picture.text, *picture.corner, shade, scale)
 
 
-def rooms(places: np.ndarray) -> np.ndarray:
+def half_gaps(places: np.ndarray) -> np.ndarray:
     """(21,) pixels to half-way from each of `places` (21, 2) to the nearest other one; infinite for a place
     alone, and NaN for one that is NaN."""
     apart = np.linalg.norm(places[:, None] - places, axis=-1)
@@ -106,7 +106,7 @@ def handle_sizes(picture: Picture, scale: float) -> np.ndarray:
     radius[[k for k in (picture.hovered, picture.dragged) if k is not None]] *= _ACTIVE
     outer = radius + _RIM
     outer[list(picture.pinned)] = radius[list(picture.pinned)] * _PINNED
-    return np.clip(rooms(picture.places) / (outer * scale), _LEAST_RADIUS / RADIUS, 1.0)
+    return np.clip(half_gaps(picture.places) / (outer * scale), _LEAST_RADIUS / RADIUS, 1.0)
 
 
 def _draw_skeleton(picture: Picture, sizes: np.ndarray, scale: float) -> None:
@@ -156,7 +156,7 @@ def _draw_name(picture: Picture, scale: float) -> None:
 def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float) -> None:
     """Write a line in the current region, its lower left at (x, y) pixels."""
     font = 0
-    blf.size(font, LETTERS * scale)
+    blf.size(font, TEXT_SIZE * scale)
     blf.enable(font, blf.SHADOW)
     blf.shadow(font, 5, 0.0, 0.0, 0.0, 0.9)
     blf.shadow_offset(font, 1, -1)
@@ -169,7 +169,7 @@ def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float)
 def tag_box(text: str, x: float, y: float, scale: float) -> Box:
     """Where a tag with that text lies, whose lower left is at (x, y) pixels of the region. Sets the font's
     size."""
-    blf.size(0, LETTERS * scale)
+    blf.size(0, TEXT_SIZE * scale)
     return (x, y, x + blf.dimensions(0, text)[0] + 12.0 * scale, y + 20.0 * scale)
 
 

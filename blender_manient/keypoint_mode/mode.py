@@ -30,19 +30,19 @@ from . import drawing, view
 
 REACH: Final = 14.0
 """pixels from a handle within which the mouse takes it, at a user interface scale of 1"""
-_LEAST_REACH: Final = 5.0
+_MIN_REACH: Final = 5.0
 """Pixels: how near the mouse must come to a handle with others close by"""
-_SLOW: Final = 0.06
+_REDRAW_AFTER_SECONDS: Final = 0.06
 """seconds after which the dragged point is drawn without the hand. Before that the answer is nearly there,
 and drawing twice would only make it later"""
-_PATIENCE: Final = 0.04
+_ANSWER_WAIT_SECONDS: Final = 0.04
 """seconds that a movement of the mouse may wait for its answer, so that the next picture has the hand in its
 place; a worker that was slower the last time is not waited for"""
-_ENOUGH: Final = 6
+_SENSIBLE_POINTS: Final = 6
 """points of a hand that was added: so many make a sensible pose"""
-_STILL: Final = 3
+_CLICK_PIXELS: Final = 3
 """pixels. A press that moves less is a click"""
-_FRAMED: Final = 2.0
+_FRAME_SIZES: Final = 2.0
 """sizes of the hand that the view shows of the picture: half of one on each side of it"""
 
 latencies: deque[float] = deque(maxlen=2000)
@@ -50,8 +50,8 @@ latencies: deque[float] = deque(maxlen=2000)
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
-    """Where an artist has looked at a hand."""
+class _SavedView:
+    """The camera view in which the artist last saw a hand."""
 
     zoom: float
     offset: tuple[float, float]
@@ -59,13 +59,13 @@ class _Sight:
     """(21, 2) pixels of the picture: where the hand was then"""
 
 
-_sights: dict[int, _Sight] = {}
+_saved_views: dict[int, _SavedView] = {}
 """By the armatures' session_uid, which a rename and an undo leave and which no other file's hand gets"""
 
 
-def forget_sights() -> None:
-    """The open file goes."""
-    _sights.clear()
+def forget_views() -> None:
+    """Forget all saved views: another file is opened."""
+    _saved_views.clear()
 
 
 @dataclass(eq=False)
@@ -76,11 +76,11 @@ class _Drag:
     row: int
     frame: float
     """Scene frame"""
-    before: Pins
+    pins_before: Pins
     """The frame's pins until now"""
     start: BonePoses
     """What the pins are measured against"""
-    shown: BonePoses
+    poses_before: BonePoses
     """What the bones are put back to when it is cancelled"""
     mouse: tuple[int, int]
     grip: np.ndarray
@@ -96,10 +96,10 @@ class _Drag:
     is_sent: bool = False
     is_final: bool = False
     """Whether the last request was one for the result to be kept, and not a draft"""
-    asked: Pins = field(default_factory=dict)
+    requested_pins: Pins = field(default_factory=dict)
     """The pins of the request"""
     answer: BonePoses | None = None
-    answered: Pins = field(default_factory=dict)
+    answered_pins: Pins = field(default_factory=dict)
     """The pins that `answer` was fitted to"""
     drawn: bool = True
     """Whether the view was asked to show the newest place"""
@@ -107,14 +107,14 @@ class _Drag:
     @property
     def pins(self) -> Pins:
         """The frame's pins with this one where it is to be."""
-        others = {k: p for k, p in self.before.items() if k != self.keypoint}
+        others = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
         if self.place is None:
             return others
         return {**others, self.keypoint: (float(self.place[0]), float(self.place[1]))}
 
     @property
-    def waiting(self) -> bool:
-        """Whether the newest place has not been asked for yet."""
+    def needs_request(self) -> bool:
+        """Whether no request has the newest place yet."""
         return not self.is_sent or self.sent is not self.place or (self.released and not self.is_final)
 
 
@@ -136,7 +136,7 @@ class KeypointMode:
         camera = refiner.hand.camera
         assert camera is not None
         self._warming = shared_worker.worker().submit("warm")
-        self._solved_in = _PATIENCE
+        self._solved_in = _ANSWER_WAIT_SECONDS
         self.view = view.CaptureView(viewport, camera, context)
         self.solid = False
         """Whether the hand hides the picture, whatever its opacity is otherwise"""
@@ -144,7 +144,7 @@ class KeypointMode:
         self._frame = context.scene.frame_current_final
         self._places = self.picture_places()
         """(21, 2) pixels of the picture: the hand on that frame, or on the last one before that had one"""
-        self._look_again(viewport)
+        self._restore_view(viewport)
         self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
         viewport.area.tag_redraw()
 
@@ -161,7 +161,7 @@ class KeypointMode:
         if self._warming:
             shared_worker.abandon(self._warming)
         see_through.end()
-        self._remember_sight(context)
+        self._save_view(context)
         self.view.leave(context)
         screen.redraw("VIEW_3D")
 
@@ -173,7 +173,7 @@ class KeypointMode:
             return "Keypoints: a capture has begun"
         if view.viewport_at(context, self.view.address) is None:
             return "Keypoints: the viewport is gone"
-        armature = self.refiner.found
+        armature = self.refiner.armature_or_none
         if armature is None or armature.name not in context.view_layer.objects:
             return "Keypoints: the hand is gone"
         try:
@@ -185,7 +185,7 @@ class KeypointMode:
             return "Keypoints: refining works in Object and Pose mode"
         return None
 
-    # What of the picture is seen
+    # Zoom and pan of the picture
 
     def show_hand(self, viewport: view.Viewport) -> None:
         """Frame the hand with half its size on each side; the whole picture on a frame without it."""
@@ -195,7 +195,7 @@ class KeypointMode:
             return
         low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
         free = viewport.free()
-        factor = ((free[1] - free[0]) / np.maximum(_FRAMED * (high - low), 1.0)).min()
+        factor = ((free[1] - free[0]) / np.maximum(_FRAME_SIZES * (high - low), 1.0)).min()
         viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
 
     def show_picture(self, viewport: view.Viewport) -> None:
@@ -205,23 +205,24 @@ class KeypointMode:
         assert camera is not None
         viewport.show_picture(camera, bpy.context.scene)
 
-    def _look_again(self, viewport: view.Viewport) -> None:
-        """Show of the hand what the artist has looked at before; without that, all of it."""
-        armature = self.refiner.found
-        sight = _sights.get(armature.session_uid) if armature is not None else None
-        if sight is None:
+    def _restore_view(self, viewport: view.Viewport) -> None:
+        """Restore the saved view of the hand; without one, or where no point would be seen, frame the
+        hand."""
+        armature = self.refiner.armature_or_none
+        saved = _saved_views.get(armature.session_uid) if armature is not None else None
+        if saved is None:
             self.show_hand(viewport)
             return
-        viewport.set_zoom(sight.zoom, sight.offset)
-        if not self._keep_in_sight(viewport, sight.places):
+        viewport.set_zoom(saved.zoom, saved.offset)
+        if not self._keep_visible(viewport, saved.places):
             self.show_hand(viewport)
 
-    def _remember_sight(self, context: bpy.types.Context) -> None:
-        viewport, armature = view.viewport_at(context, self.view.address), self.refiner.found
+    def _save_view(self, context: bpy.types.Context) -> None:
+        viewport, armature = view.viewport_at(context, self.view.address), self.refiner.armature_or_none
         if viewport is not None and armature is not None and self.view.shows(viewport):
             seen = viewport.view
             offset = tuple(seen.view_camera_offset)
-            _sights[armature.session_uid] = _Sight(seen.view_camera_zoom, offset, self._places)
+            _saved_views[armature.session_uid] = _SavedView(seen.view_camera_zoom, offset, self._places)
 
     def _follow_hand(self, context: bpy.types.Context) -> None:
         """Move the view with the hand where another frame is shown now."""
@@ -234,9 +235,9 @@ class KeypointMode:
         self._places = now
         viewport = view.viewport_at(context, self.view.address)
         if viewport is not None:
-            self._keep_in_sight(viewport, before)
+            self._keep_visible(viewport, before)
 
-    def _keep_in_sight(self, viewport: view.Viewport, before: np.ndarray) -> bool:
+    def _keep_visible(self, viewport: view.Viewport, before: np.ndarray) -> bool:
         """Have the view show those points that it showed when they were at `before`, (21, 2) pixels of the
         picture: it moves to their middle if one has left it, and keeps its zoom. Returns whether there are
         any."""
@@ -265,7 +266,7 @@ class KeypointMode:
     def _opacity(self) -> float:
         return 1.0 if self.solid else preferences.get().hand_opacity
 
-    # Where the handles are
+    # Places of the handles
 
     def row(self) -> int | None:
         """The take's row that the scene shows."""
@@ -311,7 +312,7 @@ class KeypointMode:
         if np.isnan(away).all():
             return None
         nearest, scale = int(np.nanargmin(away)), screen.ui_scale()
-        reach = np.clip(drawing.rooms(places)[nearest], _LEAST_REACH * scale, REACH * scale)
+        reach = np.clip(drawing.half_gaps(places)[nearest], _MIN_REACH * scale, REACH * scale)
         return nearest if away[nearest] <= reach else None
 
     # Dragging
@@ -325,7 +326,7 @@ class KeypointMode:
             bpy.ops.screen.animation_cancel(restore_frame=False)
         places = self.region_places(viewport)
         grip = places[keypoint] - [x - viewport.region.x, y - viewport.region.y]
-        self.drag = self._begun(keypoint, row, (x, y), grip)
+        self.drag = self._new_drag(keypoint, row, (x, y), grip)
         self.message = ""
         return True
 
@@ -334,7 +335,7 @@ class KeypointMode:
         drag, matrix = self.drag, self.matrix(viewport)
         if drag is None or matrix is None or drag.released:
             return
-        drag.moved |= max(abs(x - drag.mouse[0]), abs(y - drag.mouse[1])) >= _STILL
+        drag.moved |= max(abs(x - drag.mouse[0]), abs(y - drag.mouse[1])) >= _CLICK_PIXELS
         if not drag.moved:
             return
         region = np.array([x - viewport.region.x, y - viewport.region.y]) + drag.grip
@@ -345,7 +346,7 @@ class KeypointMode:
         drag.drawn = False
 
     def release(self) -> None:
-        """The mouse lets go: what it asked for last is still waited for."""
+        """End a drag; its last request is still waited for."""
         if self.drag is None:
             return
         if self.drag.moved:
@@ -358,7 +359,7 @@ class KeypointMode:
         row = self.row()
         if row is None or self.drag is not None or keypoint not in self.refiner.pins(row):
             return False
-        self.drag = self._begun(keypoint, row, (0, 0), np.zeros(2))
+        self.drag = self._new_drag(keypoint, row, (0, 0), np.zeros(2))
         self.drag.moved = self.drag.released = True
         self.drag.moved_at = time.perf_counter()
         return True
@@ -371,9 +372,9 @@ class KeypointMode:
         if drag.request:
             shared_worker.worker().cancel(drag.request)
             shared_worker.abandon(drag.request)
-        armature = self.refiner.found
+        armature = self.refiner.armature_or_none
         if armature is not None and armature.manient.is_hand:
-            set_pose(rig_of(armature), drag.shown.quats[0], drag.shown.locations[0])
+            set_pose(rig_of(armature), drag.poses_before.quats[0], drag.poses_before.locations[0])
             if context.scene.frame_current_final != drag.frame:
                 refresh(context.scene)  # that was another frame's pose
         screen.redraw("VIEW_3D")
@@ -397,25 +398,27 @@ class KeypointMode:
                     drag.request = 0
                     self._solved_in = float(done.get("seconds", 0.0))
                     self._show(context, drag, self.refiner.poses(done))
-            if not drag.request and drag.moved and drag.waiting:
-                if drag.place is None and not self._held(drag):
+            if not drag.request and drag.moved and drag.needs_request:
+                if drag.place is None and not self._is_constrained(drag):
                     self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
                 else:
                     self._send(drag)
             elif not drag.request and drag.released:
                 self._finish(context, drag)
-            if not drag.drawn and time.perf_counter() - drag.moved_at > _SLOW:
+            if not drag.drawn and time.perf_counter() - drag.moved_at > _REDRAW_AFTER_SECONDS:
                 drag.drawn = True
                 self._redraw(context)
         except HandfitError as error:
-            self._failed(context, error)
+            self._fail(context, error)
 
     def follow(self, context: bpy.types.Context) -> None:
         """`tick`, and a moment's patience with the answer."""
         waited_before = self.drag is not None and self.drag.request
         self.tick(context)
         # A drawing of a crowded scene takes longer than the answer, which would then be late by one.
-        until = time.perf_counter() + (0.0 if waited_before or self._solved_in > _PATIENCE else _PATIENCE)
+        until = time.perf_counter() + (
+            0.0 if waited_before or self._solved_in > _ANSWER_WAIT_SECONDS else _ANSWER_WAIT_SECONDS
+        )
         while self.drag is not None and self.drag.request and time.perf_counter() < until:
             time.sleep(0.001)
             self.tick(context)
@@ -426,7 +429,7 @@ class KeypointMode:
         if viewport is not None:
             viewport.region.tag_redraw()
 
-    def _begun(self, keypoint: int, row: int, mouse: tuple[int, int], grip: np.ndarray) -> _Drag:
+    def _new_drag(self, keypoint: int, row: int, mouse: tuple[int, int], grip: np.ndarray) -> _Drag:
         refiner = self.refiner
         return _Drag(
             keypoint,
@@ -441,43 +444,43 @@ class KeypointMode:
 
     def _send(self, drag: _Drag) -> None:
         drag.sent, drag.sent_at, drag.is_sent = drag.place, drag.moved_at, True
-        drag.asked = drag.pins
+        drag.requested_pins = drag.pins
         drag.is_final = drag.released
         mode = "each" if drag.released else "draft"
-        fields = self.refiner.request([drag.row], [drag.asked], drag.start, mode)()
+        fields = self.refiner.request([drag.row], [drag.requested_pins], drag.start, mode)()
         drag.request = shared_worker.worker().submit("refit", **fields)
 
     def _show(self, context: bpy.types.Context, drag: _Drag, poses: BonePoses) -> None:
         if not poses.present[0]:
             self.message = "No hand can be fitted to these points"
             return
-        drag.answer, drag.answered = poses, drag.asked
+        drag.answer, drag.answered_pins = poses, drag.requested_pins
         set_pose(self.refiner.hand.rig, poses.quats[0], poses.locations[0])
         context.view_layer.update()
         latencies.append(time.perf_counter() - drag.sent_at)
         drag.drawn = drag.sent is drag.place
         self._redraw(context)
 
-    def _held(self, drag: _Drag) -> bool:
-        """Whether anything holds the frame's hand: pins, or points that touch."""
+    def _is_constrained(self, drag: _Drag) -> bool:
+        """Whether the frame's hand has pins, or points that touch."""
         return bool(drag.pins or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
         """Write the keys, and make an undo step of it."""
         self.drag = None
-        if not self._held(drag):
+        if not self._is_constrained(drag):
             self.refiner.unpin(drag.row)
         elif drag.answer is None:
-            set_pose(self.refiner.hand.rig, drag.shown.quats[0], drag.shown.locations[0])
+            set_pose(self.refiner.hand.rig, drag.poses_before.quats[0], drag.poses_before.locations[0])
             return
         else:
-            self.refiner.correct(drag.row, drag.answered, drag.answer, context.scene.manient.spread)
+            self.refiner.correct(drag.row, drag.answered_pins, drag.answer, context.scene.manient.spread)
         refresh(context.scene)
         self.done, self.undone = self.done + 1, 0
         bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
         screen.redraw("VIEW_3D")
 
-    def _failed(self, context: bpy.types.Context, error: HandfitError) -> None:
+    def _fail(self, context: bpy.types.Context, error: HandfitError) -> None:
         self._warming, self.message = 0, str(error)
         if self.drag is not None:
             self.drag.request = 0
@@ -529,7 +532,7 @@ class KeypointMode:
         viewport = view.viewport_at(context, self.view.address)
         if viewport is None or context.region != viewport.region:
             return
-        text, warning = self.line(viewport)
+        text, warning = self.status_line(viewport)
         drawing.draw(
             drawing.Picture(
                 places=self.region_places(viewport),
@@ -548,8 +551,8 @@ class KeypointMode:
             return {}
         return self.drag.pins if self.drag is not None else self.refiner.pins(row)
 
-    def line(self, viewport: view.Viewport) -> tuple[str, bool]:
-        """A sentence about this frame, and whether it is one to worry about."""
+    def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
+        """The line over the picture about this frame, and whether it is a warning."""
         row = self.row()
         if self.message:
             return capitalised(self.message), True
@@ -562,7 +565,7 @@ class KeypointMode:
         track = self.refiner.track
         if track.added:
             placed = len(self._pinned())
-            enough = ": three to six are enough, fingertips first" if placed < _ENOUGH else ""
+            enough = ": three to six are enough, fingertips first" if placed < _SENSIBLE_POINTS else ""
             return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
         if self.refiner.is_corrected(row):
             return f"{len(self._pinned())} pinned in this frame", False

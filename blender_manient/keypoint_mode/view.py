@@ -68,12 +68,12 @@ class Viewport:
         frame_whole_picture(self.area, camera, scene)
         self.view.update()
 
-    def enlarge(self, factor: float, here: np.ndarray, there: np.ndarray | None = None) -> None:
-        """Enlarge the camera view, and lay what is `here` `there`: (2,) pixels of the region; None: it
-        stays."""
+    def enlarge(self, factor: float, source: np.ndarray, target: np.ndarray | None = None) -> None:
+        """Enlarge the camera view so that what was at `source` lies at `target`, (2,) pixels of the region
+        each; None: where it was."""
         seen, size = self.view, (self.region.width, self.region.height)
-        there = here if there is None else there
-        self.set_zoom(*enlarged(seen.view_camera_zoom, seen.view_camera_offset, size, factor, here, there))
+        target = source if target is None else target
+        self.set_zoom(*enlarged(seen.view_camera_zoom, seen.view_camera_offset, size, factor, source, target))
 
     def set_zoom(self, zoom: float, offset: Sequence[float]) -> None:
         """Set the camera view's zoom and offset. The matrices follow at once."""
@@ -133,10 +133,10 @@ class CaptureView:
         self._region = {name: _copied(getattr(view, name)) for name in _OF_REGION}
         self._space = {name: getattr(space, name) for name in _OF_SPACE}
         self._space_camera = space.camera.name if space.camera is not None else None
-        there = self.shows(viewport)
-        # Else turning the view would move the camera away from its picture.
+        shows = self.shows(viewport)
+        # With the lock, turning the view would move the camera away from its picture.
         space.lock_camera = False
-        if there:
+        if shows:
             return
         self.face(viewport)
         viewport.show_picture(camera, context.scene)

@@ -22,10 +22,10 @@ from ..properties import SIDE_ITEMS
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
 from .capture import new_job
-from .needs_hand import Refuses, Waits, errors_reported, select_alone
+from .mixins import PollMixin, TimerMixin, errors_reported, select_alone
 
 _TICK = 0.1
-_STILL = 6.0
+_CLICK_PIXELS = 6.0
 """pixels at a user interface scale of 1. A drag that is shorter is a click"""
 _KEYS = (
     "Drag from Wrist to Middle Knuckle: Add Hand    Click: Add It Upright    S: Left or Right    "
@@ -73,7 +73,7 @@ class _Mode:
             return
         dragged = (
             self.pressed is not None
-            and np.ptp([self.pressed, mouse], axis=0).max() > _STILL * screen.ui_scale()
+            and np.ptp([self.pressed, mouse], axis=0).max() > _CLICK_PIXELS * screen.ui_scale()
         )
         places = mapped(
             np.linalg.inv(matrix), np.array([mouse if self.pressed is None else self.pressed, mouse])
@@ -127,7 +127,7 @@ def running() -> bool:
     return _mode is not None
 
 
-class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.add_hand"
     bl_label = "Add Hand"
     bl_description = (
@@ -150,7 +150,6 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A scene, and a worker that has nothing else to do."""
         if _mode is not None:
             return "A hand is being added already"
         if context.scene is None or not context.scene.is_editable:
@@ -168,26 +167,26 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
         viewport = view.first_viewport(context)
         if viewport is None:
             raise OptionError("Hands are added in a 3D viewport: open one in this window")
-        capture = capture_here(context)
+        capture = target_capture(context)
         if capture is None and self.shown:
             raise OptionError("The picture is not in this scene: press Add Hand again")
         if capture is None:
             jobs.submit(new_job(context, only_frame=False, bare=True))
             return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
         _mode = _Mode(context, viewport, capture)
-        self._tell(context, _KEYS)
-        return self._wait(context, _TICK)
+        self._show_status(context, _KEYS)
+        return self._start_timer(context, _TICK)
 
     @errors_reported
     def execute(self, context):
         """Add it where wrist and knuckle say: for scripts, and without a window."""
-        capture = capture_here(context)
+        capture = target_capture(context)
         if capture is None:
             jobs.submit(new_job(context, only_frame=False, bare=True))
             for job in jobs.run():
                 if job.state != "done":
                     raise OptionError(job.message)
-            capture = capture_here(context)
+            capture = target_capture(context)
         if capture is None:
             raise OptionError("The picture is not in this scene: press Add Hand again")
         add_hand(context, capture, self.side, np.array([self.wrist, self.knuckle], dtype=float), self.seen)
@@ -195,7 +194,6 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
         return {"FINISHED"}
 
     def modal(self, context, event):
-        """One event."""
         viewport = view.viewport_at(context, _mode.view.address) if _mode is not None else None
         if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
             return self._end(context)
@@ -225,7 +223,6 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
         return {"PASS_THROUGH"} if event.type.endswith("MOUSEMOVE") else {"RUNNING_MODAL"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _add(self, context):
@@ -245,11 +242,11 @@ class MANIENT_OT_add_hand(Refuses, Waits, bpy.types.Operator):
 
     def _end(self, context):
         unregister()
-        self._wait_no_more(context)
+        self._stop_timer(context)
         return {"FINISHED"}
 
 
-def capture_here(context: bpy.types.Context) -> bpy.types.Collection | None:
+def target_capture(context: bpy.types.Context) -> bpy.types.Collection | None:
     """The capture whose picture a hand is added to: one of the panel's source, that of the active hand before
     others and the newest before older ones; without a source the active hand's. Raises HandfitError."""
     settings, hand = context.scene.manient, active_hand(context)

@@ -23,12 +23,12 @@ from ..scene.poses import (
     posed_by,
     why_not_posable,
 )
-from ..scene.spans import SCOPES, Asked, suggested_range
+from ..scene.spans import SCOPES, RequestedFrames, suggested_range
 from ..scene.store import CapturedHand
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
-class _PutsPose(Refuses):
+class _PoseOperator(PollMixin):
     """An operator, in its first part, that puts a pose on the active captured hand or character."""
 
     report: Any
@@ -41,14 +41,13 @@ class _PutsPose(Refuses):
 
     @classmethod
     def lacks(cls, context):
-        """A hand."""
         return why_not_posable(context)
 
     def _put(
         self, context: bpy.types.Context, pose_of: Callable[[PosableHand], Pose | None], name: str
     ) -> set[str]:
         hands = posable_hands(context)
-        asked = Asked(self.scope, self.first, self.last, context.scene.manient.spread)
+        asked = RequestedFrames(self.scope, self.first, self.last, context.scene.manient.spread)
         # All of them, before one is changed.
         poses = [hand.towards(context, pose_of(hand), self.blend, asked) for hand in hands]
         for hand, posed in zip(hands, poses, strict=True):
@@ -62,7 +61,7 @@ class _PutsPose(Refuses):
         return {"FINISHED"}
 
 
-class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
+class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
     bl_idname = "manient.apply_pose"
     bl_label = "Apply Pose"
     bl_description = (
@@ -97,7 +96,6 @@ class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Do it."""
         name = self.pose or context.scene.manient.pose
         if self.source == "LIBRARY":
             pose = pose_named(name)
@@ -111,7 +109,7 @@ class MANIENT_OT_apply_pose(_PutsPose, bpy.types.Operator):
         return self._put(context, pose_of, name)
 
 
-class MANIENT_OT_apply_pose_asset(_PutsPose, bpy.types.Operator):
+class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
     bl_idname = "manient.apply_pose_asset"
     bl_label = "Apply to Hand"
     bl_description = (
@@ -121,7 +119,6 @@ class MANIENT_OT_apply_pose_asset(_PutsPose, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """An asset that is a pose, too."""
         asset = getattr(context, "asset", None)
         if asset is None or not property_group(asset.metadata, PROPERTY):
             return "Choose a pose asset that Save Pose Asset made"
@@ -129,7 +126,6 @@ class MANIENT_OT_apply_pose_asset(_PutsPose, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Do it."""
         pose = kept_pose(context.asset.metadata)
         return self._put(context, lambda _: pose, context.asset.name)
 
@@ -141,7 +137,7 @@ def _in_menu(menu, context) -> None:
 
 
 def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
-    """Suggest a range."""
+    """Suggest a range when Range is chosen."""
     if settings.pose_scope == "RANGE":
         with contextlib.suppress(HandfitError):
             owner = posed_by(bpy.context)
@@ -149,7 +145,7 @@ def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
             settings.pose_first, settings.pose_last = suggested_range(settings.id_data, hand)
 
 
-FOLLOWS = {"pose_scope": _scope_chosen}
+LISTENERS = {"pose_scope": _scope_chosen}
 
 
 def register() -> None:

@@ -11,10 +11,10 @@ from ..scene.apply import apply_hand, apply_track, track_for
 from ..scene.store import captured_hands
 from ..section import split
 from ..wording import counted
-from .needs_hand import OnHand, errors_reported, hand_in
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
-class MANIENT_OT_apply_take(OnHand, bpy.types.Operator):
+class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
     bl_idname = "manient.apply_take"
     bl_label = "Apply Motion"
     bl_description = (
@@ -52,7 +52,7 @@ class MANIENT_OT_apply_take(OnHand, bpy.types.Operator):
 
     def invoke(self, context, event):
         """Take the other selected hand, or ask for a file."""
-        target = hand_in(context).armature
+        target = polled_hand(context).armature
         others = [o for o in captured_hands(context.scene) if o != target and o.select_get()]
         if not self.source and len(others) == 1:
             self.source = others[0].name
@@ -71,8 +71,7 @@ class MANIENT_OT_apply_take(OnHand, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Key the active hand."""
-        hand = hand_in(context)
+        hand = polled_hand(context)
         frame = context.scene.frame_current_final
         if self.source:
             source = context.scene.objects.get(self.source)

@@ -9,18 +9,18 @@ import bpy
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import run_to_completion, slice_clock
 
-from ..remembered import Remembered
-from ..scene.build import Watch
+from ..block_reference import BlockReference
+from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, hands_to_move, why_not_reachable
-from ..scene.onto_character import Applied, Onto, putting, shortcomings
+from ..scene.onto_character import Applied, TransferOptions, putting, shortcomings
 from ..wording import capitalised, counted
-from .needs_hand import Refuses, Waits, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 1 / 60
 """seconds between two looks"""
 
 
-class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_apply_to_character(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.apply_to_character"
     bl_label = "Apply to Character"
     bl_description = (
@@ -44,7 +44,6 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A character, and a captured hand for it."""
         if cls._running:
             return "Motion is being applied already"
         armature = active_character(context)
@@ -68,10 +67,10 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
     def invoke(self, context, _event):
         """Do it while the window stays free."""
         self._steps = self._work(context)
-        self._watch = Watch()
-        self._armature = Remembered.of("objects", active_character(context))
+        self._watch = ChangeWatch()
+        self._armature = BlockReference.of("objects", active_character(context))
         MANIENT_OT_apply_to_character._running = True
-        return self._wait(context, _TICK)
+        return self._start_timer(context, _TICK)
 
     def modal(self, context, event):
         """Go on; Esc stops, and nothing was changed then."""
@@ -91,7 +90,7 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
                 except StopIteration as stop:
                     self._end(context)
                     return self._finished(context, stop.value)
-                self._tell(context, f"Applying to {self._armature.name}  {done:.0%}   Esc: Stop")
+                self._show_status(context, f"Applying to {self._armature.name}  {done:.0%}   Esc: Stop")
         except (HandfitError, ReferenceError) as error:
             gone = "a hand was deleted while its motion was being applied: nothing was changed"
             self.report({"ERROR"}, gone if isinstance(error, ReferenceError) else str(error))
@@ -103,14 +102,13 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _work(self, context) -> Generator[float, None, list[Applied]]:
         armature = active_character(context)
         assert armature is not None
         posing = self.mode == "POSE"
-        onto = Onto.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
+        onto = TransferOptions.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
         hands = hands_to_move(armature, context)
         return (
             yield from putting(armature, hands, onto, [context.scene.frame_current_final] if posing else None)
@@ -128,6 +126,6 @@ class MANIENT_OT_apply_to_character(Refuses, Waits, bpy.types.Operator):
 
     def _end(self, context) -> None:
         MANIENT_OT_apply_to_character._running = False
-        self._watch.leave()
-        self._wait_no_more(context)
+        self._watch.stop()
+        self._stop_timer(context)
         self._steps.close()

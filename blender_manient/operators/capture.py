@@ -13,18 +13,18 @@ from handfit_core.options import CaptureOptions, Region
 from handfit_core.worker.runner import WorkerError
 
 from .. import jobs, preferences, screen, shared_worker, source_info
-from ..remembered import Remembered
+from ..block_reference import BlockReference
 from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
-from .needs_hand import Refuses, Waits, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.02
 """seconds between two looks at the worker"""
 
 
-class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.capture"
     bl_label = "Capture"
     bl_description = (
@@ -51,14 +51,12 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.only_frame:
             return "Capture the hands of the scene's current frame only"
         return cls.bl_description
 
     @classmethod
     def lacks(cls, context):
-        """A scene to build into, or something that a capture needs."""
         if context.scene is None or not context.scene.is_editable:
             return "This scene is linked from another file: open or make one of your own"
         return shared_worker.capture_sentence()
@@ -67,7 +65,7 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
     def invoke(self, context, _event):
         """Queue the capture and follow it."""
         if not self.queued:
-            job = new_job(context, only_frame=self.only_frame, asks=True)
+            job = new_job(context, only_frame=self.only_frame, ask_if_many=True)
             if jobs.is_repeated(job):
                 self.report({"INFO"}, "This is being captured already")
                 return {"CANCELLED"}
@@ -77,7 +75,7 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
             return {"FINISHED"}
         MANIENT_OT_capture._ticking = True
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
-        return self._wait(context, _TICK)
+        return self._start_timer(context, _TICK)
 
     def modal(self, context, event):
         """Tick the queue; Esc stops everything."""
@@ -101,7 +99,6 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
         return {"FINISHED"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         jobs.abandon()
         self._end(context)
 
@@ -120,7 +117,7 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
         waiting = sum(j.state == "waiting" for j in jobs.jobs())
         if job is not None:
             more = f"   ({waiting} waiting)" if waiting else ""
-            self._tell(context, f"{job.name}: {job.status()}{more}   Esc: Stop")
+            self._show_status(context, f"{job.name}: {job.status()}{more}   Esc: Stop")
         screen.redraw_sidebars()
 
     def _report_finished(self, context) -> None:
@@ -130,9 +127,9 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
                 self._report(job)
                 if job.state == "done" and (job.matched or job.in_front):
                     screen.look_through_camera(context)
-                if job.crowd and not jobs.busy():
+                if job.hands_to_choose and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")
-                if (job.bare or job.adds) and job.state == "done" and not jobs.busy():
+                if (job.bare or job.then_add_hand) and job.state == "done" and not jobs.busy():
                     bpy.ops.manient.add_hand("INVOKE_DEFAULT", shown=True)
 
     def _report(self, job: jobs.Job) -> None:
@@ -141,12 +138,12 @@ class MANIENT_OT_capture(Refuses, Waits, bpy.types.Operator):
         if job.state == "failed":
             self.report({"ERROR"}, f"{job.name}: {job.message}")
         else:
-            said = ". ".join(filter(None, (job.message, job.scene_said)))
+            said = ". ".join(filter(None, (job.message, job.scene_message)))
             self.report({"INFO"}, f"{job.name}: {said}")
 
     def _end(self, context) -> None:
         MANIENT_OT_capture._ticking = False
-        self._wait_no_more(context)
+        self._stop_timer(context)
         screen.redraw_sidebars()
 
 
@@ -159,7 +156,6 @@ class MANIENT_OT_cancel_capture(bpy.types.Operator):
     index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})  # type: ignore
 
     def execute(self, context):
-        """Cancel one job, or all."""
         queue = jobs.jobs()
         if 0 <= self.index < len(queue):
             jobs.cancel(queue[self.index])
@@ -176,7 +172,6 @@ class MANIENT_OT_clear_captures(bpy.types.Operator):
     bl_options = {"INTERNAL"}  # noqa: RUF012
 
     def execute(self, context):
-        """Forget what is finished."""
         jobs.forget_finished()
         screen.redraw_sidebars()
         return {"FINISHED"}
@@ -187,11 +182,11 @@ def new_job(
     *,
     only_frame: bool,
     regions: tuple[Region, ...] = (),
-    asks: bool = False,
+    ask_if_many: bool = False,
     bare: bool = False,
 ) -> jobs.Job:
     """The capture that the panel's settings describe; with `regions`, of the hands in them and no others.
-    `asks`, `bare`: as of a job. Raises HandfitError in the artist's words."""
+    `ask_if_many`, `bare`: as of a job. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
     if sentence := shared_worker.capture_sentence():
         raise WorkerError(sentence)
@@ -228,20 +223,20 @@ def new_job(
             picture_size=_picture_size(settings, source),
         ),
         building=jobs.Building(
-            scene=Remembered.of("scenes", scene),
+            scene=BlockReference.of("scenes", scene),
             target=target,
-            hand=Remembered.of("objects", hand.armature) if hand else None,
+            hand=BlockReference.of("objects", hand.armature) if hand else None,
             frame=float(scene.frame_current),
             pose_correctives=settings.pose_correctives,
             controls=settings.add_controls,
             matching=settings.matching,
             render_setup=settings.render_setup,
             retimed=_retimed(context, only_frame) if target == "NEW" else None,
-            camera=Remembered.of("objects", camera) if camera else None,
+            camera=BlockReference.of("objects", camera) if camera else None,
         ),
         bare=bare,
         button="add" if bare else "frame" if only_frame else "capture",
-        asks=asks and source.kind == "photo" and settings.target == "NEW",
+        ask_if_many=ask_if_many and source.kind == "photo" and settings.target == "NEW",
     )
 
 

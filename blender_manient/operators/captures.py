@@ -7,10 +7,10 @@ import bpy
 from handfit_core.errors import OptionError
 
 from ..scene import captures
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
-class MANIENT_OT_hide_captures(Refuses, bpy.types.Operator):
+class MANIENT_OT_hide_captures(PollMixin, bpy.types.Operator):
     bl_idname = "manient.hide_captures"
     bl_label = "Hide Others"
     bl_description = "Hide all captures but the active one, in viewports and in renders"
@@ -20,23 +20,20 @@ class MANIENT_OT_hide_captures(Refuses, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         return cls.bl_description if properties.hide else "Show all captures of this scene again"
 
     @classmethod
     def lacks(cls, context):
-        """More than one capture."""
         return super().lacks(context) or (
             None if len(captures.captures(context.scene)) > 1 else "There are no other captures in this scene"
         )
 
     def execute(self, context):
-        """Hide or show them."""
         captures.hide_others(context.scene, self.hide)
         return {"FINISHED"}
 
 
-class MANIENT_OT_remove_capture(Refuses, bpy.types.Operator):
+class MANIENT_OT_remove_capture(PollMixin, bpy.types.Operator):
     bl_idname = "manient.remove_capture"
     bl_label = "Remove Capture"
     bl_description = (
@@ -49,7 +46,6 @@ class MANIENT_OT_remove_capture(Refuses, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Remove it."""
         found = [c for c in captures.captures(context.scene) if c.name == self.capture]
         if not found:
             raise OptionError(f"The capture {self.capture} is not in this scene any more")

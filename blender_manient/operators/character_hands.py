@@ -20,28 +20,27 @@ from handfit_core.skeleton import SIDES, other_side
 
 from ..properties import SIDE_ITEMS
 from ..scene.characters import active_character, keep_map, recognise_again, table_of, why_not_reachable
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
 _OPPOSITE = 0.02
 """How far from the mirror image of a bone's ends those of the opposite one lie at most, as a share of its
 distance from the middle"""
 
 
-class OnCharacter(Refuses):
+class CharacterOperator(PollMixin):
     """An operator, in its first part, that works on the selected character."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     @classmethod
     def lacks(cls, context):
-        """A character that may be changed."""
         armature = active_character(context)
         if armature is None:
             return "Select a character first: its armature, or a mesh that it deforms"
         return why_not_reachable(armature)
 
 
-class MANIENT_OT_recognise_hand(OnCharacter, bpy.types.Operator):
+class MANIENT_OT_recognise_hand(CharacterOperator, bpy.types.Operator):
     bl_idname = "manient.recognise_hand"
     bl_label = "Recognise Again"
     bl_description = "Let go of the table and look for this hand's bones anew"
@@ -56,7 +55,7 @@ class MANIENT_OT_recognise_hand(OnCharacter, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_copy_hand_table(OnCharacter, bpy.types.Operator):
+class MANIENT_OT_copy_hand_table(CharacterOperator, bpy.types.Operator):
     bl_idname = "manient.copy_hand_table"
     bl_label = "Copy to Other Side"
     bl_description = "Have the other hand's table name the bones that lie opposite to those of this one"
@@ -73,7 +72,7 @@ class MANIENT_OT_copy_hand_table(OnCharacter, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_save_hand_preset(OnCharacter, bpy.types.Operator, ExportHelper):
+class MANIENT_OT_save_hand_preset(CharacterOperator, bpy.types.Operator, ExportHelper):
     bl_idname = "manient.save_hand_preset"
     bl_label = "Save Preset"
     bl_description = "Write which bones are this character's hands to a file, for others of its kind"
@@ -95,7 +94,7 @@ class MANIENT_OT_save_hand_preset(OnCharacter, bpy.types.Operator, ExportHelper)
         return {"FINISHED"}
 
 
-class MANIENT_OT_load_hand_preset(OnCharacter, bpy.types.Operator, ImportHelper):
+class MANIENT_OT_load_hand_preset(CharacterOperator, bpy.types.Operator, ImportHelper):
     bl_idname = "manient.load_hand_preset"
     bl_label = "Load Preset"
     bl_description = "Read which bones are this character's hands from a file that was saved here"
@@ -119,7 +118,7 @@ class MANIENT_OT_load_hand_preset(OnCharacter, bpy.types.Operator, ImportHelper)
         return {"FINISHED"}
 
 
-class MANIENT_OT_mark_frame(OnCharacter, bpy.types.Operator):
+class MANIENT_OT_mark_frame(CharacterOperator, bpy.types.Operator):
     bl_idname = "manient.mark_frame"
     bl_label = "Mark"
     bl_description = (

@@ -16,7 +16,7 @@ from handfit_core.worker.runner import Event
 from .. import cache, details, preferences, screen, shared_worker, verification
 from ..wording import capitalised
 from . import check_mano
-from .needs_hand import Refuses, Waits
+from .mixins import PollMixin, TimerMixin
 
 TEXT_NAME = "Hand Capture Check"
 
@@ -53,7 +53,7 @@ def running() -> bool:
     return _checking is not None
 
 
-class MANIENT_OT_check_installation(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.check_installation"
     bl_label = "Check Installation"
     bl_description = (
@@ -64,15 +64,14 @@ class MANIENT_OT_check_installation(Refuses, Waits, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """The end of another check."""
         return "The check is running: Esc stops it" if running() else None
 
     def invoke(self, context, _event):
         """Check beside the window's work."""
         global _checking
-        verification.look()
+        verification.examine()
         # A process of its own: the shared one may be busy for minutes, and may be what is wrong.
-        self._worker = shared_worker.own()
+        self._worker = shared_worker.new_worker()
         self._answer: Event | None = None
         self._problem: HandfitError | None = None
         try:
@@ -80,12 +79,11 @@ class MANIENT_OT_check_installation(Refuses, Waits, bpy.types.Operator):
         except HandfitError as error:
             self._problem = error
         _checking = self._worker
-        self._tell(context, "Checking the installation of Hand Capture   Esc: Stop")
+        self._show_status(context, "Checking the installation of Hand Capture   Esc: Stop")
         screen.redraw("PREFERENCES")
-        return self._wait(context, _TICK)
+        return self._start_timer(context, _TICK)
 
     def modal(self, context, event):
-        """Wait for the answer."""
         if event.type == "ESC" and event.value == "PRESS":
             self.cancel(context)
             self.report({"INFO"}, "The check was stopped")
@@ -103,11 +101,10 @@ class MANIENT_OT_check_installation(Refuses, Waits, bpy.types.Operator):
         return self._show(*_outcome(self._worker, self._answer, self._problem))
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         global _checking
         _checking = None
         self._worker.stop()
-        self._wait_no_more(context)
+        self._stop_timer(context)
         screen.redraw("PREFERENCES")
 
     def execute(self, context):
@@ -128,8 +125,8 @@ def check(python: str | None = None) -> tuple[Result, str]:
 
     `python` captures instead of the one that the preferences choose.
     """
-    verification.look()
-    worker = shared_worker.own(python)
+    verification.examine()
+    worker = shared_worker.new_worker(python)
     answer, problem = None, None
     try:
         answer = worker.wait(worker.submit("check"), timeout=_LIMIT)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 
 from .. import cache, screen, shared_worker
-from .needs_hand import Refuses
+from .mixins import PollMixin
 
 
-class MANIENT_OT_clear_cache(Refuses, bpy.types.Operator):
+class MANIENT_OT_clear_cache(PollMixin, bpy.types.Operator):
     bl_idname = "manient.clear_cache"
     bl_label = "Clear"
     bl_description = (
@@ -19,7 +19,6 @@ class MANIENT_OT_clear_cache(Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A worker that writes nothing there."""
         worker = shared_worker.current()
         busy = worker is not None and worker.busy
         return "A capture uses these files: wait for it or cancel it" if busy else None

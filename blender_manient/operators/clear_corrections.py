@@ -11,10 +11,10 @@ from ..scene import corrections
 from ..scene.editable import why_not_editable
 from ..scene.timing import span_of
 from ..wording import counted
-from .needs_hand import OnHand, errors_reported, hand_in
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
-class MANIENT_OT_clear_corrections(OnHand, bpy.types.Operator):
+class MANIENT_OT_clear_corrections(HandOperator, bpy.types.Operator):
     bl_idname = "manient.clear_corrections"
     bl_label = "Clear Corrections"
     bl_description = "Remove pins and applied poses, and what they did to the animation"
@@ -32,20 +32,17 @@ class MANIENT_OT_clear_corrections(OnHand, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         item = properties.bl_rna.properties["scope"].enum_items[properties.scope]
         return f"{cls.bl_description}. {item.description}"
 
     @staticmethod
     def why_not(armature):
-        """Why there is nothing to clear."""
         none = None if armature.manient.corrections else "This hand has no corrections"
         return why_not_editable(armature) or none
 
     @errors_reported
     def execute(self, context):
-        """Clear them."""
-        armature, scene = hand_in(context).armature, context.scene
+        armature, scene = polled_hand(context).armature, context.scene
         elsewhere = corrections.why_elsewhere(armature)
         if elsewhere is not None and self.scope == "ALL":
             corrections.forget_corrections(armature)

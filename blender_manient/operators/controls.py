@@ -7,7 +7,7 @@ import bpy
 from ..rigs.controls import in_use
 from ..scene.controls import add_controls, bake_controls, remove_controls
 from ..scene.editable import why_not_bakeable, why_not_editable
-from .needs_hand import OnHand, errors_reported, hand_in
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
 def _why_no_bones(armature: bpy.types.Object) -> str | None:
@@ -18,7 +18,7 @@ def _why_no_bones(armature: bpy.types.Object) -> str | None:
     return why
 
 
-class MANIENT_OT_add_controls(OnHand, bpy.types.Operator):
+class MANIENT_OT_add_controls(HandOperator, bpy.types.Operator):
     bl_idname = "manient.add_controls"
     bl_label = "Add Controls"
     bl_description = (
@@ -29,17 +29,15 @@ class MANIENT_OT_add_controls(OnHand, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand without controls."""
         return super().lacks(context) or ("This hand has its controls" if _has_controls(context) else None)
 
     @errors_reported
     def execute(self, context):
-        """Add them."""
-        add_controls(hand_in(context))
+        add_controls(polled_hand(context))
         return {"FINISHED"}
 
 
-class MANIENT_OT_remove_controls(OnHand, bpy.types.Operator):
+class MANIENT_OT_remove_controls(HandOperator, bpy.types.Operator):
     bl_idname = "manient.remove_controls"
     bl_label = "Remove Controls"
     bl_description = "Take the controls away, with their keys, limits and shapes"
@@ -53,20 +51,18 @@ class MANIENT_OT_remove_controls(OnHand, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand with controls."""
         return super().lacks(context) or (None if _has_controls(context) else "This hand has no controls")
 
     @errors_reported
     def execute(self, context):
-        """Remove them."""
-        hand = hand_in(context)
+        hand = polled_hand(context)
         if self.bake and in_use(hand.armature):
             bake_controls(hand)
         remove_controls(hand)
         return {"FINISHED"}
 
 
-class MANIENT_OT_bake_controls(OnHand, bpy.types.Operator):
+class MANIENT_OT_bake_controls(HandOperator, bpy.types.Operator):
     bl_idname = "manient.bake_controls"
     bl_label = "Bake Controls"
     bl_description = (
@@ -82,10 +78,9 @@ class MANIENT_OT_bake_controls(OnHand, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Bake them."""
-        bake_controls(hand_in(context))
+        bake_controls(polled_hand(context))
         return {"FINISHED"}
 
 
 def _has_controls(context: bpy.types.Context) -> bool:
-    return bool(hand_in(context).rig.controls)
+    return bool(polled_hand(context).rig.controls)

@@ -10,10 +10,10 @@ from handfit_core.errors import OptionError
 from ..scene.confidence import errors_of
 from ..scene.markers import doubtful_ranges, filled_ranges, is_marked, mark_doubtful, next_doubtful
 from ..scene.store import scene_frames
-from .needs_hand import Refuses, errors_reported, named_hand
+from .mixins import PollMixin, errors_reported, named_hand
 
 
-class _OfNamedHand(Refuses):
+class _NamedHandOperator(PollMixin):
     """What works on the hand that a button names, in a scene that may be changed."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
@@ -25,7 +25,7 @@ class _OfNamedHand(Refuses):
     )
 
 
-class MANIENT_OT_mark_doubtful(_OfNamedHand, bpy.types.Operator):
+class MANIENT_OT_mark_doubtful(_NamedHandOperator, bpy.types.Operator):
     bl_idname = "manient.mark_doubtful"
     bl_label = "Mark Doubtful Frames"
     bl_description = "Add timeline markers where the hand may be wrong or was filled in, or remove them"
@@ -43,7 +43,7 @@ class MANIENT_OT_mark_doubtful(_OfNamedHand, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_jump_doubtful(_OfNamedHand, bpy.types.Operator):
+class MANIENT_OT_jump_doubtful(_NamedHandOperator, bpy.types.Operator):
     bl_idname = "manient.jump_doubtful"
     bl_label = "Jump to Doubtful Frame"
     bl_description = "Go to where the next or previous frames begin in which the hand may be wrong"
@@ -69,14 +69,14 @@ class MANIENT_OT_jump_doubtful(_OfNamedHand, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_jump_worst(_OfNamedHand, bpy.types.Operator):
+class MANIENT_OT_jump_worst(_NamedHandOperator, bpy.types.Operator):
     bl_idname = "manient.jump_worst"
     bl_label = "Jump to Worst Frame"
     bl_description = "Go to the frame in which the hand is likely to be farthest off"
 
     @classmethod
     def description(cls, context, properties):
-        """The tooltip, with the hand's figures."""
+        """The tooltip with the hand's figures."""
         try:
             hand = named_hand(context, properties.hand)
         except OptionError:

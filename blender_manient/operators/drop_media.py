@@ -10,7 +10,7 @@ from handfit_core.errors import HandfitError
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 
 from .. import jobs, preferences, source_info
-from ..scene.matching import Footage, said
+from ..scene.matching import Footage, scene_sentence
 from ..section import sentence
 from . import import_take
 from .capture import new_job
@@ -42,7 +42,7 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
     def invoke(self, context, _event):
         """Ask before anything starts: a drop may be meant for something else."""
         self.as_sequence = len(self.files) > 1 and sequence_numbers(self._paths()) is not None
-        self._footage = source_info.of_dropped(context.scene.manient, self._paths()[0])
+        self._footage = source_info.dropped_footage(context.scene.manient, self._paths()[0])
         return context.window_manager.invoke_props_dialog(
             self, width=_WIDTH, title="Capture Hands", confirm_text="Capture"
         )
@@ -60,7 +60,9 @@ class MANIENT_OT_drop_media(bpy.types.Operator):
         if settings.target == "NEW":
             layout.prop(settings, "matching")
             ready = settings.render_setup and settings.camera != "ACTIVE"
-            text = said(scene, settings.matching, self._footage, scene.frame_current, render_setup=ready)
+            text = scene_sentence(
+                scene, settings.matching, self._footage, scene.frame_current, render_setup=ready
+            )
             sentence(layout, context, text, "SCENE_DATA", width=_WIDTH)
 
     def execute(self, context):

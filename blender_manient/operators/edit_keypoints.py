@@ -9,7 +9,7 @@ from handfit_core.errors import OptionError
 from ..keypoint_mode import mode, view
 from ..refiner import Refiner, why_not
 from ..scene.store import active_hand
-from .needs_hand import Refuses, Waits, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.008
 """seconds between two looks at the worker"""
@@ -27,7 +27,7 @@ def running() -> bool:
     return _mode is not None
 
 
-class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.edit_keypoints"
     bl_label = "Edit Keypoints"
     bl_description = (
@@ -38,7 +38,6 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand that can be corrected."""
         return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
     @errors_reported
@@ -53,8 +52,8 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
         _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
         # So that undoing the first drag leads back to here.
         bpy.ops.ed.undo_push(message="Edit Keypoints")
-        self._tell(context, _KEYS)
-        return self._wait(context, _TICK)
+        self._show_status(context, _KEYS)
+        return self._start_timer(context, _TICK)
 
     def execute(self, _context):
         """Without a window there is nothing to drag."""
@@ -62,7 +61,6 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
         return {"CANCELLED"}
 
     def modal(self, context, event):
-        """One event."""
         if _mode is None:
             return self._end(context)
         trouble = _mode.trouble(context)
@@ -81,13 +79,12 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
         return self._between_drags(context, event, viewport)
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
     def _while_dragging(self, context, event, viewport):
         assert _mode is not None
         if event.type == "MOUSEMOVE":
-            # Those in between have been overtaken already.
+            # Moves in between have been overtaken already.
             _mode.move(viewport, event.mouse_x, event.mouse_y)
             _mode.follow(context)
         elif event.type == "LEFTMOUSE" and event.value == "RELEASE":
@@ -150,7 +147,7 @@ class MANIENT_OT_edit_keypoints(Refuses, Waits, bpy.types.Operator):
         ended, _mode = _mode, None
         if ended is not None:
             ended.end(context)
-        self._wait_no_more(context)
+        self._stop_timer(context)
         return {"FINISHED"}
 
 
@@ -171,7 +168,7 @@ def unregister(*_args) -> None:
 @bpy.app.handlers.persistent
 def _on_load(*_args) -> None:
     unregister()
-    mode.forget_sights()
+    mode.forget_views()
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": _on_load}

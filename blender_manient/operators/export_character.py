@@ -8,11 +8,11 @@ import bpy
 
 from ..properties import EXPORT_FORMATS
 from ..scene.characters import CharacterObjects, active_character, why_not_written
-from .export_hand import Exports
-from .needs_hand import Refuses
+from .export_hand import ExportOperator
+from .mixins import PollMixin
 
 
-class MANIENT_OT_export_character(Exports, Refuses, bpy.types.Operator):
+class MANIENT_OT_export_character(ExportOperator, PollMixin, bpy.types.Operator):
     bl_idname = "manient.export_character"
     bl_label = "Export Character"
     bl_description = (
@@ -30,7 +30,6 @@ class MANIENT_OT_export_character(Exports, Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A character that can be written."""
         armature = active_character(context)
         if armature is None:
             return "Select a character first: its armature, or a mesh that it deforms"

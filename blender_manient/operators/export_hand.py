@@ -19,7 +19,7 @@ from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence, split
-from .needs_hand import OnHand, errors_reported, hand_in
+from .mixins import HandOperator, errors_reported, polled_hand
 
 _OF_HANDS = "holds captured hands, no characters"
 
@@ -55,7 +55,7 @@ def format_buttons(
     return not why_not_written(EXPORTERS[getattr(data, name)], character=character)
 
 
-class Exports:
+class ExportOperator:
     """An operator, in its first part, that asks for a file and writes it; of what, those that have it say."""
 
     bl_options = {"REGISTER"}  # noqa: RUF012
@@ -109,7 +109,6 @@ class Exports:
         return True
 
     def draw(self: Any, context):
-        """Format, preset, frames."""
         layout = self.layout
         format_buttons(layout, context, self, "file_format", character=self.character)
         split(layout)
@@ -121,7 +120,6 @@ class Exports:
 
     @errors_reported
     def execute(self: Any, context):
-        """Write the file or files."""
         self._fill_in(context)
         if not self.filepath:
             raise OptionError("choose a file to export to")
@@ -180,7 +178,7 @@ class Exports:
         return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
 
 
-class MANIENT_OT_export_hand(Exports, OnHand, bpy.types.Operator):
+class MANIENT_OT_export_hand(ExportOperator, HandOperator, bpy.types.Operator):
     bl_idname = "manient.export_hand"
     bl_label = "Export Hands"
     bl_description = "Write the active hand and the others of its capture, as they are now, to a file"
@@ -194,7 +192,7 @@ class MANIENT_OT_export_hand(Exports, OnHand, bpy.types.Operator):
     )
 
     def _title(self, context):
-        return hand_in(context).collection.name
+        return polled_hand(context).collection.name
 
     def _draw_own(self, layout):
         layout.prop(self, "active_only")
@@ -208,7 +206,7 @@ class MANIENT_OT_export_hand(Exports, OnHand, bpy.types.Operator):
         return f" without {', '.join(others)}: only hands are exported, not what hangs on them"
 
     def _chosen(self, context) -> list[CapturedHand]:
-        active = hand_in(context)
+        active = polled_hand(context)
         if self.active_only:
             return [active]
         found = [hand_of(armature) for armature in captured_hands(context.scene)]

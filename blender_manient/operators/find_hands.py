@@ -13,15 +13,15 @@ from .. import jobs, shared_worker, source_info
 from ..find_mode import mode
 from ..keypoint_mode import view
 from .capture import new_job
-from .needs_hand import Refuses, Waits, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.03
 """seconds between two looks at the worker"""
-_BLENDERS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
+_PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""
 
 
-class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
+class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
     bl_idname = "manient.find_hands"
     bl_label = "Find Hands"
     bl_description = (
@@ -32,7 +32,6 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A source, and a worker that has nothing else to do."""
         if mode.current is not None:
             return "Hands are being chosen already"
         if context.scene is None or not context.scene.is_editable:
@@ -47,10 +46,10 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         viewport = view.first_viewport(context)
         if viewport is None:
             raise OptionError("Hands are chosen in a 3D viewport: open one in this window")
-        mode.current = mode.FindMode(source_of(context), viewport, context.scene.manient.source)
+        mode.current = mode.FindMode(chosen_source(context), viewport, context.scene.manient.source)
         self._panned: np.ndarray | None = None
-        self._tell(context, mode.current.keys)
-        return self._wait(context, _TICK)
+        self._show_status(context, mode.current.keys)
+        return self._start_timer(context, _TICK)
 
     def execute(self, _context):
         """Without a window there is nothing to click on."""
@@ -58,111 +57,111 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
         return {"CANCELLED"}
 
     def modal(self, context, event):
-        """One event."""
-        now = mode.current
-        if now is None:
+        session = mode.current
+        if session is None:
             return self._end(context)
-        trouble = now.trouble(context)
+        trouble = session.trouble(context)
         if trouble is not None:
             if trouble:
                 self.report({"INFO"}, trouble)
             return self._end(context)
-        now.tick(context)
-        viewport = view.viewport_at(context, now.address)
+        session.tick(context)
+        viewport = view.viewport_at(context, session.address)
         if viewport is None or event.type == "TIMER":
             return {"PASS_THROUGH"}
         mouse = viewport.mouse(event)
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
-            return self._moved(now, viewport, mouse, viewport.contains(event.mouse_x, event.mouse_y))
-        if now.sight is not None and viewport.contains(event.mouse_x, event.mouse_y):
+            return self._moved(session, viewport, mouse, viewport.contains(event.mouse_x, event.mouse_y))
+        if session.picture_view is not None and viewport.contains(event.mouse_x, event.mouse_y):
             if (factor := view.zoom_of(event)) is not None:
-                now.sight.zoom(factor, now.place(viewport, mouse), now.room(viewport))
-                now.hover(viewport, mouse)
+                session.picture_view.zoom(
+                    factor, session.picture_point(viewport, mouse), session.room(viewport)
+                )
+                session.hover(viewport, mouse)
                 viewport.area.tag_redraw()
                 return {"RUNNING_MODAL"}
             if event.type == "TRACKPADPAN":
                 by = [event.mouse_x - event.mouse_prev_x, event.mouse_y - event.mouse_prev_y]
-                now.sight.move(np.array(by, dtype=float), now.room(viewport))
+                session.picture_view.move(np.array(by, dtype=float), session.room(viewport))
                 viewport.area.tag_redraw()
                 return {"RUNNING_MODAL"}
         if event.value == "RELEASE":
-            return self._released(context, now, viewport, event)
+            return self._released(context, session, viewport, event)
         if event.value == "PRESS" and viewport.contains(event.mouse_x, event.mouse_y):
-            done = self._pressed(context, now, viewport, mouse, event)
+            done = self._pressed(context, session, viewport, mouse, event)
             viewport.area.tag_redraw()
             return done
         return {"PASS_THROUGH"}
 
     def cancel(self, context):
-        """Blender ends the operator, as on loading a file."""
         self._end(context)
 
-    def _moved(self, now, viewport, mouse, inside):
-        if self._panned is not None and now.sight is not None:
-            now.sight.move(mouse - self._panned, now.room(viewport))
+    def _moved(self, session, viewport, mouse, inside):
+        if self._panned is not None and session.picture_view is not None:
+            session.picture_view.move(mouse - self._panned, session.room(viewport))
             self._panned = mouse
-        elif now.dragged is not None:
-            now.dragged = (now.dragged[0], mouse)
-        elif not inside or not now.hover(viewport, mouse):
+        elif session.dragged is not None:
+            session.dragged = (session.dragged[0], mouse)
+        elif not inside or not session.hover(viewport, mouse):
             return {"PASS_THROUGH"}
         viewport.area.tag_redraw()
         return {"PASS_THROUGH"}
 
-    def _released(self, context, now, viewport, event):
+    def _released(self, context, session, viewport, event):
         if event.type == "MIDDLEMOUSE" and self._panned is not None:
             self._panned = None
             return {"RUNNING_MODAL"}
-        if event.type != "LEFTMOUSE" or now.dragged is None:
+        if event.type != "LEFTMOUSE" or session.dragged is None:
             return {"PASS_THROUGH"}
-        todo = now.release(viewport)
+        todo = session.release(viewport)
         viewport.area.tag_redraw()
-        return self._do(context, now, todo)
+        return self._do(context, session, todo)
 
-    def _pressed(self, context, now, viewport, mouse, event):
+    def _pressed(self, context, session, viewport, mouse, event):
         kind = event.type
         if kind == "LEFTMOUSE":
-            now.hover(viewport, mouse)
-            now.dragged = (mouse, mouse)
-        elif kind == "ESC" and now.dragged is not None:
-            now.dragged = None
+            session.hover(viewport, mouse)
+            session.dragged = (mouse, mouse)
+        elif kind == "ESC" and session.dragged is not None:
+            session.dragged = None
         elif kind == "ESC":
             return self._end(context)
         elif kind in ("RET", "NUMPAD_ENTER"):
-            return self._do(context, now, "capture")
+            return self._do(context, session, "capture")
         elif kind == "Z" and (event.ctrl or event.oskey):
-            now.message = "" if now.choice.undo() else "Nothing to undo here"
-        elif event.ctrl or event.oskey or event.alt or kind in _BLENDERS:
+            session.message = "" if session.choice.undo() else "Nothing to undo here"
+        elif event.ctrl or event.oskey or event.alt or kind in _PASS_THROUGH_KEYS:
             return {"PASS_THROUGH"}
-        elif kind in ("X", "DEL", "BACK_SPACE") and now.hovered is not None:
-            now.choice.drop(now.hovered)
-            now.hover(viewport, mouse)
-        elif kind == "S" and now.hovered is not None:
-            now.choice.turn(now.hovered)
+        elif kind in ("X", "DEL", "BACK_SPACE") and session.hovered is not None:
+            session.choice.remove(session.hovered)
+            session.hover(viewport, mouse)
+        elif kind == "S" and session.hovered is not None:
+            session.choice.flip_side(session.hovered)
         elif kind == "A":
-            now.choice.toggle_all()
-        elif now.sight is not None:
+            session.choice.toggle_all()
+        elif session.picture_view is not None:
             if kind == "MIDDLEMOUSE":
                 self._panned = mouse
             elif kind == "HOME":
-                now.sight.whole()
+                session.picture_view.show_all()
         if kind != "LEFTMOUSE":
-            now.hover(viewport, mouse)
+            session.hover(viewport, mouse)
         return {"RUNNING_MODAL"}
 
-    def _do(self, context, now, todo):
+    def _do(self, context, session, todo):
         """What a button or a key asks for; a hand is added to the picture of the chosen ones, if there are
         any."""
-        chosen = bool(now.choice.chosen)
-        if todo in ("capture", "add") and now.busy:
-            now.message = "The worker is still looking: wait a moment"
+        chosen = bool(session.choice.chosen)
+        if todo in ("capture", "add") and session.busy:
+            session.message = "The worker is still looking: wait a moment"
         elif todo == "capture" and not chosen:
-            now.message = "No hand is chosen: click one, or drag a box around one that you see"
+            session.message = "No hand is chosen: click one, or drag a box around one that you see"
         elif todo:
             try:
                 if todo != "leave" and chosen:
-                    capture_chosen(context, adds=todo == "add")
+                    capture_chosen(context, then_add_hand=todo == "add")
             except HandfitError as error:
-                now.message = str(error)
+                session.message = str(error)
                 return {"RUNNING_MODAL"}
             ended = self._end(context)
             if jobs.busy():
@@ -174,11 +173,11 @@ class MANIENT_OT_find_hands(Refuses, Waits, bpy.types.Operator):
 
     def _end(self, context):
         unregister()
-        self._wait_no_more(context)
+        self._stop_timer(context)
         return {"FINISHED"}
 
 
-class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
+class MANIENT_OT_capture_found(PollMixin, bpy.types.Operator):
     bl_idname = "manient.capture_found"
     bl_label = "Capture Chosen Hands"
     bl_description = "Capture the hands that are chosen in the picture, and no others"
@@ -186,7 +185,6 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """A hand that is chosen, and an end of the search."""
         if mode.current is not None and mode.current.busy:
             return "The worker is still looking: wait a moment"
         chosen = mode.current is not None and mode.current.choice.chosen
@@ -201,15 +199,15 @@ class MANIENT_OT_capture_found(Refuses, bpy.types.Operator):
         return {"FINISHED"}
 
 
-def capture_chosen(context: bpy.types.Context, *, adds: bool = False) -> None:
-    """Queue a capture of the hands that are chosen; `adds`: as of a job. Raises HandfitError."""
+def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -> None:
+    """Queue a capture of the hands that are chosen; `then_add_hand`: as of a job. Raises HandfitError."""
     assert mode.current is not None
     job = new_job(context, only_frame=False, regions=mode.current.regions())
-    job.adds = adds
+    job.then_add_hand = then_add_hand
     jobs.submit(job)
 
 
-def source_of(context: bpy.types.Context) -> mode.Source:
+def chosen_source(context: bpy.types.Context) -> mode.Source:
     """What the panel's settings name, at the frame that the scene shows. Raises HandfitError."""
     settings, job = context.scene.manient, new_job(context, only_frame=False)
     info = source_info.of(settings)

@@ -10,14 +10,14 @@ from mathutils import Matrix
 
 from ..properties import SIDE_ITEMS
 from ..scene.characters import active_character, hand_map_of
-from .character_hands import OnCharacter
-from .needs_hand import errors_reported, select_alone
+from .character_hands import CharacterOperator
+from .mixins import errors_reported, select_alone
 
 _LENGTH = 0.5
 """of the handle's arrows, as a share of the hand's own bone"""
 
 
-class MANIENT_OT_add_hand_offset(OnCharacter, bpy.types.Operator):
+class MANIENT_OT_add_hand_offset(CharacterOperator, bpy.types.Operator):
     bl_idname = "manient.add_hand_offset"
     bl_label = "Offset"
     bl_description = (
@@ -29,7 +29,6 @@ class MANIENT_OT_add_hand_offset(OnCharacter, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Add or select it."""
         armature: Any = active_character(context)
         own = getattr(armature.manient.character, self.side)
         handle = own.offset

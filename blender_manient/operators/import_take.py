@@ -11,13 +11,13 @@ from .. import screen
 from ..properties import MATCHING, POSE_CORRECTIVES
 from ..scene.build import build_take
 from ..scene.captures import comes_in_front
-from ..scene.matching import Footage, matches, said
+from ..scene.matching import Footage, matches, scene_sentence
 from ..scene.surroundings import clear_view
 from ..section import sentence
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
-class MANIENT_OT_import_take(Refuses, bpy.types.Operator, ImportHelper):
+class MANIENT_OT_import_take(PollMixin, bpy.types.Operator, ImportHelper):
     bl_idname = "manient.import_take"
     bl_label = "Import Hand Take"
     bl_description = "Build the rigged, animated hands and the camera of a captured take"
@@ -55,7 +55,9 @@ class MANIENT_OT_import_take(Refuses, bpy.types.Operator, ImportHelper):
         layout.prop(self, "matching")
         # After the import the scene is another one, which the choice is not about.
         if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
-            text = said(scene, self.matching, None, scene.frame_current, render_setup=self.render_setup)
+            text = scene_sentence(
+                scene, self.matching, None, scene.frame_current, render_setup=self.render_setup
+            )
             sentence(layout, context, text, "SCENE_DATA")
 
     @errors_reported
@@ -79,7 +81,7 @@ class MANIENT_OT_import_take(Refuses, bpy.types.Operator, ImportHelper):
             screen.look_through_camera(context)
         for warning in warnings:
             self.report({"WARNING"}, warning)
-        self.report({"INFO"}, said(context.scene, self.matching, footage, frame, done=matched))
+        self.report({"INFO"}, scene_sentence(context.scene, self.matching, footage, frame, done=matched))
         return {"FINISHED"}
 
 

@@ -6,11 +6,11 @@ import bpy
 
 from ..scene.editable import strip_below, why_not_editable
 from ..scene.layer import add_layer, end_layer
-from .needs_hand import errors_reported
-from .simplify_keys import OnKeys, armature_of
+from .mixins import errors_reported
+from .simplify_keys import KeysOperator, armature_of
 
 
-class MANIENT_OT_add_key_layer(OnKeys, bpy.types.Operator):
+class MANIENT_OT_add_key_layer(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.add_key_layer"
     bl_label = "Layer for Changes"
     bl_description = (
@@ -26,7 +26,7 @@ class MANIENT_OT_add_key_layer(OnKeys, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_end_key_layer(OnKeys, bpy.types.Operator):
+class MANIENT_OT_end_key_layer(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.end_key_layer"
     bl_label = "End Layer"
     bl_description = "Make the motion the active action again"
@@ -37,19 +37,16 @@ class MANIENT_OT_end_key_layer(OnKeys, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.merge:
             return "Put the layer's changes into the motion's keys"
         return "Take the layer and its changes away; the motion is as it was"
 
     @staticmethod
     def why_not(armature):
-        """Why there is no layer."""
         none = None if strip_below(armature) is not None else "This hand has no layer on top of its motion"
         return why_not_editable(armature) or none
 
     @errors_reported
     def execute(self, context):
-        """Take the layer away."""
         end_layer(armature_of(context), merge=self.merge)
         return {"FINISHED"}

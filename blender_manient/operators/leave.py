@@ -7,18 +7,18 @@ import bpy
 from .. import screen
 from ..find_mode import mode as find_mode
 from . import add_hand, find_hands
-from .needs_hand import Refuses
-from .refit_range import FitsRange
+from .mixins import PollMixin
+from .refit_range import RangeFitOperator
 
 _LEAVE = {
     "FIND": lambda: find_hands.unregister(),
     "ADD": lambda: add_hand.unregister(),
-    "FIT": lambda: FitsRange.stop(),
+    "FIT": lambda: RangeFitOperator.stop(),
 }
 """Ends each; its operator finds out with its next event"""
 
 
-class MANIENT_OT_leave(Refuses, bpy.types.Operator):
+class MANIENT_OT_leave(PollMixin, bpy.types.Operator):
     bl_idname = "manient.leave"
     bl_label = "Leave"
     bl_description = "End this without changing anything, as Esc does"
@@ -30,12 +30,10 @@ class MANIENT_OT_leave(Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, _context):
-        """Something that can be left."""
-        begun = find_mode.current is not None or add_hand.running() or FitsRange.running
+        begun = find_mode.current is not None or add_hand.running() or RangeFitOperator.running
         return None if begun else "Nothing is under way"
 
     def execute(self, _context):
-        """End it."""
         _LEAVE[self.what]()
         screen.redraw("VIEW_3D")
         return {"FINISHED"}

@@ -8,14 +8,14 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
 from ..rigs.controls import with_moved
 from ..scene.store import CapturedHand
-from .needs_hand import OnHand, hand_in
+from .mixins import HandOperator, polled_hand
 
 _FINGER_ITEMS = tuple(
     (f.upper(), f.capitalize(), f"The joints of the {f} finger") for f in FINGERS if f != "thumb"
 )
 
 
-class MANIENT_OT_lock_joints(OnHand, bpy.types.Operator):
+class MANIENT_OT_lock_joints(HandOperator, bpy.types.Operator):
     bl_idname = "manient.lock_joints"
     bl_label = "Lock Joints"
     bl_description = "Keep joints as they are when the hand is fitted again"
@@ -36,14 +36,12 @@ class MANIENT_OT_lock_joints(OnHand, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.lock:
             return cls.bl_description + ": the bones selected in Pose mode, else all"
         return "Let refining move joints again: the bones selected in Pose mode, else all"
 
     def execute(self, context):
-        """Lock or unlock."""
-        hand = hand_in(context)
+        hand = polled_hand(context)
         chosen = self._chosen(context, hand)
         if not chosen:
             self.report({"ERROR"}, "No bone of this hand is selected: select some in Pose mode")

@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 
 from ..scene.mirror import mirror_hand
-from .needs_hand import OnHand, errors_reported, hand_in, select_alone
+from .mixins import HandOperator, errors_reported, polled_hand, select_alone
 
 
-class MANIENT_OT_mirror_hand(OnHand, bpy.types.Operator):
+class MANIENT_OT_mirror_hand(HandOperator, bpy.types.Operator):
     bl_idname = "manient.mirror_hand"
     bl_label = "Mirror Hand"
     bl_description = (
@@ -19,7 +19,7 @@ class MANIENT_OT_mirror_hand(OnHand, bpy.types.Operator):
     @errors_reported
     def execute(self, context):
         """Build it and make it the active object."""
-        armature = mirror_hand(hand_in(context))
+        armature = mirror_hand(polled_hand(context))
         if context.mode == "OBJECT" and armature.name in context.view_layer.objects:
             select_alone(context, armature)
         return {"FINISHED"}

@@ -11,13 +11,13 @@ from handfit_core.skeleton import NUM_KEYPOINTS
 from .. import shared_worker
 from ..refiner import Refiner, why_not
 from ..scene.store import active_hand, hand_of
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
-_PATIENCE = 120.0
+_TIMEOUT_SECONDS = 120.0
 """seconds; the first answer may wait for the worker to start"""
 
 
-class MANIENT_OT_move_keypoint(Refuses, bpy.types.Operator):
+class MANIENT_OT_move_keypoint(PollMixin, bpy.types.Operator):
     bl_idname = "manient.move_keypoint"
     bl_label = "Move Keypoint"
     bl_description = "Pin a point of the hand to a place in the picture and fit the hand to it again"
@@ -56,7 +56,7 @@ class MANIENT_OT_move_keypoint(Refuses, bpy.types.Operator):
         if pins or refiner.touches(row):
             fields = refiner.request([row], [pins], refiner.start_poses([row]))()
             worker = shared_worker.worker()
-            poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_PATIENCE))
+            poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_TIMEOUT_SECONDS))
             if not poses.present[0]:
                 raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
             refiner.correct(row, pins, poses, context.scene.manient.spread)

@@ -8,7 +8,7 @@ from handfit_core.errors import OutputError
 from handfit_core.files import shown, why
 
 from .. import plugins
-from .needs_hand import errors_reported
+from .mixins import errors_reported
 
 
 class MANIENT_OT_open_plugins(bpy.types.Operator):

@@ -6,10 +6,10 @@ import bpy
 
 from ..scene.editable import why_not_editable
 from ..scene.origin import origin_to_wrist, why_not_at_wrist
-from .needs_hand import OnHand, errors_reported, hand_in
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
-class MANIENT_OT_origin_to_wrist(OnHand, bpy.types.Operator):
+class MANIENT_OT_origin_to_wrist(HandOperator, bpy.types.Operator):
     bl_idname = "manient.origin_to_wrist"
     bl_label = "Origin to Wrist"
     bl_description = (
@@ -24,6 +24,5 @@ class MANIENT_OT_origin_to_wrist(OnHand, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Move it."""
-        origin_to_wrist(hand_in(context))
+        origin_to_wrist(polled_hand(context))
         return {"FINISHED"}

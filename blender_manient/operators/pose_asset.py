@@ -11,10 +11,10 @@ from ..blender_versions import channels, new_slot
 from ..scene.controls import rotations_now
 from ..scene.keys import PoseKeys, write_pose_keys
 from ..scene.poses import keep_pose, posable_hands, why_not_posable
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
-class MANIENT_OT_save_pose_asset(Refuses, bpy.types.Operator):
+class MANIENT_OT_save_pose_asset(PollMixin, bpy.types.Operator):
     bl_idname = "manient.save_pose_asset"
     bl_label = "Save Pose Asset"
     bl_description = (
@@ -35,11 +35,9 @@ class MANIENT_OT_save_pose_asset(Refuses, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        """A hand, which stays as it is."""
         return why_not_posable(context, reading=True)
 
     def invoke(self, context, event):
-        """Ask for the name."""
         return context.window_manager.invoke_props_dialog(self)
 
     @errors_reported

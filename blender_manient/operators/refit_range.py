@@ -15,7 +15,7 @@ from handfit_core.slices import slice_clock
 from .. import details, screen, shared_worker
 from ..refiner import Refiner, smoothing_of, why_not
 from ..scene import spans
-from ..scene.build import Watch
+from ..scene.build import ChangeWatch
 from ..scene.corrections import corrections_of
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import active_hand, scene_frames
@@ -23,25 +23,25 @@ from ..scene.timing import span_of
 from ..section import sentence
 from ..wording import counted
 from . import edit_keypoints
-from .needs_hand import Refuses, Waits, errors_reported
+from .mixins import PollMixin, TimerMixin, errors_reported
 
 _TICK = 0.02
 _SLICE = 0.02
 """seconds that one tick may write keys; a bone is written at once, whatever it takes"""
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
-_LONG = (
+_LONGEST_SUMMARY = (
     "Fits 1000 frames again. Replaces 1000 keys set by hand, on 100 frames and 10 applied poses. The points "
     "of 100 corrected frames stay"
 )
-"""So much room the dialog has for what it says, that its buttons stay where they are"""
+"""The dialog reserves room for this summary, so that its buttons stay where they are"""
 _MARGIN = 0.5
 """seconds before and after the range that are fitted too, so that motion leads smoothly into it, but not
 written"""
 
 
-class Work(Protocol):
-    """What is asked of the worker, and what becomes of it."""
+class FitTask(Protocol):
+    """A range of frames on its way through the worker."""
 
     count: int
     """frames"""
@@ -60,8 +60,8 @@ class Work(Protocol):
         ...
 
 
-class FitsRange(Refuses, Waits):
-    """An operator, in its first part, that asks for a range of frames and has the worker fit them."""
+class RangeFitOperator(PollMixin, TimerMixin):
+    """The base of operators that ask for a range of frames and have the worker fit them."""
 
     bl_idname: str
     bl_label: str
@@ -84,22 +84,21 @@ class FitsRange(Refuses, Waits):
         description="The range was asked for already", options={"HIDDEN", "SKIP_SAVE"}
     )
 
-    doing = "Re-fitting"
+    progress_text = "Re-fitting"
     """What is said while it works"""
 
     _dialog = False
     """Whether this instance asks for the range"""
-    _said: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
-    """What was asked for last and what would be done, so that drawing again costs nothing"""
+    _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
+    """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
     running = ""
     """The operator by which a range is being fitted"""
     can_stop = False
-    """Whether that can be stopped still, so that nothing is changed"""
+    """Whether the fit can still be stopped before anything is changed"""
 
     @classmethod
     def lacks(cls, context):
-        """A hand that can be fitted again."""
-        if FitsRange.running:
+        if RangeFitOperator.running:
             return "A range is being fitted already"
         if edit_keypoints.running():
             return "Leave Edit Keypoints first"
@@ -113,11 +112,11 @@ class FitsRange(Refuses, Waits):
             try:
                 operator = getattr(bpy.ops.manient, type(self).bl_idname.removeprefix("manient."))
                 wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
-                operator("INVOKE_DEFAULT", **wanted, **self.again())
+                operator("INVOKE_DEFAULT", **wanted, **self.other_properties())
             except RuntimeError as error:  # its own report
                 self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
             return {"CANCELLED"}
-        work = self.work(context)
+        work = self.make_task(context)
         worker = shared_worker.worker()
         work.received(worker.wait(worker.submit("refit", **work.fields())))
         for _ in work.writing():
@@ -133,20 +132,20 @@ class FitsRange(Refuses, Waits):
             return context.window_manager.invoke_props_dialog(
                 self, width=_WIDTH, title=self.bl_label, confirm_text=self.bl_label
             )
-        self._work = self.work(context)
+        self._work = self.make_task(context)
         self._request = 0
         self._writing: Iterator[float] | None = None
-        self._watch = Watch()
+        self._watch = ChangeWatch()
         self._began = time.monotonic()
-        FitsRange.running, FitsRange.can_stop = type(self).bl_idname, True
-        return self._wait(context, _TICK)
+        RangeFitOperator.running, RangeFitOperator.can_stop = type(self).bl_idname, True
+        return self._start_timer(context, _TICK)
 
     @staticmethod
     def stop() -> None:
         """Stop what is being fitted, as long as nothing is written."""
-        FitsRange.can_stop = False
+        RangeFitOperator.can_stop = False
 
-    def work(self, context) -> Work:
+    def make_task(self, context) -> FitTask:
         """What is to be done. Raises HandfitError."""
         raise NotImplementedError
 
@@ -154,12 +153,12 @@ class FitsRange(Refuses, Waits):
         """Set the range that is likely meant."""
         self.first, self.last = suggested_range(context)
 
-    def again(self) -> dict[str, Any]:
-        """What else than the range the dialog has asked for."""
+    def other_properties(self) -> dict[str, Any]:
+        """The values of the properties beside the range, for running the operator from its dialog."""
         return {}
 
-    def told(self, work: Any) -> tuple[str, str]:
-        """Kind and words of the report at the end."""
+    def report_text(self, work: Any) -> tuple[str, str]:
+        """The kind and the text of the report at the end."""
         return "INFO", f"{counted(work.fitted, 'frame')} fitted again"
 
     def check(self, _context):
@@ -168,22 +167,24 @@ class FitsRange(Refuses, Waits):
 
     def draw(self, context):
         """The range, and what would be done there."""
-        self.ask()
+        self.draw_properties()
         row = self.layout.row(align=True)
         row.prop(self, "first")
         row.prop(self, "last")
-        asked = (self.first, self.last, *self.again().values())
-        if self._said is None or self._said[0] != asked:
-            self._said = asked, self.said(context)
-        said, alert = self._said[1]
+        asked = (self.first, self.last, *self.other_properties().values())
+        if self._summary is None or self._summary[0] != asked:
+            self._summary = asked, self.summary(context)
+        summary, alert = self._summary[1]
         icon = "ERROR" if alert else "INFO"
-        sentence(self.layout, context, said, icon, alert=alert, width=_WIDTH, least=[_LONG])
+        sentence(
+            self.layout, context, summary, icon, alert=alert, width=_WIDTH, reserve_for=[_LONGEST_SUMMARY]
+        )
 
-    def ask(self):
-        """Draw what else is asked for."""
+    def draw_properties(self):
+        """Draw the properties beside the range."""
 
-    def said(self, context) -> tuple[str, bool]:
-        """What would be done, in words, and whether they are a warning."""
+    def summary(self, context) -> tuple[str, bool]:
+        """A sentence about what would be done, and whether it is a warning."""
         raise NotImplementedError
 
     def modal(self, context, event):
@@ -192,8 +193,8 @@ class FitsRange(Refuses, Waits):
             if self._watch.changed:
                 raise OptionError("re-fitting was stopped by an undo: nothing more was changed")
             if event.type == "ESC" and event.value == "PRESS":
-                FitsRange.stop()
-            if not FitsRange.can_stop and self._writing is None:
+                RangeFitOperator.stop()
+            if not RangeFitOperator.can_stop and self._writing is None:
                 self.report({"INFO"}, "Re-fitting was stopped; nothing was changed")
                 self._end(context)
                 return {"CANCELLED"}
@@ -223,7 +224,7 @@ class FitsRange(Refuses, Waits):
         if self._writing is not None:
             is_over = slice_clock(_SLICE)
             for part in self._writing:
-                self._tell(context, f"Writing keys  {part:.0%}")
+                self._show_status(context, f"Writing keys  {part:.0%}")
                 if is_over():
                     return False
             return True
@@ -233,28 +234,30 @@ class FitsRange(Refuses, Waits):
         if done is not None:
             self._request = 0
             self._work.received(done)
-            self._writing, FitsRange.can_stop = self._work.writing(), False
+            self._writing, RangeFitOperator.can_stop = self._work.writing(), False
             screen.redraw_sidebars()
             return False
         spent = time.monotonic() - self._began
-        self._tell(context, f"{self.doing}: {self._work.count} frames  {spent:.0f} s   Esc: Stop")
+        self._show_status(
+            context, f"{self.progress_text}: {self._work.count} frames  {spent:.0f} s   Esc: Stop"
+        )
         return False
 
-    def _finished(self, context, work: Work):
+    def _finished(self, context, work: FitTask):
         scene = context.scene
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        kind, text = self.told(work)
+        kind, text = self.report_text(work)
         self.report({kind}, text)
         return {"FINISHED"}
 
     def _end(self, context) -> None:
-        FitsRange.running, FitsRange.can_stop = "", False
-        self._watch.leave()
+        RangeFitOperator.running, RangeFitOperator.can_stop = "", False
+        self._watch.stop()
         if self._request:
             shared_worker.worker().cancel(self._request)
             shared_worker.abandon(self._request)
             self._request = 0
-        self._wait_no_more(context)
+        self._stop_timer(context)
         screen.redraw("VIEW_3D")
 
     def rows(self, context, refiner: Refiner) -> np.ndarray:
@@ -274,7 +277,7 @@ class FitsRange(Refuses, Waits):
         return rows
 
 
-class MANIENT_OT_refit_range(FitsRange, bpy.types.Operator):
+class MANIENT_OT_refit_range(RangeFitOperator, bpy.types.Operator):
     bl_idname = "manient.refit_range"
     bl_label = "Re-fit Range"
     bl_description = (
@@ -282,12 +285,10 @@ class MANIENT_OT_refit_range(FitsRange, bpy.types.Operator):
         "Asks for the range first, and says what keys of your own it would replace"
     )
 
-    def work(self, context):
-        """The frames of the range, and some around."""
-        return RangeWork(context, self.rows)
+    def make_task(self, context):
+        return RefitTask(context, self.rows)
 
-    def said(self, context):
-        """What would be replaced."""
+    def summary(self, context):
         return replaced(context, self.first, self.last)
 
 
@@ -318,10 +319,10 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
     poses, points = sum(c.posed for c in corrected), sum(bool(c.pins or c.touches) for c in corrected)
     lost = [f"{counted(keys, 'key')} set by hand, on {counted(frames, 'frame')}"] if keys else []
     lost += [counted(poses, "applied pose")] if poses else []
-    said = f"Fits {counted(len(rows), 'frame')} again. "
-    said += f"Replaces {' and '.join(lost)}" if lost else "Replaces no key set by hand"
-    said += f". The points of {counted(points, 'corrected frame')} stay" if points else ""
-    return said, bool(lost)
+    summary = f"Fits {counted(len(rows), 'frame')} again. "
+    summary += f"Replaces {' and '.join(lost)}" if lost else "Replaces no key set by hand"
+    summary += f". The points of {counted(points, 'corrected frame')} stay" if points else ""
+    return summary, bool(lost)
 
 
 def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
@@ -329,8 +330,8 @@ def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
     return np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
 
 
-class RangeWork:
-    """What is asked of the worker, and what becomes of it."""
+class RefitTask:
+    """The frames of a range, and some around, fitted over time with their pins, touches and locks."""
 
     def __init__(self, context, rows_of: Callable[[Any, Refiner], np.ndarray]) -> None:
         hand = active_hand(context)
@@ -342,22 +343,22 @@ class RangeWork:
         numbers = np.asarray(self.refiner.take.frame_numbers)
         margin = _MARGIN * self.refiner.take.fps
         near = (numbers >= numbers[rows[0]] - margin) & (numbers <= numbers[rows[-1]] + margin)
-        self._asked = np.flatnonzero(near)
-        self._wanted = np.isin(self._asked, rows)
+        self._fit_rows = np.flatnonzero(near)
+        self._is_written = np.isin(self._fit_rows, rows)
         self.fields = self._request(smoothing_of(context.scene, hand.armature))
 
     def _request(self, smoothing: float) -> Callable[[], dict[str, Any]]:
-        field, rows = corrections_of(self.refiner.armature), self._asked.tolist()
+        field, rows = corrections_of(self.refiner.armature), self._fit_rows.tolist()
         pins = [field.pins(self.refiner.source_frame(row)) for row in rows]
         poses = self.refiner.keyed_poses(rows)
         return self.refiner.request(rows, pins, poses, mode="range", smoothing=smoothing)
 
     def received(self, done: dict[str, Any]) -> None:
         """The worker's answer."""
-        poses = self.refiner.poses(done, len(self._asked))
+        poses = self.refiner.poses(done, len(self._fit_rows))
         # What was fitted only to lead into the range is left alone.
-        poses.quats[~self._wanted] = np.nan
-        poses.locations[~self._wanted] = np.nan
+        poses.quats[~self._is_written] = np.nan
+        poses.locations[~self._is_written] = np.nan
         self.fitted = int(poses.present.sum())
         if self.fitted == 0:
             raise OptionError("no hand can be fitted in this range: nothing was detected or pinned there")
@@ -365,4 +366,4 @@ class RangeWork:
 
     def writing(self) -> Iterator[float]:
         """Write the keys; yields how much is done."""
-        return self.refiner.replacing(self._asked.tolist(), self._poses)
+        return self.refiner.replacing(self._fit_rows.tolist(), self._poses)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import bpy
 
 from ..scene.reshape import reset
-from .needs_hand import OnHand, errors_reported, hand_in
+from .mixins import HandOperator, errors_reported, polled_hand
 
 
-class MANIENT_OT_reset_shape(OnHand, bpy.types.Operator):
+class MANIENT_OT_reset_shape(HandOperator, bpy.types.Operator):
     bl_idname = "manient.reset_shape"
     bl_label = "Reset Shape"
     bl_description = "Give the hand the proportions back that it was captured with"
@@ -16,5 +16,5 @@ class MANIENT_OT_reset_shape(OnHand, bpy.types.Operator):
     @errors_reported
     def execute(self, context):
         """Set the sliders, and reshape within the same undo step."""
-        reset(hand_in(context))
+        reset(polled_hand(context))
         return {"FINISHED"}

@@ -7,10 +7,10 @@ import bpy
 from ..scene.retime import other_rate, put_rate_back, retime
 from ..wording import counted
 from . import edit_keypoints
-from .needs_hand import Refuses, errors_reported, named_hand
+from .mixins import PollMixin, errors_reported, named_hand
 
 
-class MANIENT_OT_retime(Refuses, bpy.types.Operator):
+class MANIENT_OT_retime(PollMixin, bpy.types.Operator):
     bl_idname = "manient.retime"
     bl_label = "Retime Hand"
     bl_description = (
@@ -28,7 +28,6 @@ class MANIENT_OT_retime(Refuses, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip."""
         if properties.back:
             return "Give the scene the frame rate back that this hand was built for"
         return cls.bl_description

@@ -7,7 +7,7 @@ import bpy
 from handfit_core.errors import OptionError
 
 from ..scene.store import hand_of
-from .needs_hand import errors_reported, select_alone
+from .mixins import errors_reported, select_alone
 
 
 class MANIENT_OT_select_hand(bpy.types.Operator):

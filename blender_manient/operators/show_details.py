@@ -7,10 +7,10 @@ from typing import Any
 import bpy
 
 from .. import details
-from .needs_hand import Refuses
+from .mixins import PollMixin
 
 
-class _OfText:
+class _TextOperator:
     """What works on one of the file's text blocks."""
 
     bl_options = {"INTERNAL"}  # noqa: RUF012
@@ -29,14 +29,13 @@ class _OfText:
         return {"FINISHED"}
 
 
-class MANIENT_OT_copy_details(Refuses, _OfText, bpy.types.Operator):
+class MANIENT_OT_copy_details(PollMixin, _TextOperator, bpy.types.Operator):
     bl_idname = "manient.copy_details"
     bl_label = "Copy Details"
     bl_description = "Copy the text with the details to the clipboard, for a bug report"
 
     @classmethod
     def lacks(cls, _context):
-        """A clipboard."""
         return "There is no clipboard without a window" if bpy.app.background else None
 
     def _show(self, context: bpy.types.Context, text: bpy.types.Text) -> None:
@@ -44,7 +43,7 @@ class MANIENT_OT_copy_details(Refuses, _OfText, bpy.types.Operator):
         self.report({"INFO"}, "Copied to the clipboard")
 
 
-class MANIENT_OT_show_details(_OfText, bpy.types.Operator):
+class MANIENT_OT_show_details(_TextOperator, bpy.types.Operator):
     bl_idname = "manient.show_details"
     bl_label = "Show Details"
     bl_description = "Open the text with the details in a Text Editor"

@@ -7,17 +7,16 @@ import bpy
 from .. import key_preview
 from ..scene.editable import why_not_keyable
 from ..scene.simplify import hands_to_simplify, kept_action, restore, write
-from .needs_hand import Refuses, errors_reported
+from .mixins import PollMixin, errors_reported
 
 
-class OnKeys(Refuses):
+class KeysOperator(PollMixin):
     """An operator on the keys of the active captured hand, or of the active character's hands."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     @classmethod
     def lacks(cls, context):
-        """A hand whose keys can be changed."""
         armature = armature_of(context)
         if armature is None:
             return "Select a captured hand, or a character whose hands are known"
@@ -27,7 +26,6 @@ class OnKeys(Refuses):
 
     @staticmethod
     def why_not(armature: bpy.types.Object) -> str | None:
-        """Why its keys cannot be changed."""
         return why_not_keyable(armature)
 
 
@@ -37,7 +35,7 @@ def armature_of(context: bpy.types.Context) -> bpy.types.Object | None:
     return hands[0].rig.armature if hands else None
 
 
-class MANIENT_OT_simplify_keys(OnKeys, bpy.types.Operator):
+class MANIENT_OT_simplify_keys(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.simplify_keys"
     bl_label = "Simplify"
     bl_description = (
@@ -47,7 +45,6 @@ class MANIENT_OT_simplify_keys(OnKeys, bpy.types.Operator):
 
     @errors_reported
     def execute(self, context):
-        """Thin out the keys."""
         found = key_preview.found_now(context)
         armature = found[0].hand.rig.armature
         write(armature, found)
@@ -60,7 +57,7 @@ class MANIENT_OT_simplify_keys(OnKeys, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class MANIENT_OT_restore_keys(OnKeys, bpy.types.Operator):
+class MANIENT_OT_restore_keys(KeysOperator, bpy.types.Operator):
     bl_idname = "manient.restore_keys"
     bl_label = "All Keys"
     bl_description = (
@@ -70,7 +67,6 @@ class MANIENT_OT_restore_keys(OnKeys, bpy.types.Operator):
 
     @staticmethod
     def why_not(armature):
-        """Why there is nothing to go back to."""
         none = None if kept_action(armature) is not None else "This hand has all its keys"
         return why_not_keyable(armature) or none
 

@@ -16,19 +16,19 @@ from ..scene.own_keys import captured_poses
 from ..scene.smoothing import smoothed, writing
 from ..scene.store import active_hand
 from ..wording import capitalised, counted
-from .needs_hand import hand_in
-from .refit_range import FitsRange, RangeWork
+from .mixins import polled_hand
+from .refit_range import RangeFitOperator, RefitTask
 
-_AFTER_CHANGE = 0.3
+_QUIET_SECONDS = 0.3
 """seconds for which the slider rests before the motion is smoothed"""
-_AGAIN = 0.1
+_RETRY_SECONDS = 0.1
 """seconds after which is looked again whether another fit is over"""
 
 _wanted: tuple[int, float] | None = None
 """The hand, by its armature's session_uid, and what its slider was moved to and its keys do not have yet"""
 
 
-class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
+class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
     bl_idname = "manient.smooth_motion"
     bl_label = "Smooth Motion"
     bl_description = (
@@ -36,50 +36,47 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
         "that you corrected, posed or keyed stay as they are; keys around lead there over Spread. Works on "
         "the preview range where it is used, else on all frames"
     )
-    doing = "Smoothing"
+    progress_text = "Smoothing"
 
     strength: bpy.props.FloatProperty(  # type: ignore
-        name="Smoothing", soft_max=3.0, options={"SKIP_SAVE"}, **properties.of_option("smoothing")
+        name="Smoothing", soft_max=3.0, options={"SKIP_SAVE"}, **properties.option_property("smoothing")
     )
 
     @classmethod
     def lacks(cls, context):
-        """A hand whose keypoints are kept."""
         hand = active_hand(context)
         why = why_not_smoothable(hand) if hand is not None else None
         return capitalised(why) if why is not None else super().lacks(context)
 
-    def work(self, context):
-        """The frames of the range, and some around."""
+    def make_task(self, context):
         strength = self.strength
         if not self.properties.is_property_set("strength"):
-            strength = smoothing_of(context.scene, hand_in(context).armature)
-        return _Work(context, self.rows, strength)
+            strength = smoothing_of(context.scene, polled_hand(context).armature)
+        return _SmoothTask(context, self.rows, strength)
 
     def suggest(self, context):
         """All frames, or the preview range."""
-        refiner = Refiner(hand_in(context).armature)
+        refiner = Refiner(polled_hand(context).armature)
         places = refiner.scene_frames()[self.rows(context, refiner)]
         self.first, self.last = int(np.ceil(places[0])), int(places[-1])
         if not self.properties.is_property_set("strength"):
-            self.strength = smoothing_of(context.scene, hand_in(context).armature)
+            self.strength = smoothing_of(context.scene, polled_hand(context).armature)
 
-    def ask(self):
-        """The strength."""
+    def draw_properties(self):
         self.layout.prop(self, "strength", slider=True)
 
-    def said(self, context):
-        """How much it is."""
+    def summary(self, context):
+        """How many frames would be smoothed."""
         try:
-            count = len(self.rows(context, Refiner(hand_in(context).armature)))
+            count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         except HandfitError as error:
             return capitalised(str(error)), True
         return f"Smooths {counted(count, 'frame')}; what you corrected or keyed stays", False
 
-    def again(self) -> dict[str, Any]:
+    def other_properties(self) -> dict[str, Any]:
         return {"strength": self.strength}
 
-    def told(self, work: _Work) -> tuple[str, str]:
+    def report_text(self, work: _SmoothTask) -> tuple[str, str]:
         kept = work.count - work.fitted
         left = f", {kept} left as they were" if kept else ""
         return "INFO", f"{counted(work.fitted, 'frame')} smoothed{left}"
@@ -98,8 +95,8 @@ class MANIENT_OT_smooth_motion(FitsRange, bpy.types.Operator):
             _wanted = None
 
 
-class _Work(RangeWork):
-    """What is asked of the worker, and what becomes of it."""
+class _SmoothTask(RefitTask):
+    """The motion of a range, fitted anew to the capture's keypoints with another strength of smoothing."""
 
     def __init__(self, context, rows_of, strength: float) -> None:
         self._strength, self._spread = strength, context.scene.manient.spread
@@ -107,9 +104,9 @@ class _Work(RangeWork):
 
     def _request(self, smoothing: float):
         # From the captured poses: what comes out does not depend on what was smoothed before.
-        rows = self._asked.tolist()
+        rows = self._fit_rows.tolist()
         poses, locked = self.refiner.keyed_poses(rows), np.array(self.refiner.armature.manient.locked)
-        quats, locations = captured_poses(self.refiner.hand, self._asked)
+        quats, locations = captured_poses(self.refiner.hand, self._fit_rows)
         poses.quats[:, ~locked] = quats[:, ~locked]
         if not locked[0]:
             poses.locations[:] = locations
@@ -118,8 +115,8 @@ class _Work(RangeWork):
 
     def received(self, done: dict[str, Any]) -> None:
         """The worker's answer."""
-        poses = self.refiner.poses(done, len(self._asked))
-        args = self.refiner.hand, self._asked, self._wanted, poses.quats, poses.locations
+        poses = self.refiner.poses(done, len(self._fit_rows))
+        args = self.refiner.hand, self._fit_rows, self._is_written, poses.quats, poses.locations
         self._smoothed = smoothed(*args, self._spread)
         self.fitted = self._smoothed.written
         if self.fitted == 0:
@@ -153,7 +150,7 @@ def _moved(_owner: Any, value: float) -> None:
     _wanted = hand.armature.session_uid, value
     if bpy.app.timers.is_registered(_smooth):
         bpy.app.timers.unregister(_smooth)
-    bpy.app.timers.register(_smooth, first_interval=_AFTER_CHANGE)
+    bpy.app.timers.register(_smooth, first_interval=_QUIET_SECONDS)
 
 
 def _forget(*_: Any) -> None:
@@ -170,8 +167,8 @@ def _smooth() -> float | None:
     global _wanted
     if _wanted is None:
         return None
-    if FitsRange.running:
-        return _AGAIN
+    if RangeFitOperator.running:
+        return _RETRY_SECONDS
     windows = bpy.context.window_manager.windows
     try:
         with bpy.context.temp_override(window=bpy.context.window or windows[0]):
@@ -193,10 +190,10 @@ def register() -> None:
         get=_shown,
         set=_moved,
         soft_max=3.0,
-        **properties.of_option(
+        **properties.option_property(
             "smoothing",
-            said=". The captured motion is fitted anew; frames that you corrected or keyed stay as they are. "
-            "Works on the preview range where it is used",
+            more_help=". The captured motion is fitted anew; frames that you corrected or keyed stay as they "
+            "are. Works on the preview range where it is used",
         ),
     )
 

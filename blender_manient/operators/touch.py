@@ -16,19 +16,19 @@ from ..scene.corrections import correct_frames
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
 from ..wording import capitalised, counted
-from .refit_range import FitsRange, rows_within, suggested_range
+from .refit_range import RangeFitOperator, rows_within, suggested_range
 
-_TOUCHES = 0.001
+_MAX_TOUCH_GAP = 0.001
 """metres between skins that touch"""
-_NEARLY = 0.005
+_MAX_EXTRA_GAP = 0.005
 """metres: frames around the present one in which the points are no farther apart than here and so much are
 suggested"""
-_AROUND = 2.0
+_SEARCH_SECONDS = 2.0
 """seconds before and after that are looked at for these"""
 _POINTS = [(str(point), name, f"The {name.lower()}") for point, name in enumerate(POINT_NAMES)]
 
 
-class MANIENT_OT_touch(FitsRange, bpy.types.Operator):
+class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     bl_idname = "manient.touch"
     bl_label = "Touch"
     bl_description = (
@@ -36,7 +36,7 @@ class MANIENT_OT_touch(FitsRange, bpy.types.Operator):
         "and the palm. Other fingers stay; before and after it fades out over Spread. Asks for the points "
         "and the range first"
     )
-    doing = "Making points touch"
+    progress_text = "Making points touch"
 
     point: bpy.props.EnumProperty(name="Point", items=_POINTS, default="4")  # type: ignore
     other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")  # type: ignore
@@ -55,16 +55,15 @@ class MANIENT_OT_touch(FitsRange, bpy.types.Operator):
             self.suggest(context)
         return True
 
-    def ask(self):
-        """The points."""
+    def draw_properties(self):
         row = self.layout.row(align=True)
         row.prop(self, "point", text="")
         row.prop(self, "other", text="")
 
-    def said(self, context):
+    def summary(self, context):
         """How far apart the points are."""
         try:
-            gaps = _Work(context, self).gaps
+            gaps = _TouchTask(context, self).gaps
         except HandfitError as error:
             return capitalised(str(error)), True
         if np.isnan(gaps).all():
@@ -73,15 +72,15 @@ class MANIENT_OT_touch(FitsRange, bpy.types.Operator):
         far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
         return f"{counted(len(gaps), 'frame')}. The points are {far} mm apart there", False
 
-    def work(self, context) -> _Work:
-        return _Work(context, self)
+    def make_task(self, context) -> _TouchTask:
+        return _TouchTask(context, self)
 
-    def again(self) -> dict[str, Any]:
+    def other_properties(self) -> dict[str, Any]:
         return {"point": self.point, "other": self.other}
 
-    def told(self, work: _Work) -> tuple[str, str]:
+    def report_text(self, work: _TouchTask) -> tuple[str, str]:
         names = " and ".join(POINT_NAMES[point] for point in work.pair)
-        apart = np.flatnonzero(~(np.abs(work.gaps) <= _TOUCHES))
+        apart = np.flatnonzero(~(np.abs(work.gaps) <= _MAX_TOUCH_GAP))
         if not len(apart):
             return "INFO", f"{names} touch in {counted(work.count, 'frame')}"
         most = 1000 * np.nanmax(np.abs(work.gaps))
@@ -97,7 +96,7 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
     hand, scene = active_hand(context), context.scene
     assert hand is not None
     refiner = Refiner(hand.armature)
-    frames, around = refiner.scene_frames(), _AROUND * frame_rate(scene)
+    frames, around = refiner.scene_frames(), _SEARCH_SECONDS * frame_rate(scene)
     rows = rows_within(frames, scene.frame_current - around, scene.frame_current + around)
     try:
         pair = touching_pair(point, other)
@@ -107,7 +106,7 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
         return suggested_range(context)
     here = int(np.abs(frames[rows] - scene.frame_current).argmin())
     gaps = refiner.gaps(refiner.keyed_poses(rows.tolist()), pair)
-    far = np.flatnonzero(~(gaps <= gaps[here] + _NEARLY))
+    far = np.flatnonzero(~(gaps <= gaps[here] + _MAX_EXTRA_GAP))
     first = max([-1, *far[far < here]]) + 1
     last = min([len(rows), *far[far > here]]) - 1
     return (
@@ -117,8 +116,8 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
     )
 
 
-class _Work:
-    """What is asked of the worker, and what becomes of it."""
+class _TouchTask:
+    """The frames of a range, fitted so that two points of the hand touch."""
 
     def __init__(self, context: bpy.types.Context, wanted: MANIENT_OT_touch) -> None:
         self.pair = touching_pair(int(wanted.point), int(wanted.other))

@@ -14,7 +14,7 @@ from handfit_core.errors import InputError
 from ..cache import cache_folder
 from ..scene.plate import rows_of
 from ..scene.preview import write_png
-from .needs_hand import errors_reported
+from .mixins import errors_reported
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from handfit_core.options import OPTIONS
 from .. import jobs, shared_worker, source_info
 from ..find_mode import mode as find_mode
 from ..operators import add_hand
-from ..scene.matching import said
+from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
 from ..section import Section, fitted, sentence, split
-from ..steady import settled
+from ..steady import is_pressable
 from ..wording import counted
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
@@ -39,15 +39,17 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         own, others = "", [""]
         if settings.target == "NEW":
             column.prop(settings, "matching")
-            text, own = _told(context, info)
-            texts, others = zip(*(_told(context, i) for i in source_info.guises(info)), strict=True)
-            sentence(layout, context, text, "SCENE_DATA", least=texts)
+            text, own = _scene_messages(context, info)
+            texts, others = zip(
+                *(_scene_messages(context, i) for i in source_info.layout_variants(info)), strict=True
+            )
+            sentence(layout, context, text, "SCENE_DATA", reserve_for=texts)
         searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
         told = info.files is not None and not source_info.lacks_size(settings, info)
         ready = told and (settings.target == "NEW" or hand is not None)
         choosing = find_mode.current
         buttons = layout.column(align=True)
-        if not _stops(buttons, "capture", 1.5):
+        if not _draw_stop(buttons, "capture", 1.5):
             row = _row(buttons, "capture", "found" if choosing else "capture", ready, 1.5)
             if choosing is not None:
                 count = counted(len(choosing.choice.chosen), "Hand")
@@ -62,14 +64,14 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row.operator("manient.find_hands", icon="VIEWZOOM")
         if info.files is not None and info.files.kind != "photo":
             if own or any(others):
-                sentence(buttons, context, own, "SCENE_DATA" if own else "NONE", least=others)
-            if not _stops(buttons, "frame"):
+                sentence(buttons, context, own, "SCENE_DATA" if own else "NONE", reserve_for=others)
+            if not _draw_stop(buttons, "frame"):
                 row = _row(buttons, "frame", "capture", ready and choosing is None)
                 shown = source_info.shown_frame(context, info.files)
                 row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
         if searched:
             parts = layout.split(factor=0.36, align=True)
-            if not _stops(parts, "add"):
+            if not _draw_stop(parts, "add"):
                 adding = add_hand.running()
                 row = _row(parts, "add", "leave" if adding else "add", choosing is None)
                 if adding:
@@ -88,10 +90,10 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             box = layout.column(align=True)
             if job.running:
                 row = box.row(align=True)
-                row.progress(factor=job.fraction, text=job.doing())
+                row.progress(factor=job.fraction, text=job.activity())
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
-                pace = f"  {job.pace()}" if job.pace() else ""
-                box.label(text=fitted(context, job.name, pace) + pace, translate=False)
+                speed = f"  {job.speed_text()}" if job.speed_text() else ""
+                box.label(text=fitted(context, job.name, speed) + speed, translate=False)
             elif job.state == "waiting":
                 row = box.row(align=True)
                 name = fitted(context, job.name, ": Waiting", buttons=1)
@@ -102,8 +104,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             else:
                 text = f"{fitted(context, job.name, ':')}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
-                if job.scene_said:
-                    sentence(box, context, job.scene_said, "SCENE_DATA")
+                if job.scene_message:
+                    sentence(box, context, job.scene_message, "SCENE_DATA")
                 for warning in job.warnings[:3]:
                     sentence(box, context, warning, "INFO")
                 if job.state == "failed":
@@ -120,37 +122,37 @@ def _row(layout, place: str, button: str, ready: bool = True, scale: float = 1.0
     """A row for a button that shares its place with others."""
     row = layout.row(align=True)
     row.scale_y = scale
-    row.enabled = settled(f"capture {place}", button) and ready
+    row.enabled = is_pressable(f"capture {place}", button) and ready
     return row
 
 
-def _stops(layout, button: str, scale: float = 1.0) -> bool:
-    """Where a button has begun what is captured now, the one that stops it; whether there is one to draw."""
-    job = jobs.awaited()
+def _draw_stop(layout, button: str, scale: float = 1.0) -> bool:
+    """Draw Stop in place of the button that began the present capture; whether it did."""
+    job = jobs.current_or_next()
     if job is None or job.button != button:
         return False
-    text, ready = job.stop_said
+    text, ready = job.stop_button
     row = _row(layout, button, f"{job.key} {text}", ready, scale)
     row.operator("manient.cancel_capture", text=text, icon="CANCEL").index = jobs.jobs().index(job)
     return True
 
 
-def _told(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
-    """What becomes of the scene when the source is captured, and what else when only its current frame is."""
-    text = _becomes(context.scene, info)
+def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
+    """What capturing the source does to the scene, and what else capturing its current frame alone does."""
+    text = _scene_message(context.scene, info)
     if info.files is None or info.files.kind == "photo":
         return text, ""
-    own = _becomes(context.scene, info, only=source_info.shown_frame(context, info.files))
+    own = _scene_message(context.scene, info, only=source_info.shown_frame(context, info.files))
     return text, "" if text.startswith(own) else own
 
 
-def _becomes(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int | None = None) -> str:
-    """What becomes of the scene when the source, or `only` one frame of it, is captured."""
+def _scene_message(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int | None = None) -> str:
+    """What capturing the source, or `only` one frame of it, does to the scene."""
     settings = scene.manient
     footage = source_info.footage(settings, info, only=only)
     pictures = info.files is not None and info.files.kind != "data"
     ready = settings.render_setup and settings.camera != "ACTIVE" and pictures and only is None
-    return said(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
+    return scene_sentence(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
 
 
 class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):

@@ -73,7 +73,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             else:
                 text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
             sentence(box, context, text, "BLANK1" if source else "INFO")
-        for text, icon in _told_of(armature, side, wanted):
+        for text, icon in _hand_messages(armature, side, wanted):
             sentence(box, context, text, icon, alert=icon == "ERROR")
 
     def _how(self, context, layout, armature: bpy.types.Object) -> None:
@@ -92,7 +92,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             column.prop(character, "smoothing")
             if character.wrist == "PLACED":
                 self._offsets(column, character)
-            told = hand_adjusting.said(armature)
+            told = hand_adjusting.message(armature)
             if told is not None:
                 text, alert = told
                 sentence(column, context, capitalised(text), "ERROR" if alert else "INFO", alert=alert)
@@ -101,7 +101,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         row.scale_y = 1.3
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
         layout.operator("manient.apply_to_character", text="Apply Pose", icon="POSE_HLT").mode = "POSE"
-        done = live_link.keyed(armature)
+        done = live_link.keying_progress(armature)
         text = "Live Link" if done is None else f"Live Link: Keys {done:.0%}"
         layout.prop(character, "live", text=text, icon="LINKED", toggle=True)
         trouble = live_link.trouble(armature) if character.live else None
@@ -159,7 +159,7 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         row.operator("manient.save_hand_preset", icon="FILE_TICK")
 
 
-def _told_of(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
+def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
     """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
     lacks it is no error where nothing would move it, and the other hand is known."""
     told = []
@@ -185,15 +185,15 @@ def _told_of(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple
         return [*told, (capitalised(str(error)), "ERROR")]
     if armature.manient.character.wrist == "FINGERS":
         hand_map = replace(hand_map, control="")
-    told += [(text, "ERROR") for text in map(_begun, troubles(armature, hand_map))]
+    told += [(text, "ERROR") for text in map(_capitalised_name_kept, troubles(armature, hand_map))]
     reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
     if reasons:
         more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
-        text = _begun(reasons[0].removesuffix(": it was left alone"))
+        text = _capitalised_name_kept(reasons[0].removesuffix(": it was left alone"))
         told.append((f"{text}: it is left alone{more}", "INFO"))
     return told
 
 
-def _begun(sentence: str) -> str:
+def _capitalised_name_kept(sentence: str) -> str:
     """With a capital letter, except where it begins with a bone's name."""
     return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

@@ -5,12 +5,12 @@ from __future__ import annotations
 import bpy
 
 from .. import preferences
-from ..operators.refit_range import FitsRange
+from ..operators.refit_range import RangeFitOperator
 from ..refiner import why_not_refinable, why_not_smoothable
 from ..scene import corrections
 from ..scene.store import CapturedHand, active_hand
 from ..section import Section, sentence
-from ..steady import settled
+from ..steady import is_pressable
 from ..wording import capitalised, counted
 
 
@@ -65,8 +65,10 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
 
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""
-        begun = FitsRange.running == operator
-        row.enabled = settled(operator, "stop" if begun else "begin") and (not begun or FitsRange.can_stop)
+        begun = RangeFitOperator.running == operator
+        row.enabled = is_pressable(operator, "stop" if begun else "begin") and (
+            not begun or RangeFitOperator.can_stop
+        )
         if begun:
             row.operator("manient.leave", text=stop, icon="CANCEL").what = "FIT"
         else:

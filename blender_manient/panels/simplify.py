@@ -48,14 +48,14 @@ class MANIENT_PT_keys(Section, bpy.types.Panel):
         for part in PARTS:
             grid.prop_enum(settings, "keys_parts", part.upper())
         found = key_preview.preview(context)
-        sentence(layout, context, _said(found), "ERROR" if isinstance(found, str) else "KEYFRAME")
+        sentence(layout, context, _preview_text(found), "ERROR" if isinstance(found, str) else "KEYFRAME")
         layout.operator("manient.simplify_keys", icon="FCURVE")
         if kept_action(armature) is not None:
             layout.operator("manient.restore_keys", icon="LOOP_BACK")
         layout.operator("manient.add_key_layer", icon="NLA_PUSHDOWN")
 
 
-def _said(found: list[Thinned] | str | None) -> str:
+def _preview_text(found: list[Thinned] | str | None) -> str:
     if found is None:
         return "Looking which keys are needed ..."
     if isinstance(found, str):

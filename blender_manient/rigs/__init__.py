@@ -14,15 +14,15 @@ from handfit_core.errors import HandModelError
 from handfit_core.retarget.hand_map import HandMap, SeveralHands
 from handfit_core.skeleton import SIDES, Side
 
-from ..plugins import failed, found_in, tell_once
+from ..plugins import failure_sentence, find_plugins, print_once
 from .character import Character, Found, bones_of
 from .rig import Rig
 
-KINDS: list[type[Rig]] = found_in(__name__, Rig, first=("captured_hand",))
+KINDS: list[type[Rig]] = find_plugins(__name__, Rig, first=("captured_hand",))
 """Every kind of rig that is known; of those that are equally sure of a hand the first is taken"""
 
 
-CHARACTERS: list[type[Character]] = found_in(__name__, Character, needed=("label",))
+CHARACTERS: list[type[Character]] = find_plugins(__name__, Character, needed=("label",))
 """Every kind of character rig that is known; of those that are equally sure of a hand the first is taken"""
 
 
@@ -39,7 +39,7 @@ def found_hand(armature: bpy.types.Object, side: Side) -> Found:
         except SeveralHands as several:
             found = several
         except Exception as error:
-            tell_once(failed(kind, error))
+            print_once(failure_sentence(kind, error))
             continue
         contenders += [found] if found is not None else []
     surest = max(contenders, key=lambda one: one.sure, default=None)
@@ -57,7 +57,7 @@ def troubles(armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
     try:
         return kind.troubles(armature, hand_map) if kind is not None else []
     except Exception as error:  # panels ask at every redraw
-        tell_once(failed(cast(type, kind), error))
+        print_once(failure_sentence(cast(type, kind), error))
         return []
 
 
@@ -74,7 +74,7 @@ def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:
                 if sure > surest:
                     surest, found = sure, kind(armature, one)
             except Exception as error:  # polls ask at every redraw
-                tell_once(failed(kind, error))
+                print_once(failure_sentence(kind, error))
     if found is None:
         raise HandModelError(f"{armature.name!r} has no hand that is known here: select a captured hand")
     return found

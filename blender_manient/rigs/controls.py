@@ -160,7 +160,7 @@ def switch(armature: bpy.types.Object) -> None:
         constraint.enabled = on
 
 
-def rest(armature: bpy.types.Object) -> None:
+def reset(armature: bpy.types.Object) -> None:
     """Put the controls at rest, and switch constraints of others on them off. Keys stay."""
     for bone in _handles(armature):
         bone.matrix_basis = Matrix.Identity(4)

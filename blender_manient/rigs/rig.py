@@ -15,7 +15,7 @@ from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import Side
 
-from ..plugins import failed
+from ..plugins import failure_sentence
 from ..wording import capitalised
 
 
@@ -138,6 +138,6 @@ def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
         except (HandfitError, ReferenceError):
             raise
         except Exception as error:
-            raise HandModelError(failed(type(self), error)) from error
+            raise HandModelError(failure_sentence(type(self), error)) from error
 
     return guarded

@@ -82,8 +82,9 @@ def apply_track(
 def apply_hand(
     obj: bpy.types.Object, source: bpy.types.Object, mode: Mode, frame: float, *, wrist: bool = True
 ) -> int:
-    """The same from another captured hand of the scene, as the artist left it: its keys, on its frames
-    (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as `apply_track`."""
+    """Key another captured hand's motion on the captured hand `obj`: its keys as the artist left them, on
+    their frames (POSE: its pose at the scene's `frame`). Returns how many frames were keyed. Raises as
+    `apply_track`."""
     hand, other = _checked(obj, mode), _captured(source)
     check_unlayered(other.armature)
     if hand.armature == other.armature:

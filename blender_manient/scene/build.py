@@ -39,10 +39,10 @@ from .render_setup import put_in_force, set_up
 from .store import (
     describe_capture,
     describe_hand,
+    has_properties,
     is_of_other_model,
     keep_take,
     keeping_take,
-    kept_here,
     timing_of,
 )
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
@@ -126,7 +126,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     """
     made: list[bpy.types.ID] = []
     finished = False
-    watch = Watch()
+    watch = ChangeWatch()
     try:
         steps = _steps(made, take, _checked_scene(how.scene), how)
         done = 0.0
@@ -146,7 +146,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     except ReferenceError as error:
         raise BuildInterrupted(f"something was deleted while hands were being built ({error})") from error
     finally:
-        watch.leave()
+        watch.stop()
         if not finished:
             _remove(made)
 
@@ -330,7 +330,7 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
 def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
     """Have the hand know the points that a person has put in place or made to touch, so that they can be
     dragged on."""
-    if (track.placed is None and track.touches is None) or not kept_here():
+    if (track.placed is None and track.touches is None) or not has_properties():
         return
     count = len(take.frame_numbers)
     placed = np.full((count, NUM_KEYPOINTS, 2), np.nan) if track.placed is None else track.placed
@@ -370,8 +370,8 @@ class _Work:
         return min(1.0, self._done / self._all)
 
 
-class Watch:
-    """Notices an undo, a redo and another file, until `leave`."""
+class ChangeWatch:
+    """Notices an undo, a redo and another file, until `stop`."""
 
     def __init__(self) -> None:
         self.changed = False
@@ -386,7 +386,7 @@ class Watch:
         for each in self._lists:
             each.append(notice)
 
-    def leave(self) -> None:
+    def stop(self) -> None:
         """Notice nothing more. May be called twice."""
         for handlers in self._lists:
             if self._notice in handlers:

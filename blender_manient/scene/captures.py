@@ -21,7 +21,7 @@ from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
 from .render_setup import OURS, follow_camera
 from .simplify import DENSE
-from .store import captured_hands, kept_here, kept_take, timing_of
+from .store import captured_hands, has_properties, kept_take, timing_of
 from .timing import Timing, set_timing
 
 _facts: dict[str, str] = {}
@@ -30,7 +30,7 @@ _facts: dict[str, str] = {}
 
 def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     """The collections of a scene that keep a take, by name."""
-    if not kept_here():  # scripts may build hands without the add-on
+    if not has_properties():  # scripts may build hands without the add-on
         return []
     found = dict.fromkeys(c for c in scene.collection.children_recursive if c.manient.is_capture)
     return sorted(found, key=_name)
@@ -59,7 +59,7 @@ def own_camera(capture: bpy.types.Collection) -> bpy.types.Object | None:
 
 def in_view(scene: bpy.types.Scene) -> bool:
     """Whether the scene's camera is one that a capture has built."""
-    return kept_here() and scene.camera is not None and is_of_a_capture(scene.camera)
+    return has_properties() and scene.camera is not None and is_of_a_capture(scene.camera)
 
 
 def comes_in_front(scene: bpy.types.Scene, choice: Choice, matched: bool) -> bool:

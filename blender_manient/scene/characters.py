@@ -13,7 +13,7 @@ from handfit_core.retarget.hand_map import Found, HandMap, empty_map
 from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand, troubles
-from .store import CapturedHand, captured_hands, hand_of, is_put_away, kept_here
+from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture
 
 _REMEMBERED = 32
 """hands"""
@@ -49,7 +49,7 @@ class _Recognised:
     heads: np.ndarray
     names: tuple[str, ...]
     found: Found | HandModelError
-    told: tuple[str, ...]
+    reported: tuple[str, ...]
 
     def holds(self, bones: bpy.types.ArmatureBones, heads: np.ndarray) -> bool:
         if not np.array_equal(self.heads, heads):
@@ -116,7 +116,7 @@ def _why_mirrored(armature: bpy.types.Object) -> str | None:
 
 def kept_map(armature: bpy.types.Object, side: Side) -> HandMap | None:
     """The table that the artist has made, or confirmed, for a hand; None for none, and for a damaged one."""
-    kept = _read(getattr(armature.manient.character, side).hand_map) if kept_here() else None
+    kept = _read(getattr(armature.manient.character, side).hand_map) if has_properties() else None
     return kept if kept is not None and kept.side == side else None
 
 
@@ -140,30 +140,30 @@ def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 
 def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The same for showing it: an empty table where nothing is kept or recognised."""
+    """The kept or recognised table of a hand, for display; an empty one where there is neither."""
     try:
         return kept_map(armature, side) or recognised(armature, side).hand_map
     except HandModelError:
         return empty_map(side)
 
 
-def recognised(armature: bpy.types.Object, side: Side, told: tuple[str, ...] = ()) -> Found:
-    """The hand that is recognised by its bones, looked for once, as panels ask at every redraw; anew where
-    bones were moved or renamed, and where the rig's troubles were not `told` before, as after a switch from
-    IK to FK. Raises HandModelError."""
+def recognised(armature: bpy.types.Object, side: Side, reported: tuple[str, ...] = ()) -> Found:
+    """The hand that is recognised by its bones, kept because panels ask at every redraw; recognised anew
+    where bones were moved or renamed, and where `reported`, the rig's troubles, are others than before, as
+    after a switch from IK to FK. Raises HandModelError."""
     bones = armature.data.bones
     key: tuple[int, Side] = (armature.session_uid, side)
     heads = np.empty((len(bones), 3), dtype=np.float32)
     bones.foreach_get("head_local", heads.ravel())
     known = _recognised.get(key)
-    if known is None or not known.holds(bones, heads) or (told and told != known.told):
+    if known is None or not known.holds(bones, heads) or (reported and reported != known.reported):
         if len(_recognised) >= _REMEMBERED:
             _recognised.clear()
         try:
             found = found_hand(armature, side)
         except HandModelError as error:
             found = error
-        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, told)
+        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, reported)
     if isinstance(known.found, HandModelError):
         raise HandModelError(str(known.found))
     return known.found
@@ -192,7 +192,7 @@ def source_of(armature: bpy.types.Object, side: Side, context: bpy.types.Context
         return hand
     hands = [hand for hand in map(hand_of, captured_hands(context.scene)) if hand is not None]
     own = [hand for hand in hands if hand.side == side]
-    own = [hand for hand in own if not is_put_away(hand.armature)] or own
+    own = [hand for hand in own if not is_in_hidden_capture(hand.armature)] or own
     own = [hand for hand in own if hand.armature.select_get()] or own
     if len(own) > 1:
         names = ", ".join(hand.armature.name for hand in own[:4])
@@ -234,7 +234,7 @@ def hands_to_move(
 
 
 def _is_character(obj: bpy.types.Object) -> bool:
-    return obj.type == "ARMATURE" and not (kept_here() and obj.manient.is_hand)
+    return obj.type == "ARMATURE" and not (has_properties() and obj.manient.is_hand)
 
 
 def _deforming(obj: bpy.types.Object) -> list[bpy.types.Object | None]:

@@ -46,7 +46,7 @@ _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Of a hand's T frames; NaN where nothing was detected, and where the artist has corrected it."""
+    """How far off a hand is on its T frames; NaN where nothing was detected, and where it was corrected."""
 
     scale: Scale
     frames: np.ndarray
@@ -54,7 +54,7 @@ class Errors:
     bones: np.ndarray
     """(T, 16) in MANO's order"""
     bone_levels: tuple[float, float, float]
-    """Which of the bones' are green, yellow and red"""
+    """the errors of bones that are green, yellow and red"""
     doubtful: np.ndarray
     """(T,) bool"""
     known: bool
@@ -62,13 +62,13 @@ class Errors:
 
     @property
     def mean(self) -> float | None:
-        """Over the frames that have one; None: none has."""
+        """The mean of the frames' errors that are not NaN; None where all are."""
         known = self.frames[np.isfinite(self.frames)]
         return float(known.mean()) if len(known) else None
 
 
 def errors_of(hand: CapturedHand) -> Errors:
-    """Those of a captured hand, computed once."""
+    """The errors of a captured hand, kept once they were computed."""
     field = _NO_CORRECTIONS
     with contextlib.suppress(TakeError):  # corrections that cannot be read
         field = corrections_of(hand.armature)
@@ -234,7 +234,7 @@ def _ends_of_bones() -> tuple[list[int], ...]:
 _ENDS: Final = _ends_of_bones()
 
 HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post"), _on_change)
-FOLLOWS: Final = {"confidence": shown_changed}
+LISTENERS: Final = {"confidence": shown_changed}
 
 
 def unregister() -> None:

@@ -64,12 +64,12 @@ def bake_controls(hand: CapturedHand) -> None:
     keys = replace(
         keys, rotation_keyed=keys.rotation_keyed & turned, location_keyed=keys.location_keyed & moved
     )
-    quats, locations = shown_on(rig, [bpy.context.scene.frame_current_final])
+    quats, locations = sampled_pose(rig, [bpy.context.scene.frame_current_final])
     joints = np.flatnonzero(turned).tolist()
     check_unlocked(rig, joints=joints, location=moved)
     own_action(armature, nla=True)
     _remove_curves(armature)
-    controls.rest(armature)
+    controls.reset(armature)
     if len(keys.frames):
         span = timing_of(hand.collection).source_frames(keys.frames[[0, -1]])
         end_corrections(armature, span.tolist(), whole=True, joints=joints, location=moved)
@@ -86,7 +86,7 @@ def shown_keys(rig: Rig) -> PoseKeys:
 
 def shown_pose(rig: Rig, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`pose_at` with what the controls do."""
-    return shown_on(rig, frames) if controls.in_use(rig.armature) else pose_at(rig, frames)
+    return sampled_pose(rig, frames) if controls.in_use(rig.armature) else pose_at(rig, frames)
 
 
 def rotations_now(rig: PosedBones) -> np.ndarray:
@@ -97,7 +97,8 @@ def rotations_now(rig: PosedBones) -> np.ndarray:
 
 
 def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
-    """These keys, (16,) which bones the controls turn, and whether they move the wrist."""
+    """A rig's keys with what its controls do, (16,) bool of the bones that controls turn, and whether they
+    move the wrist."""
     keys = read_pose_keys(rig)
     frames, moving = keys.frames, controls.are_moving(rig.armature)
     if moving:
@@ -107,7 +108,7 @@ def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
         whole = np.arange(np.floor(min(ends)), np.ceil(max(ends)) + 1.0)
         near = np.abs(whole[:, None] - frames).min(axis=1, initial=1.0) <= SAME_FRAME
         frames = np.union1d(frames, whole[~near])
-    quats, locations = shown_on(rig, frames)
+    quats, locations = sampled_pose(rig, frames)
     plain, places = pose_at(rig, frames)
     apart = np.minimum(np.abs(quats - plain), np.abs(quats + plain)).max(axis=-1)
     turned = (apart > _SAME).any(axis=0)
@@ -119,7 +120,7 @@ def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
     return PoseKeys(frames, quats, locations, rotated, located), turned, moved
 
 
-def shown_on(rig: Rig, frames: Any) -> tuple[np.ndarray, np.ndarray]:
+def sampled_pose(rig: Rig, frames: Any) -> tuple[np.ndarray, np.ndarray]:
     """What the bones show on N frames, whatever moves them."""
     with object_mode(), unseen_scene("controls") as scene, shown_in_pose([rig.armature]):
         scene.collection.objects.link(rig.armature)
@@ -144,4 +145,4 @@ def _remove_curves(armature: bpy.types.Object) -> None:
             holder.groups.remove(group)
 
 
-FOLLOWS = {"controls": lambda group: controls.switch(group.id_data)}
+LISTENERS = {"controls": lambda group: controls.switch(group.id_data)}

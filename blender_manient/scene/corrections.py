@@ -33,7 +33,7 @@ from handfit_core.errors import OptionError, TakeError
 from handfit_core.skeleton import NUM_JOINTS
 
 from ..blender_versions import action_slot, property_group
-from ..remembered import Remembered
+from ..block_reference import BlockReference
 from ..rigs import rig_of
 from . import store
 from .editable import check_keyable
@@ -75,7 +75,7 @@ def corrected_places(armature: bpy.types.Object) -> np.ndarray:
 
 
 def corrected_frames(armature: bpy.types.Object) -> list[int]:
-    """The same, increasing and rounded, for drawing."""
+    """The scene frames with a correction, rounded and increasing, for drawing."""
     return [round(f) for f in corrected_places(armature).tolist()]
 
 
@@ -167,7 +167,7 @@ def correct_frames(
     check_writable(armature)
     lost = displaced(armature)
     if lost:
-        # They are in other keys by now, out of which nobody can take them.
+        # Corrections are in other keys by now, out of which nobody can take them.
         old = old.without(lost)
         keep_field(armature, old)
     places = timing_of(armature).scene_frames(np.array(chosen, dtype=np.float64))
@@ -324,7 +324,7 @@ def carried_over(armature: bpy.types.Object, held: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def known_again(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
+def marks_renewed(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
     """Something is added on purpose to the keys of all these (action, slot) within: corrections that were
     known by their keys' poses are known by the new ones afterwards."""
     known: list[float] = []
@@ -397,15 +397,15 @@ def replacing_poses(
     much is done, 0..1. Raises OptionError where the hand goes away meanwhile, and what `check_writable` does.
     """
     # Here, not at the first step: until then the hand may have got another name.
-    return _replacing(Remembered.of("objects", armature), frames, quats, locations)
+    return _replacing(BlockReference.of("objects", armature), frames, quats, locations)
 
 
 def _replacing(
-    remembered: Remembered, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
+    reference: BlockReference, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
 ) -> Iterator[float]:
     count = len(frames)
     for joint in range(NUM_JOINTS):
-        armature = remembered.find()
+        armature = reference.find()
         if armature is None:
             raise OptionError("the hand is gone, so its keys cannot be written: undo what removed it")
         if joint == 0:

@@ -34,7 +34,8 @@ def why_not_editable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_keyable(armature: bpy.types.Object) -> str | None:
-    """The same for single keys of its motion: what is shown has to be what they say."""
+    """Why single keys of a captured hand cannot be changed: a sentence for a tooltip; None where they can.
+    What is shown has to be what the keys say."""
     why = why_not_bakeable(armature)
     if why is None and in_use(armature):
         return "Controls move this hand on top of its keys: bake them or switch Controls off first"
@@ -42,7 +43,8 @@ def why_not_keyable(armature: bpy.types.Object) -> str | None:
 
 
 def why_not_bakeable(armature: bpy.types.Object) -> str | None:
-    """The same for its action, whatever else moves the hand: keys are changed in the active one."""
+    """Why keys of a captured hand's active action cannot be changed, whatever else moves the hand: a sentence
+    for a tooltip; None where they can."""
     why = why_not_editable(armature)
     data = armature.animation_data
     if why is not None or data is None:

@@ -34,7 +34,7 @@ from handfit_core.take import Take
 
 from ..exporters import EXPORTERS, PRESETS, find_exporter
 from ..exporters.exporter import Exporter, HandObjects, Preset
-from ..plugins import failed
+from ..plugins import failure_sentence
 from ..rigs.controls import control_bones
 from .build import BuiltTake
 from .camera import frame_scene
@@ -198,7 +198,7 @@ def _write_one(
             reason = " ".join(str(error).split())
             raise OutputError(f"{shown(path)}: Blender could not write it ({reason})") from error
         except Exception as error:  # in a plug-in
-            raise OutputError(f"{shown(path)}: {failed(type(chosen), error)}") from error
+            raise OutputError(f"{shown(path)}: {failure_sentence(type(chosen), error)}") from error
     return path
 
 

@@ -44,8 +44,8 @@ class BoneKeys:
 
 
 @dataclass(frozen=True, eq=False)
-class Noted:
-    """What was written for a hand itself."""
+class WrittenKeys:
+    """Keys that were written for the bone that moves a whole hand."""
 
     action: bpy.types.Action
     slot: Any
@@ -53,16 +53,16 @@ class Noted:
     table: np.ndarray
     """(N, 8) scene frame, increasing, rotation (w, x, y, z), location; NaN where no location was written"""
     offset: np.ndarray
-    """(3,) as `BoneKeys.offset`"""
+    """(3,) what was added to the hand's location, in the armature's space and units"""
     settings: tuple[float, ...]
-    """The settings that the keys were made with, as in `BoneKeys.settings`"""
+    """the travel, smoothing and marked frame with which the keys were made"""
 
     @property
     def placed(self) -> bool:
         """Whether the hand was moved, too."""
         return bool(np.isfinite(self.table[:, 5:]).all())
 
-    def is_as_written(self, rig: CharacterBones) -> np.ndarray:
+    def unchanged_mask(self, rig: CharacterBones) -> np.ndarray:
         """(N,) bool: the frames whose keys are as they were written."""
         present = read_pose_keys(rig, holder=channels(self.action, self.slot))
         if len(present.frames) == 0:
@@ -85,7 +85,7 @@ def users(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.Action, Any]]:
             yield user.action, action_slot(user)
 
 
-def noted(armature: bpy.types.Object, side: Side) -> Noted | None:
+def written_keys(armature: bpy.types.Object, side: Side) -> WrittenKeys | None:
     """What was written for a hand into the topmost action that has any of it; None for none, and for what a
     damaged file holds."""
     for action, slot in users(armature):
@@ -101,11 +101,13 @@ def noted(armature: bpy.types.Object, side: Side) -> Noted | None:
             return None
         if len(table) == 0 or offset.shape != (3,) or content.get("bone") not in armature.pose.bones:
             return None
-        return Noted(action, slot, content["bone"], table, offset, settings)
+        return WrittenKeys(action, slot, content["bone"], table, offset, settings)
     return None
 
 
-def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: BoneKeys) -> None:
+def record_written_keys(
+    armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: BoneKeys
+) -> None:
     """Note on an action what was just written into it for a hand itself; nothing for fingers. What was noted
     of frames that were not written stays."""
     if one.side is None or one.offset is None:
@@ -113,7 +115,7 @@ def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: B
     rows, keys = one.keys.rotation_keyed[:, 0] | one.keys.location_keyed, one.keys
     locations = np.where(keys.location_keyed[:, None], keys.locations, np.nan)
     table = np.column_stack([keys.frames, keys.quats[:, 0], locations])[rows]
-    before = noted(armature, one.side)
+    before = written_keys(armature, one.side)
     if before is not None and before.action == action and before.bone == one.rig.bones[0] and len(table):
         old = before.table
         old = old[~nearest(table[:, 0], old[:, 0])[1]]
@@ -128,13 +130,13 @@ def note(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, one: B
     action[MARK] = {**property_group(action, MARK), _key(slot, one.side): content}
 
 
-def without_own(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
+def without_artist_keys(armature: bpy.types.Object, one: BoneKeys) -> BoneKeys:
     """The keys of a hand itself without those of frames on which the artist has changed, moved or deleted
     what was written; fingers as they are."""
-    found = noted(armature, one.side) if one.side is not None else None
+    found = written_keys(armature, one.side) if one.side is not None else None
     if found is None or found.bone != one.rig.bones[0]:
         return one
-    own = found.table[~found.is_as_written(one.rig), 0]
+    own = found.table[~found.unchanged_mask(one.rig), 0]
     if len(own) == 0:
         return one
     stays = nearest(own, one.keys.frames)[1]

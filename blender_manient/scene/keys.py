@@ -64,8 +64,8 @@ class PoseKeys:
         )
 
     def turned(self, old: RestPose, new: RestPose, plane: float = 0.0) -> PoseKeys:
-        """The same keys about bones that lie otherwise at rest; for a hand of the other side mirrored at
-        `plane` (see `RestPose.moved_to`)."""
+        """These keys for bones with another rest pose; for a hand of the other side mirrored at `plane` (see
+        `RestPose.moved_to`)."""
         return replace(
             self, quats=old.turned_to(new, self.quats), locations=old.moved_to(new, self.locations, plane)
         )

@@ -17,7 +17,7 @@ from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
 from ..wording import with_note
-from .corrections import known_again
+from .corrections import marks_renewed
 from .editable import BELOW, check_keyable, is_tweaked, strip_below
 from .keys import (
     PoseKeys,
@@ -89,7 +89,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
     if found:
         own_action(armature)
         on_top = channels(layer, layer_slot)
-        with changed_alike(armature), known_again(armature, all_actions(armature)):
+        with changed_alike(armature), marks_renewed(armature, all_actions(armature)):
             for one in found:
                 _write(*one)
             for holder in [channels(*kept) for kept in own_kept_actions(armature)]:

@@ -19,7 +19,7 @@ from handfit_core.take import Take
 
 from ..blender_versions import has_strips
 from ..wording import capitalised
-from .store import kept_here
+from .store import has_properties
 from .surroundings import is_untouched
 from .timing import frame_rate, has_rate, is_retimed, nearest_rate
 
@@ -66,7 +66,7 @@ class Footage:
         numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
         return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, timed=has_rate(take))
 
-    def is_that_of(self, scene: bpy.types.Scene) -> bool:
+    def is_applied_to(self, scene: bpy.types.Scene) -> bool:
         """Whether a clip's rate, range and size are the scene's already."""
         render = scene.render
         return (
@@ -95,7 +95,7 @@ def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
     camera = scene.camera
     if camera is not None and not is_untouched(camera) and not is_of_a_capture(camera):
         return f"its camera is {camera.name}"
-    if footage is not None and footage.is_that_of(scene):
+    if footage is not None and footage.is_applied_to(scene):
         return ""
     if not _untouched(scene):
         return "it has settings of its own"
@@ -107,7 +107,7 @@ def why_kept(scene: bpy.types.Scene, footage: Footage | None = None) -> str:
     return "" if moving is None else f"{moving} is animated"
 
 
-def said(
+def scene_sentence(
     scene: bpy.types.Scene,
     choice: Choice,
     footage: Footage | None,
@@ -116,8 +116,8 @@ def said(
     render_setup: bool = False,
     done: bool | None = None,
 ) -> str:
-    """What becomes of the scene, in words; `done` says what has become of it: whether it was matched.
-    `render_setup`: whether a matched scene is made ready to render, too."""
+    """A sentence about what a capture does to the scene; with `done`, whether the scene was matched, about
+    what it has done. `render_setup`: whether a matched scene is made ready to render, too."""
     matched = matches(scene, choice, footage) if done is None else done
     if matched:
         news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)
@@ -147,7 +147,7 @@ def _retimes(scene: bpy.types.Scene, footage: Footage) -> bool:
 
 def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:
     """Remember what of the scene's present settings is the footage's, and not the artist's."""
-    if not kept_here():
+    if not has_properties():
         return
     if footage.last > footage.first:
         scene.manient.matched_time = _settings(scene, _TIME)
@@ -157,16 +157,16 @@ def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:
 
 def has_matched_size(scene: bpy.types.Scene) -> bool:
     """Whether the scene's picture size is still what footage has given to it."""
-    return kept_here() and _settings(scene, _SIZE) == scene.manient.matched_size
+    return has_properties() and _settings(scene, _SIZE) == scene.manient.matched_size
 
 
 def has_matched_time(scene: bpy.types.Scene) -> bool:
     """Whether the scene's rate and range are still what footage has given to it."""
-    return kept_here() and _settings(scene, _TIME) == scene.manient.matched_time
+    return has_properties() and _settings(scene, _TIME) == scene.manient.matched_time
 
 
 def _untouched(scene: bpy.types.Scene) -> bool:
-    matched = (scene.manient.matched_time, scene.manient.matched_size) if kept_here() else ("", "")
+    matched = (scene.manient.matched_time, scene.manient.matched_size) if has_properties() else ("", "")
     return all(
         _settings(scene, names) in (_settings(None, names), noted)
         for names, noted in zip((_TIME, _SIZE), matched, strict=True)
@@ -186,7 +186,7 @@ def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
 
 def is_of_a_capture(camera: bpy.types.Object) -> bool:
     """Whether a capture built it: one of the artist's own lies in no capture's collection."""
-    return kept_here() and any(c.manient.camera == camera for c in camera.users_collection)
+    return has_properties() and any(c.manient.camera == camera for c in camera.users_collection)
 
 
 def _moving(scene: bpy.types.Scene) -> Iterator[str]:
@@ -213,4 +213,4 @@ def _blocks(scene: bpy.types.Scene) -> Iterator[bpy.types.ID | None]:
 
 
 def _is_hand(block: bpy.types.ID) -> bool:
-    return kept_here() and isinstance(block, bpy.types.Object) and block.manient.is_hand
+    return has_properties() and isinstance(block, bpy.types.Object) and block.manient.is_hand

@@ -2,7 +2,7 @@
 
 Fingers are keyed relative to the hand, whatever arm, switch of IK and FK or object carries it. The hand
 itself is left alone unless it is asked for: pictures do not tell where in the character's world their camera
-stood, so that one frame has to say it (`Onto.reference`).
+stood, so that one frame has to say it (`TransferOptions.reference`).
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from ..rigs.rig import PosedBones, bone_path
 from ..wording import counted
 from .animation import computing_keys
 from .characters import why_not_reachable
-from .controls import shown_on
+from .controls import sampled_pose
 from .editable import check_unlayered, is_layered, is_tweaked
-from .hand_motion import BoneKeys, note, noted, without_own
+from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
     SAME_FRAME,
     PoseKeys,
@@ -64,11 +64,11 @@ from .timing import Timing, check_range, frame_rate
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
 
-_SAID = ("into", "wrist", "reference", "contacts", "travel", "smoothing")
-"""What of `Onto` the panel's properties say"""
+_FROM_PROPERTIES = ("into", "wrist", "reference", "contacts", "travel", "smoothing")
+"""What of `TransferOptions` the panel's properties say"""
 
-APART = 0.002
-"""metres of the captured hand's scale: what is less, nobody sees"""
+MAX_TOUCH_ERROR = 0.002
+"""metres at the captured hand's size by which touching fingertips may miss each other unseen"""
 
 _TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRANSFORM", "ARMATURE", "CHILD_OF", "ACTION", "IK"} | {
     *("DAMPED_TRACK", "LOCKED_TRACK", "TRACK_TO", "STRETCH_TO", "SPLINE_IK", "PIVOT", "FOLLOW_PATH")
@@ -93,7 +93,7 @@ class Motion:
     places: np.ndarray
     """(N, 3) metres: where the wrist is"""
     skins: Fingertips | None = None
-    """Its fingertips; None: which of them touch is not known"""
+    """the hand's fingertips; None where it is not known which of them touch"""
 
     @classmethod
     def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
@@ -102,18 +102,18 @@ class Motion:
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
 
     def on(self, side: Side) -> Motion:
-        """That of a hand of that side: mirrored for the other one."""
+        """The motion for a hand of that side, mirrored if need be."""
         return self if self.source.side == side else self.mirrored()
 
     def mirrored(self) -> Motion:
-        """The other hand's, as a mirror at x = 0 shows it."""
+        """The motion mirrored at x = 0, for the other side."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
         return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins)
 
 
 @dataclass(frozen=True)
-class Onto:
-    """How motion is put on a character."""
+class TransferOptions:
+    """How captured motion is transferred to a character."""
 
     into: Into = "NEW"
     wrist: Wrist = "FINGERS"
@@ -129,16 +129,16 @@ class Onto:
     """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
 
     @classmethod
-    def of(cls, armature: bpy.types.Object, **fields: Any) -> Onto:
-        """As the character's panel says, but for these fields."""
+    def of(cls, armature: bpy.types.Object, **fields: Any) -> TransferOptions:
+        """The options of the character's panel, with these fields in place of its own."""
         character = armature.manient.character
-        said = {name: getattr(character, name) for name in _SAID}
+        said = {name: getattr(character, name) for name in _FROM_PROPERTIES}
         return cls(**{**said, "offsets": offsets_of(armature), **fields})
 
 
 @dataclass(frozen=True, eq=False)
 class Applied:
-    """What has been done."""
+    """The result of a transfer to one hand."""
 
     frames: int
     bones: int
@@ -148,7 +148,7 @@ class Applied:
     """metres of the captured hand's scale by which fingertips that touch do not meet as captured, at the
     worst"""
     missed: int = 0
-    """In how many frames that is more than `APART`"""
+    """the number of frames in which `apart` is more than `MAX_TOUCH_ERROR`"""
 
 
 def shortcomings(applied: Sequence[Applied]) -> list[str]:
@@ -177,12 +177,12 @@ def reading_motion(
     wanted = frames_between(read_pose_keys(rig).frames) if frames is None else np.asarray(frames, np.float64)
     if len(wanted) == 0:
         raise OptionError(f"{hand.armature.name!r} has no keys: apply its pose instead")
-    if told_by_keys(rig):
+    if is_keyframed(rig):
         quats, locations = pose_at(rig, wanted)
     else:
         shown = []
         for start in range(0, len(wanted), _SAMPLED):
-            shown.append(shown_on(rig, wanted[start : start + _SAMPLED]))
+            shown.append(sampled_pose(rig, wanted[start : start + _SAMPLED]))
             yield
         quats, locations = (np.concatenate(parts) for parts in zip(*shown, strict=True))
     turns = rest.frames @ quat_to_rotmat(quats) @ np.swapaxes(rest.frames, -1, -2)
@@ -209,7 +209,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
 
 
-def told_by_keys(rig: PosedBones) -> bool:
+def is_keyframed(rig: PosedBones) -> bool:
     """Whether nothing but the present action's keys moves the bones: no layer, strip, constraint, driver or
     control, and no curve that is muted or modified."""
     armature, data = rig.armature, rig.armature.animation_data
@@ -232,7 +232,7 @@ def told_by_keys(rig: PosedBones) -> bool:
 def putting(
     armature: bpy.types.Object,
     hands: Sequence[tuple[HandMap, CapturedHand]],
-    onto: Onto,
+    onto: TransferOptions,
     frames: Sequence[float] | None = None,
 ) -> Generator[float, None, list[Applied]]:
     """Key what captured hands do on a character, in steps that tell how much is done, 0..1: on scene frames,
@@ -245,7 +245,7 @@ def putting(
 
 
 def applying(
-    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: TransferOptions
 ) -> Generator[float, None, list[Applied]]:
     """Key motions on a character's hands, in one action, in steps that each tell how much is done, 0..1.
 
@@ -271,7 +271,7 @@ class Computed:
 
 
 def computing(
-    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: Onto
+    armature: bpy.types.Object, hands: Sequence[tuple[HandMap, Motion]], onto: TransferOptions
 ) -> Generator[float, None, Computed]:
     """What `applying` writes, and raises; nothing is changed."""
     keys, applied = [], []
@@ -296,13 +296,13 @@ def computing(
         if not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
-        worst, missed = float(apart.max(initial=0.0)), int((apart > APART).sum())
+        worst, missed = float(apart.max(initial=0.0)), int((apart > MAX_TOUCH_ERROR).sum())
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
     return Computed(keys, applied)
 
 
 def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
-    """In one step: a stop half-way would lose the keys that were there."""
+    """Replace keys of the present action in one step: a stop half-way would lose the former keys."""
     for one in keys:
         located = bool(one.keys.location_keyed.any())
         check_unlocked(one.rig, joints=np.flatnonzero(one.keyed).tolist(), location=located)
@@ -312,14 +312,14 @@ def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) ->
         located = bool(one.keys.location_keyed.any())
         remove_pose_keys(one.rig, first, last, joints=np.flatnonzero(one.keyed).tolist(), location=located)
     run_to_completion(writing(keys))
-    noting(armature, keys)
+    record_all_written_keys(armature, keys)
 
 
-def noting(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
+def record_all_written_keys(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
     """Note what was written into the present action."""
     data = armature.animation_data
     for one in keys:
-        note(armature, data.action, action_slot(data), one)
+        record_written_keys(armature, data.action, action_slot(data), one)
 
 
 def writing_anew(
@@ -334,7 +334,7 @@ def writing_anew(
         _give(armature, action, slot, into)
         given = True
         for one in keys:
-            note(armature, action, slot, one)
+            record_written_keys(armature, action, slot, one)
     finally:
         if not given:
             with contextlib.suppress(ReferenceError):  # an undo has taken it away already
@@ -376,7 +376,7 @@ def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.nda
 
 
 def _moving(
-    armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: Onto
+    armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: TransferOptions
 ) -> Generator[float, None, BoneKeys]:
     """Keys of the bone that moves the whole hand, in steps.
 
@@ -415,7 +415,7 @@ def _moving(
     space = turned @ target.aligned @ wrist[at].T
     turns = space @ wrist @ target.aligned.T
     located = onto.wrist == "PLACED" and not bone.use_connect
-    offset, before = np.zeros(3), noted(armature, target.hand_map.side)
+    offset, before = np.zeros(3), written_keys(armature, target.hand_map.side)
     if located:
         offset = np.asarray(onto.offsets.get(target.hand_map.side, offset), dtype=np.float64)
     moved = onto.travel * target.scale * (places - places[at]) @ space.T
@@ -450,9 +450,9 @@ def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:
 
 def is_adjusted(armature: bpy.types.Object) -> bool:
     """Whether the keys that were written for its hands themselves are as the panel's settings are now."""
-    onto = Onto.of(armature)
+    onto = TransferOptions.of(armature)
     for side in SIDES:
-        found = noted(armature, side)
+        found = written_keys(armature, side)
         if found is None:
             continue
         offset = onto.offsets.get(side, np.zeros(3)) if found.placed else np.zeros(3)
@@ -467,9 +467,9 @@ def adjusting(
     """Write the keys of the hands themselves anew that were written for them, as the panel's settings are
     now. Returns how many frames keep keys that the artist has made of them since. Raises HandfitError, before
     anything is changed."""
-    onto, computed, kept = Onto.of(armature), [], 0
+    onto, computed, kept = TransferOptions.of(armature), [], 0
     for hand_map, hand in hands:
-        found = noted(armature, hand_map.side)
+        found = written_keys(armature, hand_map.side)
         if found is None or found.bone != hand_map.moved_by or found.placed != (onto.wrist == "PLACED"):
             continue
         if not found.action.is_editable:
@@ -483,7 +483,7 @@ def adjusting(
             rotation_keyed=one.keys.rotation_keyed & there[:, None],
             location_keyed=one.keys.location_keyed & there,
         )
-        own = without_own(armature, replace(one, keys=whole))
+        own = without_artist_keys(armature, replace(one, keys=whole))
         kept += int((whole.rotation_keyed & ~own.keys.rotation_keyed).sum())
         if not own.keys.rotation_keyed.any():
             raise OptionError(
@@ -493,7 +493,7 @@ def adjusting(
         computed.append((found, own))
     for found, one in computed:
         run_to_completion(writing([one], channels(found.action, found.slot)))
-        note(armature, found.action, found.slot, one)
+        record_written_keys(armature, found.action, found.slot, one)
     return kept
 
 

@@ -48,9 +48,9 @@ from .keys import (
     union,
     write_pose_keys,
 )
-from .onto_character import Motion, Onto, check_own_keys, computing
+from .onto_character import Motion, TransferOptions, check_own_keys, computing
 from .sampling import rotations_of
-from .spans import Asked, Span, next_begun, next_key, span_asked
+from .spans import RequestedFrames, Span, next_key, next_run_start, requested_span
 from .store import CapturedHand, active_hand, captured_hands, hand_of
 from .timing import span_of
 
@@ -62,7 +62,7 @@ _PREVIEW = 128
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A pose on the way to its frames."""
+    """Rotations to key on a span of frames."""
 
     frames: np.ndarray
     """(N,) scene frames, increasing"""
@@ -73,7 +73,7 @@ class Posed:
 
     @property
     def moved(self) -> np.ndarray:
-        """(B,) bool: the bones that do not stay."""
+        """(B,) bool: the bones that the pose moves."""
         return np.isfinite(self.quats[0, :, 0])
 
 
@@ -89,17 +89,19 @@ class PosableHand(ABC):
     def read(self) -> Pose:
         """The pose that it shows."""
 
-    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: Asked) -> Posed:
+    def towards(
+        self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
+    ) -> Posed:
         """What brings the fingers of selected bones, of none all fingers, towards a pose (None: the rest
         pose) on the frames that are asked for: by `blend`, 0..1, of the way from where they are. Changes
         nothing. Raises HandModelError, OptionError and TakeError."""
-        asked.check()
+        requested.check()
         wanted = self._rest() if pose is None else self._quats(pose)
         wanted = np.where(self._chosen(context)[:, None], wanted, np.nan)
         span, frames = None, np.array([context.scene.frame_current_final])
         before, share = displayed_pose(self.rig)[None], np.array([blend])
-        if asked.scope != "HERE":
-            span, frames = self._frames(context, asked, np.isfinite(wanted[:, 0]))
+        if requested.scope != "HERE":
+            span, frames = self._frames(context, requested, np.isfinite(wanted[:, 0]))
             before, share = pose_at(self.rig, frames)[0], blend * span.weights(frames)
         way = share[:, None, None] * correction_between(before, wanted)
         return Posed(frames, changed_quats(before, np.zeros_like(way), way), span)
@@ -109,7 +111,9 @@ class PosableHand(ABC):
         """The other side's hand, whose pose this one gets mirrored. Raises OptionError for none."""
 
     @abstractmethod
-    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(
+        self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
+    ) -> tuple[Span, np.ndarray]:
         """The span, RANGE or HOLD, and the (N,) scene frames on which the bones that are moved (B,) get keys
         for it. Raises HandfitError."""
 
@@ -147,7 +151,7 @@ class PosableHand(ABC):
         return np.array([bool(wanted & {*js}) or (not js and not fingers) for js in self._joints])
 
 
-class _Captured(PosableHand):
+class _CapturedPosable(PosableHand):
     """A captured hand."""
 
     def __init__(self, hand: CapturedHand) -> None:
@@ -167,7 +171,7 @@ class _Captured(PosableHand):
         ]
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:
-        """Of the same capture, else the scene's only one."""
+        """The other hand of the same capture, else the scene's only one."""
         others = [o for o in captured_hands(context.scene) if o.manient.side != self._hand.side]
         others = [o for o in others if o.manient.capture == self._hand.collection] or others
         found = [hand for hand in map(hand_of, others) if hand is not None]
@@ -176,19 +180,21 @@ class _Captured(PosableHand):
                 f"there are {len(found)} captured {other_side(self._hand.side)} hands whose pose this one "
                 "could mirror, and not one: select the other hand and save its pose as an asset"
             )
-        return _Captured(found[0])
+        return _CapturedPosable(found[0])
 
-    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(
+        self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
+    ) -> tuple[Span, np.ndarray]:
         """A key on every frame of the captured motion."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         if len(keys.frames) == 0 or not keys.rotation_keyed[:, moved].any():
             raise OptionError(f"{self._hand.armature.name!r} has no keys: put the pose on this frame alone")
         first, last = float(keys.frames[0]), float(keys.frames[-1])
         scale = timing_of(self._hand.armature).scale  # a spread counts source frames
-        span = span_asked(
-            replace(asked, spread=asked.spread * scale),
+        span = requested_span(
+            replace(requested, spread=requested.spread * scale),
             now,
-            next_key(self._hand, now) if asked.scope == "HOLD" else None,
+            next_key(self._hand, now) if requested.scope == "HOLD" else None,
             last,
         )
         inside = keys.frames[(keys.frames >= span.first) & (keys.frames <= span.last)]
@@ -229,7 +235,7 @@ class _Captured(PosableHand):
             set_pose(self.rig, posed.quats[0])
 
 
-class _OfCharacter(PosableHand):
+class _CharacterPosable(PosableHand):
     """A character's hand."""
 
     def __init__(self, armature: bpy.types.Object, hand_map: HandMap) -> None:
@@ -240,7 +246,7 @@ class _OfCharacter(PosableHand):
         super().__init__(rig, list(self._target.joints), {*rig.bones, *hand_map.bones, hand_map.moved_by})
 
     def read(self) -> Pose:
-        """As constraints and controls leave it, relative to the hand's own bone."""
+        """The pose that is shown, with constraints and controls, relative to the hand's own bone."""
         shown = self._armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
         names = [self._target.hand_map.bones[0], *self._target.bones]
         now = rotations_of(np.array([shown[name].matrix for name in names], dtype=np.float64))
@@ -253,45 +259,49 @@ class _OfCharacter(PosableHand):
         skins = Fingertips.of(self._model, np.zeros(NUM_BETAS))
         turns = pose.turns(self._source.side)[None]
         motion = Motion(self._source, np.zeros(1), turns, np.zeros((1, 3)), skins)
-        onto = Onto("ACTION", contacts=self._armature.manient.character.contacts)
+        onto = TransferOptions("ACTION", contacts=self._armature.manient.character.contacts)
         (found,) = run_to_completion(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
     def _rest(self) -> np.ndarray:
-        """Its own, for the bones that a pose would key."""
+        """(B, 4) the rotations at rest of the bones that a pose would key; NaN for the others."""
         unkeyed = np.isnan(self._quats(Pose(self._source.side, np.zeros(3 * (NUM_JOINTS - 1)))))
         return np.where(unkeyed, np.nan, super()._rest())
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:  # noqa: ARG002
-        """The character's own."""
+        """The character's other hand."""
         side = other_side(self._source.side)
         table = table_of(self._armature, side)
         if table == empty_map(side):
             raise OptionError(
                 f"the {side} hand of {self._armature.name!r} is not known: see Character > Bones"
             )
-        return _OfCharacter(self._armature, table)
+        return _CharacterPosable(self._armature, table)
 
-    def towards(self, context: bpy.types.Context, pose: Pose | None, blend: float, asked: Asked) -> Posed:
-        """The same; raises OptionError also where `put` could not key it."""
+    def towards(
+        self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
+    ) -> Posed:
+        """As `PosableHand.towards`; raises OptionError also where `put` could not key the pose."""
         check_own_keys(self._armature, "ACTION")
-        posed = super().towards(context, pose, blend, asked)
+        posed = super().towards(context, pose, blend, requested)
         check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)
         return posed
 
-    def _frames(self, context: bpy.types.Context, asked: Asked, moved: np.ndarray) -> tuple[Span, np.ndarray]:
+    def _frames(
+        self, context: bpy.types.Context, requested: RequestedFrames, moved: np.ndarray
+    ) -> tuple[Span, np.ndarray]:
         """The keys that are there, the span's ends, and where its blending does."""
         keys, now = read_pose_keys(self.rig), context.scene.frame_current_final
         own = keys.frames[keys.rotation_keyed[:, moved].any(axis=1)]
-        upcoming = next_begun(own, now)
-        span = span_asked(asked, now, upcoming, max([span_of(context.scene)[1], *own]))
+        upcoming = next_run_start(own, now)
+        span = requested_span(requested, now, upcoming, max([span_of(context.scene)[1], *own]))
         reach = max(span.spread, 1.0)
         begin, end = span.first - reach, np.inf if span.is_open else span.last + reach
         ends = [begin, span.first, span.last] + ([] if span.is_open else [end])
         return span, union([own[(own > begin) & (own < end)], np.array(ends)])
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:  # noqa: ARG002
-        """All of them get keys."""
+        """Key all bones that move."""
         count, moved = len(posed.frames), posed.moved
         keys = PoseKeys(
             posed.frames,
@@ -336,8 +346,8 @@ def posable_hands(context: bpy.types.Context) -> list[PosableHand]:
     owner = posed_by(context)
     assert owner is not None  # as the operators' polls see to
     if isinstance(owner, CapturedHand):
-        return [_Captured(owner)]
-    hands: list[PosableHand] = [_OfCharacter(owner, hand_map) for hand_map in _maps(owner)]
+        return [_CapturedPosable(owner)]
+    hands: list[PosableHand] = [_CharacterPosable(owner, hand_map) for hand_map in _maps(owner)]
     return [hand for hand in hands if hand.is_selected(context)] or hands
 
 

@@ -21,7 +21,7 @@ from ..blender_versions import use_nodes
 from ..wording import named_after
 from .camera import put_before
 from .plate import Plate
-from .store import kept_here
+from .store import has_properties
 from .surroundings import is_untouched
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
@@ -82,8 +82,8 @@ def follow_camera(scene: bpy.types.Scene) -> None:
     objects = list(scene.objects)
     ours = [thing for thing in objects if OURS in thing]
     cameras = [thing.parent for thing in ours if thing.parent in objects]
-    shown = scene.manient.rendered_camera if kept_here() else None
-    active = scene.manient.capture.manient.camera if kept_here() and scene.manient.capture else None
+    shown = scene.manient.rendered_camera if has_properties() else None
+    active = scene.manient.capture.manient.camera if has_properties() and scene.manient.capture else None
     chosen = next((c for wanted in (scene.camera, active, shown) for c in cameras if c == wanted), None)
     chosen = chosen or (cameras[-1] if cameras else None)
     if chosen is None or chosen == shown:
@@ -92,7 +92,7 @@ def follow_camera(scene: bpy.types.Scene) -> None:
     for thing in ours:
         if thing.type in kinds:
             thing.hide_render = thing.parent != chosen
-    if kept_here():
+    if has_properties():
         scene.manient.rendered_camera = chosen
 
 

@@ -281,7 +281,7 @@ def _move(points: Any, moved: np.ndarray) -> None:
 
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _after_time_travel)
-FOLLOWS = {"shape": lambda group: shape_changed(group.id_data)}
+LISTENERS = {"shape": lambda group: shape_changed(group.id_data)}
 
 
 def unregister() -> None:

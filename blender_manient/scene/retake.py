@@ -90,13 +90,13 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
         doubtful=None if track.doubtful is None else told.doubtful,
         expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
-        placed=_placed(hand),
+        placed=_pinned_points(hand),
         touches=_touches(hand),
     )
 
 
-def _placed(hand: CapturedHand) -> np.ndarray | None:
-    """(T, 21, 2) pixels of the points that the artist has put in place; None where there are none, and the
+def _pinned_points(hand: CapturedHand) -> np.ndarray | None:
+    """(T, 21, 2) pixels of the points that the artist has pinned; None where there are none, and the
     hand was not added by hand."""
     numbers = hand.take.frame_numbers
     placed = np.full((len(numbers), NUM_KEYPOINTS, 2), np.nan)

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 _SHEARED = 1e-4
-"""What a bone's axes, of length 1, may be off"""
+"""how far the axes of a bone, of length 1, may be from its nearest rotation"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Sampled:
         return found
 
     def hung(self, tree: Mapping[str, str]) -> Sampled:
-        """Those bones alone, hanging as `tree` says: a bone's name and its parent's, empty for a root.
+        """The bones of `tree` alone, which maps each bone's name to its new parent's, empty for a root.
 
         Files hold no shear: where a bone would have it because one above is stretched, those above keep their
         places, turns and volume, and lose the stretch.
@@ -64,7 +64,7 @@ class Sampled:
         return found
 
     def without(self, names: Collection[str]) -> Sampled:
-        """The same without some bones, whose children count as having no parent."""
+        """The armature without the named bones, whose children become roots."""
         kept = [index for index, name in enumerate(self.names) if name not in names]
         parents = tuple(kept.index(self.parents[i]) if self.parents[i] in kept else -1 for i in kept)
         return replace(

@@ -13,12 +13,12 @@ from collections.abc import Callable
 
 import bpy
 
-from ..remembered import Remembered
+from ..block_reference import BlockReference
 from .plate import drive_offset, offset_driver
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
 
-_shown: tuple[Remembered, Callable[[], float]] | None = None
+_shown: tuple[BlockReference, Callable[[], float]] | None = None
 """The camera whose picture lies over the hand, and what tells the hand's opacity"""
 
 
@@ -33,7 +33,7 @@ def begin(camera: bpy.types.Camera, opacity: Callable[[], float]) -> None:
     """Lay one camera's picture over what is in front of it until `end`; `opacity` tells the hand's, 0..1,
     whenever it is asked."""
     global _shown
-    _shown = Remembered.of("cameras", camera), opacity
+    _shown = BlockReference.of("cameras", camera), opacity
     follow()
 
 
@@ -136,7 +136,7 @@ HANDLERS = {
     "save_post": follow,
     "save_post_fail": follow,
 }
-FOLLOWS = {"hand_opacity": follow}
+LISTENERS = {"hand_opacity": follow}
 
 
 def register() -> None:

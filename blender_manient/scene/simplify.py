@@ -60,7 +60,7 @@ class Bounds:
     together: str = "FINGER"
     """What has its keys on common frames: ALL, each FINGER, or nothing but each BONE"""
     parts: frozenset[str] = frozenset(PARTS)
-    """Which of `PARTS`; the others keep their keys"""
+    """the names of `PARTS` to simplify; the others keep their keys"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Hand:
 
     rig: PosedBones
     parts: tuple[str, ...]
-    """Of each bone the one of `PARTS` that it belongs to"""
+    """the part, one of `PARTS`, that each bone belongs to"""
     captured: CapturedHand | None = None
 
 
@@ -83,14 +83,14 @@ class Thinned:
     chosen: tuple[int | None, ...]
     """The bones that get the keys of `result.splines`, in this order; None: the first one's location"""
     before: int
-    """How many keys their channels had"""
+    """the number of keys that the chosen bones' channels had"""
     result: Simplified
     made_of: str
     """`state_of` the hand when it was read"""
 
     @property
     def after(self) -> int:
-        """How many keys their channels will have."""
+        """The number of keys that the chosen bones' channels will have."""
         return sum(spline.values.size for spline in self.result.splines)
 
 
@@ -185,7 +185,7 @@ def state_of(hand: Hand) -> str:
 
 
 def _groups(parts: Sequence[str], together: str) -> list[int]:
-    """Which group of common frames each of some channels belongs to, by their parts."""
+    """For each channel, given its part, the number of its group: channels of one group share their frames."""
     names = list(dict.fromkeys(parts))
     if together == "BONE":
         return list(range(len(parts)))
@@ -224,7 +224,7 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
 def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
     """The action with all keys behind the present one; None where there is none."""
     data = armature.animation_data
-    return _behind(data.action) if data is not None else None
+    return _dense_action(data.action) if data is not None else None
 
 
 def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
@@ -232,7 +232,7 @@ def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action,
     uses too are copied first."""
     user, found = _motion(armature), []
     action = user.action if user is not None else None
-    while (dense := _behind(action)) is not None and dense not in [one for one, _ in found]:
+    while (dense := _dense_action(action)) is not None and dense not in [one for one, _ in found]:
         assert action is not None
         if dense.library is not None or dense.users - dense.use_fake_user > 1:
             dense = dense.copy()
@@ -253,7 +253,7 @@ def changed_alike(armature: bpy.types.Object) -> Iterator[None]:
     """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
     motion that was not changed since it was simplified still counts as not changed afterwards."""
     user = _motion(armature)
-    same = user is not None and _behind(user.action) is not None and _is_unchanged(user)
+    same = user is not None and _dense_action(user.action) is not None and _is_unchanged(user)
     yield
     if same:
         user = _motion(armature)
@@ -271,7 +271,7 @@ def _is_unchanged(user: Any) -> bool:
     return _digest(user.action, action_slot(user)) == _note(user.action)["digest"]
 
 
-def _behind(action: bpy.types.Action | None) -> bpy.types.Action | None:
+def _dense_action(action: bpy.types.Action | None) -> bpy.types.Action | None:
     dense = action.get(DENSE) if action is not None else None
     return dense if isinstance(dense, bpy.types.Action) else None
 
@@ -364,7 +364,7 @@ def _note(action: bpy.types.Action) -> dict[str, Any]:
 
 
 def _digest(action: bpy.types.Action, slot: Any) -> str:
-    """What tells an action's keys from all others."""
+    """A digest of an action's keys."""
     holder = channels(action, slot)
     found = hashlib.sha256()
     curves = holder.fcurves if holder is not None else ()

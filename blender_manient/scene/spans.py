@@ -49,8 +49,8 @@ SCOPES: Any = {
 
 
 @dataclass(frozen=True)
-class Asked:
-    """The frames that an artist has asked for."""
+class RequestedFrames:
+    """The frames that the artist chose for a pose."""
 
     scope: Scope = "HERE"
     first: float = 1.0
@@ -83,16 +83,16 @@ class Span:
         return fade(np.maximum(away, 0.0) / max(self.spread, 1.0))
 
 
-def span_asked(asked: Asked, now: float, upcoming: float | None, last: float) -> Span:
+def requested_span(requested: RequestedFrames, now: float, upcoming: float | None, last: float) -> Span:
     """The span of frames that were asked for, RANGE or HOLD, at the frame `now` of a motion whose next key is
     `upcoming`; where there is none it ends at `last`. Raises OptionError."""
-    asked.check()
-    if asked.scope == "RANGE":
-        return Span(asked.first, asked.last, asked.spread)
+    requested.check()
+    if requested.scope == "RANGE":
+        return Span(requested.first, requested.last, requested.spread)
     if upcoming is None:
-        return Span(now, max(last, now), asked.spread, is_open=True)
-    end = max(now, upcoming - max(asked.spread, 1.0))
-    return Span(now, end, min(asked.spread, upcoming - end))
+        return Span(now, max(last, now), requested.spread, is_open=True)
+    end = max(now, upcoming - max(requested.spread, 1.0))
+    return Span(now, end, min(requested.spread, upcoming - end))
 
 
 def next_key(hand: CapturedHand, now: float) -> float | None:
@@ -100,7 +100,7 @@ def next_key(hand: CapturedHand, now: float) -> float | None:
     captured hand; None for none. Raises TakeError and HandModelError."""
     numbers = np.asarray(hand.take.frame_numbers)
     step = float(np.diff(numbers).min(initial=1 << 30)) if len(numbers) > 1 else 1.0
-    begun = begins(corrections_of(hand.armature), _ADJACENT * max(step, 1.0))
+    begun = correction_starts(corrections_of(hand.armature), _ADJACENT * max(step, 1.0))
     own = np.any(keyed_by_hand(hand, np.arange(len(numbers))), axis=1).astype(bool)
     follows = np.concatenate([[False], own])[:-1]
     begun += np.extract(own & ~follows, numbers).tolist()
@@ -108,7 +108,7 @@ def next_key(hand: CapturedHand, now: float) -> float | None:
     return _next(places, now)
 
 
-def begins(field: CorrectionField, adjacent: float) -> list[float]:
+def correction_starts(field: CorrectionField, adjacent: float) -> list[float]:
     """The source frames of corrections that do not go on with those of frames at most `adjacent` before."""
     found, before, posed = [], -np.inf, False
     for frame in field.corrected:
@@ -119,7 +119,7 @@ def begins(field: CorrectionField, adjacent: float) -> list[float]:
     return found
 
 
-def next_begun(keyed: np.ndarray, now: float) -> float | None:
+def next_run_start(keyed: np.ndarray, now: float) -> float | None:
     """The first of these scene frames (N,) of keys, increasing, after `now` that does not follow on another
     key at once; None for none."""
     return _next(keyed[np.append(True, np.diff(keyed) > _ADJACENT)[: len(keyed)]], now)

@@ -60,7 +60,7 @@ class CapturedHand:
     take: Take
     track: HandTrack
     index: int
-    """Which of `take.hands`"""
+    """the hand's index in `take.hands`"""
     side: Side
 
     @property
@@ -70,7 +70,7 @@ class CapturedHand:
 
     @property
     def rig(self) -> Rig:
-        """Its bones."""
+        """The bones of the armature, as a rig."""
         return rig_of(self.armature, self.side)
 
     @property
@@ -79,7 +79,7 @@ class CapturedHand:
         return np.array(self.armature.manient.betas, dtype=np.float64)
 
     def shaped(self) -> ShapedHand:
-        """Its model in that shape. Raises HandModelError."""
+        """The hand's model in the shape of `betas`. Raises HandModelError."""
         return self.model().shaped(self.betas)
 
     def model(self) -> HandModel:
@@ -110,7 +110,7 @@ def keeping_take(
     its file, where they are at hand; else the first step compresses the take, which for 10 000 frames of two
     hands takes half a second. `captured`: it is kept beside the one that was retimed from it. Does nothing
     where nothing is kept."""
-    if not kept_here():
+    if not has_properties():
         return
     data = take.to_bytes(compact=True) if data is None else data
     texts, fingerprint = [], hashlib.sha256()
@@ -135,7 +135,7 @@ def keep_take(collection: bpy.types.Collection, take: Take) -> None:
 
 def kept_take(collection: bpy.types.Collection) -> Take:
     """The take that a collection keeps, decoded once. Raises TakeError."""
-    if not kept_here() or not collection.manient.digest:
+    if not has_properties() or not collection.manient.digest:
         raise TakeError(
             f"the collection {collection.name} keeps no take, so its hands cannot be refined; import the "
             "take file, or capture again"
@@ -147,7 +147,7 @@ def captured_take(collection: bpy.types.Collection) -> Take:
     """The take as it was captured, at the clip's own rate: the kept one, unless that is retimed. Hands that
     were added or mirrored since are in the kept one alone. Raises TakeError."""
     kept = collection.manient
-    if kept_here() and kept.source_digest:
+    if has_properties() and kept.source_digest:
         return _read(collection, "source_take", kept.source_digest)
     return kept_take(collection)
 
@@ -155,13 +155,13 @@ def captured_take(collection: bpy.types.Collection) -> Take:
 def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.types.Object]:
     """The armatures of a scene's captured hands, by the names of their captures and their own; with `shown`
     without those of hidden captures. Decodes nothing."""
-    if not kept_here():
+    if not has_properties():
         return []
     hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
-    return sorted((o for o in hands if not (shown and is_put_away(o))), key=_place)
+    return sorted((o for o in hands if not (shown and is_in_hidden_capture(o))), key=_place)
 
 
-def is_put_away(obj: bpy.types.Object) -> bool:
+def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
     """Whether an object is in hidden captures only (`captures.hide_others`)."""
     return all(c.manient.is_capture and c.hide_viewport for c in obj.users_collection)
 
@@ -274,7 +274,7 @@ def scene_frames(collection: bpy.types.Collection, take: Take) -> np.ndarray:
     return timing_of(collection).scene_frames(take.frame_numbers)
 
 
-def kept_here() -> bool:
+def has_properties() -> bool:
     """Whether the add-on's properties exist, to keep anything in."""
     return hasattr(bpy.types.Collection, "manient")
 
@@ -284,7 +284,7 @@ def describe_capture(
 ) -> None:
     """Note on a collection where its take lies in the scene, which camera saw it, and at how many frames per
     second of the scene it plays as fast as it was filmed (0: it has no rate)."""
-    if kept_here():
+    if has_properties():
         collection.manient.camera = camera
         collection.manient.frame_offset = timing.offset
         collection.manient.frame_scale = timing.scale
@@ -295,7 +295,7 @@ def describe_hand(
     armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int, wrist: Wrist
 ) -> None:
     """Note on an armature which hand of which take it is; its mesh is there already and ends in `wrist`."""
-    if kept_here():
+    if has_properties():
         hand = armature.manient
         # The shape first: as long as this is no captured hand, its change rebuilds nothing.
         hand.betas = [float(b) for b in take.hands[index].betas]
@@ -309,7 +309,7 @@ def describe_hand(
 
 
 def _armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
-    if not kept_here():
+    if not has_properties():
         return None
     for candidate in (obj, obj.parent):
         if candidate is not None and candidate.type == "ARMATURE" and candidate.manient.is_hand:

@@ -18,7 +18,7 @@ from handfit_core.farm.collect import Report
 from handfit_core.farm.plan import Plan, Task, places_of, plans_in, warn_once
 from handfit_core.farm.pool import ATTEMPTS, CURABLE, OF_MACHINE, Listener, is_final, last_kind
 from handfit_core.farm.report import Result
-from handfit_core.farm.show import STYLES, Shown
+from handfit_core.farm.show import STYLES, ProgressReporter
 from handfit_core.files import shown
 from handfit_core.options import OPTIONS
 from handfit_core.version import __version__
@@ -60,7 +60,7 @@ def do(plans: Sequence[Plan], doer: AbstractContextManager[Doer], args: argparse
     report.look()
     report.write()
     results: list[Result] = []
-    with closing(Shown(list(itertools.chain(*tasks)), args.progress, report)) as listener:
+    with closing(ProgressReporter(list(itertools.chain(*tasks)), args.progress, report)) as listener:
         try:
             with doer as it:
                 for plan, some in zip(plans, tasks, strict=True):

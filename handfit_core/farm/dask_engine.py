@@ -80,7 +80,7 @@ def do_task(packed: bytes, settings: Mapping[str, Any]) -> dict[str, Any]:
         )
         return {"refused": why, "worker": worker.address}
     plan = Plan.of_content(order["plan"], Path(order["path"]))
-    listener = _Telling(worker, settings["topic"])
+    listener = _WorkerListener(worker, settings["topic"])
     try:
         with _warm_pool(worker, settings["command"], settings["here"]) as pool:
             again, retry_failed = settings["again"], settings["retry_failed"]
@@ -107,7 +107,7 @@ class _NotWanted(Exception):
     """Nobody waits for this task any more, or this worker ends."""
 
 
-class _Telling(Listener):
+class _WorkerListener(Listener):
     """Tells the client how far a task is, and ends it where nobody wants it any more."""
 
     def __init__(self, worker: Any, topic: str) -> None:
@@ -133,7 +133,7 @@ class _Telling(Listener):
             raise _NotWanted
 
 
-class _Seat:
+class _ThreadState:
     """What a thread of the worker keeps from task to task: a pool with one process."""
 
     def __init__(self, worker: Any) -> None:
@@ -185,7 +185,7 @@ class _Seat:
             self._pool = None
 
 
-_seats: dict[int, _Seat] = {}
+_thread_states: dict[int, _ThreadState] = {}
 """By thread. Their processes see for themselves when the Dask worker has ended, however it did"""
 
 
@@ -193,12 +193,14 @@ def _warm_pool(
     worker: Any, command: Sequence[str], here: Mapping[str, Any]
 ) -> contextlib.AbstractContextManager[Pool]:
     """The pool of this thread, whose process stays for the next task."""
-    if (seat := _seats.get(threading.get_ident())) is None:
-        seat = _seats[threading.get_ident()] = _Seat(worker)
+    if (thread_state := _thread_states.get(threading.get_ident())) is None:
+        thread_state = _thread_states[threading.get_ident()] = _ThreadState(worker)
     own = os.environ.get(COMMAND_VARIABLE)
     command = tuple(words(own) if own else command)
-    processes = here["processes"] or seat.share
-    return seat.occupied(**{**here, "command": command, "threads": seat.share, "processes": processes})
+    processes = here["processes"] or thread_state.share
+    return thread_state.occupied(
+        **{**here, "command": command, "threads": thread_state.share, "processes": processes}
+    )
 
 
 def words(command: str) -> list[str]:

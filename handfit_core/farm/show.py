@@ -55,7 +55,7 @@ class _AtHand:
         return f"{self.stage} {self.done}/{self.total or '?'}" if self.stage else "starting"
 
 
-class Shown(Listener):
+class ProgressReporter(Listener):
     """Prints what happens to the tasks of a run, and keeps a report up to date."""
 
     def __init__(self, tasks: list[Task], style: str = "text", report: Report | None = None) -> None:

@@ -64,7 +64,7 @@ class Slot:
         or is none of ours, says `error` last, with the type WorkerDied, MemoryRanOut or OptionError."""
         child = self._child
         if wait:
-            child.wait_for_news(wait)
+            child.wait_for_io(wait)
         child.exchange()
         ended = child.ended()
         found = []
@@ -91,7 +91,7 @@ class Slot:
                 f"memory ran out, and the process ended {ending(child.exit_code or 0)}; run fewer at a time "
                 "(--jobs), or capture fewer frames, or smaller pictures",
             )
-        lines = [line.strip() for line in child.last_words().splitlines() if line.strip()]
+        lines = [line.strip() for line in child.stderr_tail().splitlines() if line.strip()]
         said = f", last saying: {lines[-1][:300]}" if lines else ""
         if not self.ready:
             return _error("WorkerDied", f"the process that does tasks ended at once{said}; try --debug")

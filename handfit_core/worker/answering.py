@@ -1,4 +1,7 @@
-"""What is done for each kind of request. Nothing heavy loads before a request needs it."""
+"""What is done for each kind of request.
+
+Imports inside functions keep the worker's start quick: heavy packages load when a request needs them.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,14 @@ import numpy as np
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError, PictureSizeError
 from handfit_core.files import written_whole
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.worker.protocol import pack
 from handfit_core.worker.runner import OnProgress
 
 if TYPE_CHECKING:
     from handfit_core.pipeline import Progress
 
-LONGEST_SHOWN: Final = 4096
+MAX_PICTURE_SIDE: Final = 4096
 """pixels a side of a picture that people look at"""
 
 
@@ -68,7 +72,7 @@ def capture(
         _check_retimed(source, options, message["retimed"])
     stopped = False
 
-    def asked() -> bool:
+    def should_stop_once() -> bool:
         nonlocal stopped
         stopped = stopped or should_stop()
         return stopped
@@ -76,7 +80,7 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, output, options, report, asked, **flags, parts=parts)
+    done = capture_to_file(source, output, options, report, should_stop_once, **flags, parts=parts)
     return {**done, "stopped": stopped}
 
 
@@ -98,7 +102,6 @@ def detect(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
     """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
-    from handfit_core.media.frame_range import FrameRange
     from handfit_core.options import CaptureOptions
     from handfit_core.pipeline import detect_to_file
 
@@ -181,10 +184,10 @@ def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _write_picture(rgb: np.ndarray, path: str) -> None:
-    """Write a picture (H, W, 3) as JPEG, with at most `LONGEST_SHOWN` pixels a side. Raises OutputError."""
+    """Write a picture (H, W, 3) as JPEG, at most `MAX_PICTURE_SIDE` pixels a side. Raises OutputError."""
     import cv2
 
-    smaller = LONGEST_SHOWN / max(rgb.shape)
+    smaller = MAX_PICTURE_SIDE / max(rgb.shape)
     if smaller < 1.0:
         size = [max(1, round(smaller * side)) for side in rgb.shape[1::-1]]
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)

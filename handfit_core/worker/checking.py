@@ -1,7 +1,7 @@
 """The requests `check` and `warm`: using every heavy part once tells whether it works, and has it loaded.
 
 In a check every part is tried by itself: what is missing or broken becomes a line, never an error of the
-request.
+request. So the packages that it tries are imported inside functions.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ OPTIONAL: Final = ("torch",)
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
 
-_ZIP_AGAIN: Final = "install the add-on's zip again"
+_REINSTALL: Final = "install the add-on's zip again"
 
-_LATER: Final = ("cv2", "scipy.optimize")
+_PRELOADED: Final = ("cv2", "scipy.optimize")
 """What a capture loads beside what the self-tests need"""
 
 
@@ -64,17 +64,17 @@ def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
         ("self-test of the solver", _solver),
         ("self-test of re-fitting", _refitting),
     ]
-    all_well = True
+    ok = True
     for name, step in steps:
         if should_stop():
             raise Cancelled("the check was stopped")
         try:
             lines.append(f"{name}: {step()}: ok")
         except Exception as error:  # whatever is wrong with an installation is what the report is for
-            all_well = False
+            ok = False
             lines.append(f"{name}: FAILED: {_reason(error)}")
-    lines.append("Everything works." if all_well else "Not everything works; see FAILED above.")
-    return {"report": "\n".join(lines), "ok": all_well, "seconds": round(time.perf_counter() - started, 3)}
+    lines.append("Everything works." if ok else "Not everything works; see FAILED above.")
+    return {"report": "\n".join(lines), "ok": ok, "seconds": round(time.perf_counter() - started, 3)}
 
 
 def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
     from handfit_core.edit import warm_up
 
     started = time.perf_counter()
-    later = [partial(importlib.import_module, name) for name in _LATER]
+    later = [partial(importlib.import_module, name) for name in _PRELOADED]
     for step in (*later, blank_picture_hands, synthetic_fit_error_mm, partial(warm_up, model)):
         if should_stop():
             raise Cancelled("loading was stopped")
@@ -126,7 +126,7 @@ def _package(name: str) -> str:
     """The version of a package. Raises HandfitError, which also says where to get one that is missing."""
     module_name, lowest = PACKAGES[name]
     wanted = f"{name}>={'.'.join(map(str, lowest))}"
-    remedy = f"{_ZIP_AGAIN}; a Python of your own needs {wanted}"
+    remedy = f"{_REINSTALL}; a Python of your own needs {wanted}"
     try:
         version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
     except ModuleNotFoundError as error:
@@ -174,7 +174,7 @@ def _detector() -> str:
     count = blank_picture_hands()
     if count:
         raise HandfitError(
-            f"it saw {count} hands in a blank picture; {_ZIP_AGAIN}, or fetch the landmark model again"
+            f"it saw {count} hands in a blank picture; {_REINSTALL}, or fetch the landmark model again"
         )
     return "no hand in a blank picture"
 
@@ -184,7 +184,7 @@ def _solver() -> str:
     # Written so that NaN fails.
     if not worst < WORST_FIT_MM:
         raise HandfitError(
-            f"a hand came out {worst:.1f} mm off; {_ZIP_AGAIN}, or NumPy and SciPy into a Python of your own"
+            f"a hand came out {worst:.1f} mm off; {_REINSTALL}, or NumPy and SciPy into a Python of your own"
         )
     return f"{worst:.1f} mm off a known hand"
 

@@ -17,24 +17,29 @@ from typing import Any
 from handfit_core.errors import Cancelled, ProtocolError
 from handfit_core.version import __version__
 from handfit_core.worker import protocol
-from handfit_core.worker.interpreter import find_python, runs_here, worker_command, worker_environment
+from handfit_core.worker.interpreter import (
+    find_python,
+    is_current_interpreter,
+    worker_command,
+    worker_environment,
+)
 from handfit_core.worker.process import ChildProcess, out_of_memory_kills
 from handfit_core.worker.runner import Event, MemoryRanOut, Runner, WorkerDied, WorkerError
 
-_START_LIMIT = 60.0
+_START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
-_NOISE_LIMIT = 200
-"""lines before that which are no messages"""
-_GRACE = 0.03
+_MAX_NOISE_LINES = 200
+"""lines before the `ready` event that may be no messages"""
+_STOP_SECONDS = 0.03
 """seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
 0.1, all of it to give back memory"""
-_PATIENCE = 3.0
-"""seconds that a script gives it"""
+_SCRIPT_STOP_SECONDS = 3.0
+"""seconds that a script gives a process to end by itself"""
 
-_LONGEST_SENTENCE = 2000
+_MAX_MESSAGE_CHARS = 2000
 """characters of what a worker says for people"""
-_CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
-"""What a process does to itself; other signals come from outside"""
+_CRASH_SIGNALS = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
+"""signals of a process's own crash; other signals come from outside"""
 
 
 @dataclass(frozen=True)
@@ -56,7 +61,7 @@ class Advice:
 
 
 ADVICE = Advice(where="with --python or in $HANDFIT_PYTHON", crash="try again with --debug")
-"""For a worker that no window starts"""
+"""advice of errors that are printed, where no window starts the worker"""
 
 
 class Worker(Runner):
@@ -83,21 +88,21 @@ class Worker(Runner):
         self._threads = threads
         self._debug = debug
         self._advice = advice
-        self._bytecode = bytecode if self.runs_here else None
+        self._bytecode = bytecode if self.uses_current_interpreter else None
         self._child: ChildProcess | None = None
         self._last_child: ChildProcess | None = None
-        self._hello: Event | None = None
+        self._ready_event: Event | None = None
         self._start_deadline = 0.0
         self._kills_before: int | None = None
         """`out_of_memory_kills` when the last request was sent"""
 
     def __exit__(self, *_: object) -> None:
-        self.stop(_PATIENCE)
+        self.stop(_SCRIPT_STOP_SECONDS)
 
     @property
-    def runs_here(self) -> bool:
-        """Whether it is the interpreter that runs here."""
-        return runs_here(self.python)
+    def uses_current_interpreter(self) -> bool:
+        """Whether the worker's Python is the interpreter of this process."""
+        return is_current_interpreter(self.python)
 
     @property
     def alive(self) -> bool:
@@ -112,7 +117,7 @@ class Worker(Runner):
     @property
     def ready(self) -> Event | None:
         """The process's `ready` event, with its versions; None until `poll` or `wait` has seen it."""
-        return self._hello
+        return self._ready_event
 
     def start(self) -> None:
         """Start the process unless it runs; returns at once. Raises WorkerError."""
@@ -135,8 +140,8 @@ class Worker(Runner):
                 f"cannot start the Python '{self.python}' ({error.strerror or error}); {self._advice.python}"
             ) from error
         self._last_child = self._child
-        self._hello = None
-        self._start_deadline = time.monotonic() + _START_LIMIT
+        self._ready_event = None
+        self._start_deadline = time.monotonic() + _START_SECONDS
 
     def submit(self, kind: str, /, **fields: Any) -> int:
         """Ask for something; returns the number that its events carry as `id`.
@@ -151,7 +156,7 @@ class Worker(Runner):
         assert self._child is not None
         self._kills_before = out_of_memory_kills()
         self._child.send(line)
-        return self._opened(kind)
+        return self._register(kind)
 
     def cancel(self, request: int) -> None:
         """Have a request stopped as soon as it can be; its last event still comes."""
@@ -160,16 +165,16 @@ class Worker(Runner):
         self._number += 1
         self._child.send(protocol.encode({"id": self._number, "request": "cancel", "job": request}))
 
-    def stop(self, seconds: float = _GRACE) -> None:
+    def stop(self, seconds: float = _STOP_SECONDS) -> None:
         """End the process; open requests get an `error` of type Cancelled.
 
         One that has not ended after `seconds` is killed. A take is written whole or not at all; of what
         was being written a temporary file may stay beside it.
         """
-        child, self._child, self._hello = self._child, None, None
+        child, self._child, self._ready_event = self._child, None, None
         if child is not None:
             child.stop(seconds)
-        self._answer_all(Cancelled.__name__, "stopped before it was finished", "")
+        self._fail_all(Cancelled.__name__, "stopped before it was finished", "")
 
     def details(self) -> str:
         """What the process, or the last one, said on stderr, and how it ended; for a bug report."""
@@ -178,7 +183,7 @@ class Worker(Runner):
             return ""
         code = child.exit_code
         how = "" if code is None else f"the process ended {ending(code)}"
-        return "\n".join(filter(None, (child.last_words().strip(), how)))
+        return "\n".join(filter(None, (child.stderr_tail().strip(), how)))
 
     def _collect(self, wait: float) -> None:
         """Take in what the process said since the last time. Where it has died, every open request gets an
@@ -187,13 +192,13 @@ class Worker(Runner):
         if child is None:
             return
         if wait:
-            child.wait_for_news(wait)
+            child.wait_for_io(wait)
         child.exchange()
         ended = child.ended()
         for message in child.received():
             try:
-                if self._hello is None:
-                    self._greet(message)
+                if self._ready_event is None:
+                    self._receive_first(message)
                 else:
                     self._receive(message)
             except ProtocolError as error:
@@ -203,27 +208,28 @@ class Worker(Runner):
                 )
             if self._child is None:
                 return
-        if child.endless:
+        if child.line_too_long:
             self._give_up(
                 f"the worker process wrote a line of more than {protocol.LONGEST_EVENT >> 20} MB, and was "
                 f"stopped; {self._advice.crash}"
-                if self._hello
+                if self._ready_event
                 else f"the Python '{self.python}' is not one; {self._advice.python}"
             )
         elif ended:
             ran_out = ran_out_of_memory(child, self._kills_before)
-            kind = MemoryRanOut if ran_out else WorkerError if self._hello is None else WorkerDied
-            self._give_up(self._why_it_died(child, ran_out), kind.__name__)
-        elif self._hello is None and child.noise > _NOISE_LIMIT:
+            kind = MemoryRanOut if ran_out else WorkerError if self._ready_event is None else WorkerDied
+            self._give_up(self._death_message(child, ran_out), kind.__name__)
+        elif self._ready_event is None and child.noise > _MAX_NOISE_LINES:
             self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
-        elif self._hello is None and time.monotonic() > self._start_deadline:
+        elif self._ready_event is None and time.monotonic() > self._start_deadline:
             self._give_up(
-                f"the Python '{self.python}' did not answer within {_START_LIMIT:g} seconds; "
+                f"the Python '{self.python}' did not answer within {_START_SECONDS:g} seconds; "
                 f"{self._advice.python}"
             )
 
-    def _greet(self, message: Event) -> None:
-        """Take in the first message; gives up on the process if it is not the right one."""
+    def _receive_first(self, message: Event) -> None:
+        """Take in a process's first message; gives up on the process if it is not the `ready` event of this
+        version."""
         unknown = f"the Python '{self.python}' answered in an unknown way; {self._advice.python}"
         try:
             protocol.check_event(message)
@@ -249,7 +255,7 @@ class Worker(Runner):
                 "Blender was running; restart Blender"
             )
         else:
-            self._hello = message
+            self._ready_event = message
 
     def _receive(self, message: Event) -> None:
         """Take in an event of a request that is open. Raises ProtocolError."""
@@ -263,37 +269,37 @@ class Worker(Runner):
             return
         protocol.check_event(message, self._open[job])
         if kind in ("warning", "error"):
-            message = {**message, "message": " ".join(message["message"].split())[:_LONGEST_SENTENCE]}
+            message = {**message, "message": " ".join(message["message"].split())[:_MAX_MESSAGE_CHARS]}
         if kind in ("done", "error"):
             del self._open[job]
         if kind == "error" and message.get("type") in ("ModuleNotFoundError", "ImportError"):
-            message = {**message, "type": WorkerError.__name__, "message": self._what_is_missing(message)}
+            message = {**message, "type": WorkerError.__name__, "message": self._import_message(message)}
         self._events.append(message)
 
     def _give_up(self, why: str, kind: str = WorkerError.__name__) -> None:
         """Kill the process and answer every open request with an error of this kind."""
-        child, self._child, self._hello = self._child, None, None
+        child, self._child, self._ready_event = self._child, None, None
         if child is not None:
             child.kill()
-        self._answer_all(kind, why, self.details())
+        self._fail_all(kind, why, self.details())
 
-    def _what_is_missing(self, message: Event) -> str:
-        """One sentence for a part that the process could not import."""
-        if self.runs_here and self._advice.broken:
-            return self._broken_part(_last_line(str(message.get("details", ""))))
+    def _import_message(self, message: Event) -> str:
+        """One sentence about a package that the process could not import."""
+        if self.uses_current_interpreter and self._advice.broken:
+            return self._broken_package_message(_last_line(str(message.get("details", ""))))
         return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"
 
-    def _broken_part(self, said: str) -> str:
+    def _broken_package_message(self, reason: str) -> str:
         """One sentence for a package that does not load although it was brought along."""
-        return f"a package that capturing needs does not load ({said}): {self._advice.broken}"
+        return f"a package that capturing needs does not load ({reason}): {self._advice.broken}"
 
-    def _why_it_died(self, child: ChildProcess, ran_out: bool) -> str:
+    def _death_message(self, child: ChildProcess, ran_out: bool) -> str:
         """One sentence for a process that ended without saying why."""
         code = child.exit_code or 0
-        last = _last_line(child.last_words())
+        last = _last_line(child.stderr_tail())
         if "No module named" in last:
-            if self.runs_here and self._advice.broken:
-                return self._broken_part(last)
+            if self.uses_current_interpreter and self._advice.broken:
+                return self._broken_package_message(last)
             return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
         said = f", last saying: {last}" if last else ""
         if child.hung:
@@ -304,11 +310,11 @@ class Worker(Runner):
                 f"memory ran out, and the worker process ended {ending(code)}{said}; capture fewer frames "
                 "at a time, or smaller pictures"
             )
-        if signal_name and signal_name not in _CRASHES:
+        if signal_name and signal_name not in _CRASH_SIGNALS:
             # A system that does not count may have done it itself, for whatever reason.
             who = "from outside" if self._kills_before is not None else "from outside or by the system"
             return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
-        if self._hello is None and not self.runs_here:
+        if self._ready_event is None and not self.uses_current_interpreter:
             return (
                 f"'{self.python}' is not a Python that can capture (it ended {ending(code)}{said}); "
                 f"{self._advice.python}"
@@ -330,7 +336,7 @@ def ran_out_of_memory(child: ChildProcess, kills_before: int | None) -> bool:
     kills = out_of_memory_kills()
     counted = kills is not None and kills_before is not None and kills > kills_before
     by_system = counted and _signal_name(child.exit_code or 0) == "SIGKILL"
-    return by_system or _says_memory_ran_out(child.last_words())
+    return by_system or _says_memory_ran_out(child.stderr_tail())
 
 
 def _says_memory_ran_out(words: str) -> bool:

@@ -24,7 +24,7 @@ def find_python(python: str | None = None) -> str:
 
 
 def unquoted(text: str) -> str:
-    """Without the spaces and quotes around it that come with a copied path."""
+    """The text without the spaces and quotes around it that come with a copied path."""
     text = text.strip()
     if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
         text = text[1:-1].strip()
@@ -32,13 +32,13 @@ def unquoted(text: str) -> str:
 
 
 @lru_cache(maxsize=16)
-def runs_here(python: str) -> bool:
-    """Whether it is the interpreter that runs here, maybe by another name, with the same packages."""
+def is_current_interpreter(python: str) -> bool:
+    """Whether a path names this process's interpreter, maybe by another name, with the same packages."""
     python = shutil.which(python) or python
-    if _plain(python) == _plain(sys.executable):
+    if _normalised(python) == _normalised(sys.executable):
         return True
     # A virtual environment's interpreter is often only a link, and has packages of its own all the same.
-    if _environment(python) or _environment(sys.executable):
+    if _in_virtual_environment(python) or _in_virtual_environment(sys.executable):
         return False
     try:
         return Path(python).samefile(sys.executable)
@@ -50,9 +50,9 @@ def worker_command(python: str, *words: str) -> list[str]:
     """What starts the worker, or another command of the core, with this interpreter, as `find_python` gives
     it."""
     words = words or ("worker",)
-    if runs_here(python) and not _is_alone():
+    if is_current_interpreter(python) and not _brought_by_launcher():
         # -P: not from the folder in which Blender happens to have been started.
-        return [python, *_own_flags(), "-P", "-u", "-m", "handfit_core", *words]
+        return [python, *_site_flags(), "-P", "-u", "-m", "handfit_core", *words]
     return [python, "-u", str(_core_folder() / "worker" / "launch.py"), *words]
 
 
@@ -60,7 +60,7 @@ def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, s
     """The process's environment: nothing that is meant for the Python that runs here, except for that one
     itself. `bytecode`: where it keeps what it compiles; None: nowhere."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    if runs_here(python) and not _is_alone():
+    if is_current_interpreter(python) and not _brought_by_launcher():
         environment["PYTHONPATH"] = str(_core_folder().parent)
     environment["PYTHONIOENCODING"] = "utf-8"
     if bytecode is None:
@@ -70,7 +70,7 @@ def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, s
     return environment
 
 
-def _own_flags() -> list[str]:
+def _site_flags() -> list[str]:
     """Blender takes nothing from the folder where pip puts packages for one user; nor does its worker."""
     return ["-s"] if sys.flags.no_user_site else []
 
@@ -79,17 +79,17 @@ def _core_folder() -> Path:
     return Path(__file__).resolve().parents[1]
 
 
-def _is_alone() -> bool:
+def _brought_by_launcher() -> bool:
     """Whether the launcher has brought handfit_core to the Python that runs here, which has packages of its
     own: those beside handfit_core must not shadow them."""
     return getattr(sys.modules["handfit_core"], "brought_by_launcher", False)
 
 
-def _plain(python: str) -> str:
-    """Without ".." and the like, and with links kept, unlike Path.resolve."""
+def _normalised(python: str) -> str:
+    """The absolute path without "..", with links kept, unlike Path.resolve."""
     return os.path.normcase(os.path.abspath(python))  # noqa: PTH100
 
 
-def _environment(python: str) -> bool:
-    """Whether it belongs to a virtual environment."""
-    return any((folder / "pyvenv.cfg").is_file() for folder in list(Path(_plain(python)).parents)[:2])
+def _in_virtual_environment(python: str) -> bool:
+    """Whether an interpreter belongs to a virtual environment."""
+    return any((folder / "pyvenv.cfg").is_file() for folder in list(Path(_normalised(python)).parents)[:2])

@@ -25,6 +25,7 @@ def main():
         return EXIT_UNFIT
     import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
     setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010
+    # Only now Python finds the package, as import_package has loaded it.
     from handfit_core.__main__ import main as run
 
     return run(sys.argv[1:])
@@ -32,6 +33,7 @@ def main():
 
 def import_package(name, folder):
     """Import the package `name` from its folder, without what lies beside it."""
+    # Python 2, which has to read this file, lacks it.
     from importlib import util
 
     file = os.path.join(folder, "__init__.py")  # noqa: PTH118

@@ -26,7 +26,7 @@ _SIZE = 1 << 20
 64 kB"""
 _PIPE_NOWAIT = 1
 """Windows' name for a pipe that does not block"""
-_STEP = 0.002
+_POLL_SECONDS = 0.002
 """seconds between two looks, where the system cannot wait for pipes"""
 
 
@@ -57,14 +57,14 @@ class _End:
 
 
 class ReadEnd(_End):
-    """What a child writes."""
+    """Our end of a pipe into which a child writes."""
 
     def read(self, most: int) -> bytes | None:
         """Up to `most` bytes that are there; None while there are none, b"" when none will come any more."""
         try:
             if sys.platform == "win32":
-                there = _lying_in(self)
-                return os.read(self._descriptor, min(there, most)) if there else None
+                available = _readable_bytes(self)
+                return os.read(self._descriptor, min(available, most)) if available else None
             return os.read(self._descriptor, most)
         except BlockingIOError:
             return None
@@ -73,7 +73,7 @@ class ReadEnd(_End):
 
 
 class WriteEnd(_End):
-    """What a child reads."""
+    """Our end of a pipe from which a child reads."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor)
@@ -111,10 +111,10 @@ def wait_for(readers: Sequence[ReadEnd], writer: WriteEnd | None, seconds: float
         writer = None
     if sys.platform == "win32":
         until = time.monotonic() + seconds
-        while not any(_has_news(end) for end in open_readers):
+        while not any(_is_readable(end) for end in open_readers):
             if time.monotonic() > until:
                 return False
-            time.sleep(min(_STEP, seconds))
+            time.sleep(min(_POLL_SECONDS, seconds))
             if writer is not None:
                 return True
         return True
@@ -144,13 +144,13 @@ def new_pipe() -> tuple[int, int]:
 
 if sys.platform == "win32":
 
-    def _lying_in(end: ReadEnd) -> int:
+    def _readable_bytes(end: ReadEnd) -> int:
         """How many bytes can be read. Raises OSError when none are left and none will come."""
         return _winapi.PeekNamedPipe(msvcrt.get_osfhandle(end.descriptor), 0)[-2]
 
-    def _has_news(end: ReadEnd) -> bool:
+    def _is_readable(end: ReadEnd) -> bool:
         try:
-            return _lying_in(end) > 0
+            return _readable_bytes(end) > 0
         except OSError:
             return True
 

@@ -12,7 +12,7 @@ from multiprocessing import get_context, parent_process
 from typing import Any
 
 from handfit_core.errors import Cancelled
-from handfit_core.worker.runner import THREAD_VARIABLES, Answer, Event, Runner, error_fields, events_of
+from handfit_core.worker.runner import THREAD_VARIABLES, Answer, Event, Runner, error_fields, run_request
 
 
 class Pool(Runner):
@@ -32,7 +32,7 @@ class Pool(Runner):
 
     def submit(self, kind: str, /, **fields: Any) -> int:
         """Hand a request to the next process that is free."""
-        number = self._opened(kind)
+        number = self._register(kind)
         with _one_thread_per_child():
             future = self._executor.submit(_do, {**fields, "request": kind})
         self._running[future] = number
@@ -53,11 +53,11 @@ class Pool(Runner):
         if wait:
             futures_wait(self._running, wait, FIRST_COMPLETED)
         for future in [future for future in self._running if future.done()]:
-            self._ended(self._running.pop(future), _events_of(future))
+            self._finish(self._running.pop(future), _future_events(future))
 
 
-def _events_of(future: Future[list[Event]]) -> list[Event]:
-    """What a request that is over has said."""
+def _future_events(future: Future[list[Event]]) -> list[Event]:
+    """The events of a request that is over."""
     if future.cancelled():
         return [{"event": "error", **error_fields(Cancelled("cancelled before it was begun"))}]
     error = future.exception()
@@ -106,4 +106,4 @@ def _end_with_parent() -> None:
 def _do(message: dict[str, Any]) -> list[Event]:
     """Do one request in a process of the pool; its events."""
     assert _answer is not None
-    return events_of(_answer, message)
+    return run_request(_answer, message)

@@ -18,22 +18,22 @@ from handfit_core.worker import protocol
 from handfit_core.worker.pipes import ReadEnd, WriteEnd, new_pipe, wait_for
 from handfit_core.worker.protocol import LONGEST_EVENT
 
-_CHUNK = 1 << 14
-"""bytes of its output that are taken between two looks at the clock"""
-_SLICE = 0.004
+_READ_BYTES = 1 << 14
+"""bytes of the child's output that are read between two looks at the clock"""
+_EXCHANGE_SECONDS = 0.004
 """seconds after which `exchange` reads, or writes, no more"""
-_ROOM = 0.001
+_WRITE_WAIT_SECONDS = 0.001
 """seconds that a child which has just read gets to read on"""
-_KEPT = 16_384
-"""bytes of its stderr that are kept"""
-_LINGER = 1.0
-"""seconds between the end of its output and its own end, after which it is killed"""
-_LOOK = 0.005
-"""seconds between two looks at whether it has ended"""
-_DEATH = 0.01
+_STDERR_TAIL_BYTES = 16_384
+"""bytes of the child's stderr that are kept"""
+_EXIT_SECONDS = 1.0
+"""seconds after the end of its output in which the child must end; else it is killed"""
+_POLL_SECONDS = 0.005
+"""seconds between two looks at whether a child has ended"""
+_KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
 
-_EVERY = 1.0
+_PARENT_POLL_SECONDS = 1.0
 """seconds between two looks at whether the parent is still there"""
 
 _killed: list[subprocess.Popen[Any]] = []
@@ -58,7 +58,7 @@ class ChildProcess:
                 stdout=child_stdout,
                 stderr=child_stderr,
                 env=environment,
-                **_apart(),
+                **_own_group(),
             )
         except OSError:
             self._close()
@@ -69,12 +69,12 @@ class ChildProcess:
         self.pid = self._process.pid
         self.noise = 0
         """Lines on its stdout that were no messages"""
-        self.endless = False
-        """Whether it was cut off within a line that is longer than any message"""
+        self.line_too_long = False
+        """Whether the child was cut off within a line that is longer than any message"""
         self.hung = False
-        """Whether it was killed here, as it had closed its output and did not end"""
+        """Whether the child was killed because it had closed its output and did not end"""
         self._echo = echo
-        self._said = b""
+        self._stderr_tail = b""
         self._line: list[bytes] = []
         """The beginning of a line on its stdout"""
         self._line_size = 0
@@ -85,7 +85,7 @@ class ChildProcess:
     @property
     def exit_code(self) -> int | None:
         """None while it runs; -N where signal N ended it. What it has started ends with it."""
-        if self._process.returncode is None and "start_new_session" in _apart() and hasattr(os, "waitid"):
+        if self._process.returncode is None and "start_new_session" in _own_group() and hasattr(os, "waitid"):
             with contextlib.suppress(OSError):
                 # Until we ask for its end, nobody else's group can have its number.
                 if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
@@ -100,8 +100,8 @@ class ChildProcess:
     def exchange(self) -> None:
         """Read what it said, and write what it has not taken yet; for a few milliseconds at most."""
         self._write()
-        until = time.perf_counter() + _SLICE
-        streams = [(self._stdout, self._take_output), (self._stderr, self._take_words)]
+        until = time.perf_counter() + _EXCHANGE_SECONDS
+        streams = [(self._stdout, self._take_output), (self._stderr, self._take_stderr)]
         # In turns: neither of them can keep us from hearing the other.
         while streams:
             streams = [stream for stream in streams if _read(*stream)]
@@ -113,8 +113,8 @@ class ChildProcess:
         messages, self._received = self._received, []
         return messages
 
-    def wait_for_news(self, seconds: float) -> None:
-        """Return when `exchange` has something to do, or after `seconds`."""
+    def wait_for_io(self, seconds: float) -> None:
+        """Wait until `exchange` has something to read or write, at most for `seconds`."""
         wait_for((self._stdout, self._stderr), self._stdin if self._to_send else None, seconds)
 
     def ended(self) -> bool:
@@ -126,18 +126,18 @@ class ChildProcess:
             return False
         now = time.monotonic()
         self._ending_since = self._ending_since or now
-        if now - self._ending_since < _LINGER:
+        if now - self._ending_since < _EXIT_SECONDS:
             return False
         self.hung = not exited
         self.kill()
         return exited  # some other process holds its pipes: nothing of interest comes from there
 
-    def last_words(self) -> str:
-        """The end of what it wrote on stderr."""
-        return self._said.decode("utf-8", errors="replace")
+    def stderr_tail(self) -> str:
+        """The end of what the child wrote on stderr, with lines on stdout that were no messages."""
+        return self._stderr_tail.decode("utf-8", errors="replace")
 
     def close_stdin(self) -> None:
-        """Which ends it, some time."""
+        """Close the child's stdin, after which a worker ends by itself."""
         self._to_send.clear()
         self._stdin.close()
 
@@ -147,7 +147,7 @@ class ChildProcess:
         until = time.monotonic() + seconds
         while self.exit_code is None and (left := until - time.monotonic()) > 0:
             self.exchange()
-            self.wait_for_news(min(_LOOK, left))
+            self.wait_for_io(min(_POLL_SECONDS, left))
         self.kill()
 
     def kill(self) -> None:
@@ -167,7 +167,7 @@ class ChildProcess:
             else:
                 self._process.kill()
         try:
-            self._process.wait(_DEATH)
+            self._process.wait(_KILL_WAIT_SECONDS)
         except subprocess.TimeoutExpired:
             _killed.append(self._process)
 
@@ -176,7 +176,7 @@ class ChildProcess:
             end.close()
 
     def _write(self) -> None:
-        until = time.perf_counter() + _SLICE
+        until = time.perf_counter() + _EXCHANGE_SECONDS
         reads = False
         while self._to_send and time.perf_counter() < until:
             try:
@@ -185,7 +185,7 @@ class ChildProcess:
                 self._to_send.clear()
                 self._stdin.close()
                 return
-            if not taken and not (reads and self._stdin.wait_for_room(_ROOM)):
+            if not taken and not (reads and self._stdin.wait_for_room(_WRITE_WAIT_SECONDS)):
                 return
             reads = taken > 0
             rest = self._to_send.popleft()[taken:]
@@ -197,7 +197,7 @@ class ChildProcess:
         self._line.append(first)
         self._line_size += len(first)
         if self._line_size > LONGEST_EVENT:
-            self.endless = True
+            self.line_too_long = True
             self._line = []
             self._stdout.close()
             return
@@ -214,15 +214,15 @@ class ChildProcess:
                 self._received.append(message)
         if noise:
             self.noise += len(noise)
-            self._remember(b"\n".join(noise) + b"\n")
+            self._keep_tail(b"\n".join(noise) + b"\n")
 
-    def _take_words(self, chunk: bytes) -> None:
-        self._remember(chunk)
+    def _take_stderr(self, chunk: bytes) -> None:
+        self._keep_tail(chunk)
         if self._echo and sys.stderr is not None:
             sys.stderr.write(chunk.decode("utf-8", errors="replace"))
 
-    def _remember(self, words: bytes) -> None:
-        self._said = (self._said + words)[-_KEPT:]
+    def _keep_tail(self, text: bytes) -> None:
+        self._stderr_tail = (self._stderr_tail + text)[-_STDERR_TAIL_BYTES:]
 
 
 def out_of_memory_kills() -> int | None:
@@ -251,7 +251,7 @@ def end_with_parent(parent: int, end: Callable[[], None]) -> None:
 
     signal.signal(signal.SIGALRM, look)
     signal.siginterrupt(signal.SIGALRM, False)
-    signal.setitimer(signal.ITIMER_REAL, _EVERY, _EVERY)
+    signal.setitimer(signal.ITIMER_REAL, _PARENT_POLL_SECONDS, _PARENT_POLL_SECONDS)
     # While Python ends, signals do again what they do by default, and this one's is to kill the process.
     atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)
 
@@ -268,14 +268,14 @@ def wait_for_killed(seconds: float) -> bool:
         reap()
         if not _killed or time.monotonic() > until:
             return not _killed
-        time.sleep(_LOOK)
+        time.sleep(_POLL_SECONDS)
 
 
 def _read(end: ReadEnd, take: Callable[[bytes], None]) -> bool:
     """Take one chunk; whether there was one."""
     if end.closed:
         return False
-    chunk = end.read(_CHUNK)
+    chunk = end.read(_READ_BYTES)
     if chunk:
         take(chunk)
     elif chunk is not None:
@@ -296,8 +296,9 @@ SAME_GROUP = "HANDFIT_SAME_GROUP"
 """Set in the environment, processes belong to the group of who starts them, which may be killed as a whole"""
 
 
-def _apart() -> dict[str, Any]:
-    """No console window, and no share in a terminal's Ctrl-C: ending the child is up to us."""
+def _own_group() -> dict[str, Any]:
+    """Popen's options for a process group of its own: no console window, and no share in a terminal's Ctrl-C,
+    because ending the child is up to us."""
     if os.environ.get(SAME_GROUP):
         return {}
     if sys.platform == "win32":

@@ -33,10 +33,10 @@ LONGEST_REQUEST: Final = 1 << 28
 LONGEST_EVENT: Final = 1 << 27
 """bytes of an event's line; the answer to a range of an hour has 115 MB"""
 
-_LONGEST_TEXT: Final = 1 << 24
+_MAX_TEXT_CHARS: Final = 1 << 24
 """characters of a text in an event"""
-_LONGEST_WORD: Final = 200
-_MOST_DIMENSIONS: Final = 8
+_MAX_WORD_CHARS: Final = 200
+_MAX_DIMENSIONS: Final = 8
 
 _DTYPES: Final = ("bool", "uint8", "int32", "int64", "float32", "float64")
 
@@ -95,7 +95,7 @@ def unpack(packed: object) -> np.ndarray:
         name, shape = packed["dtype"], packed["shape"]
         assert name in _DTYPES
         assert isinstance(shape, list)
-        assert len(shape) <= _MOST_DIMENSIONS
+        assert len(shape) <= _MAX_DIMENSIONS
         shape = [whole("shape", n, 0, LONGEST_REQUEST) for n in shape]
         data = base64.b64decode(packed["data"], validate=True)
         dtype = np.dtype(name)
@@ -118,7 +118,7 @@ def check_id(message: Mapping[str, Any], key: str = "id") -> int:
 
 
 def _word(name: str, value: Any) -> str:
-    return text(name, value, _LONGEST_WORD)
+    return text(name, value, _MAX_WORD_CHARS)
 
 
 def _words(name: str, value: Any) -> list[str]:
@@ -134,7 +134,7 @@ def _numbers(name: str, value: Any) -> list[int]:
 
 
 def _text(name: str, value: Any) -> str:
-    return text(name, value, _LONGEST_TEXT)
+    return text(name, value, _MAX_TEXT_CHARS)
 
 
 def _count(name: str, value: Any) -> int:
@@ -189,10 +189,10 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
     "warm": {},
     "check": {"report": _text, "ok": _flag},
 }
-"""The same of a `done` event, by the request that it answers"""
+"""Kind of request -> the fields of its `done` event that a client reads, and how each is checked"""
 
-_MAY_LACK: Final = ("details", "stopped", "seconds", "report", "ok", "detectors", "solvers")
-"""Without these a client does, too"""
+_OPTIONAL_FIELDS: Final = ("details", "stopped", "seconds", "report", "ok", "detectors", "solvers")
+"""fields that an event may lack"""
 
 
 def check_event(message: Mapping[str, Any], request: str | None = None) -> None:
@@ -207,7 +207,7 @@ def check_event(message: Mapping[str, Any], request: str | None = None) -> None:
         if kind == "done":
             fields |= _ANSWERS.get(request or "", {})
         for name, check in fields.items():
-            if name in message or name not in _MAY_LACK:
+            if name in message or name not in _OPTIONAL_FIELDS:
                 check(name, message.get(name))
     except Unfit as error:
         raise ProtocolError(f"in the event {shortly(kind)}, {error}") from error

@@ -21,7 +21,7 @@ from typing import Any, Final, Self
 from handfit_core import errors
 from handfit_core.errors import Cancelled, HandfitError
 
-_PAUSE: Final = 0.05
+_POLL_SECONDS: Final = 0.05
 """seconds that one look at a runner waits for news"""
 
 THREAD_VARIABLES: Final = (
@@ -62,8 +62,8 @@ class MemoryRanOut(WorkerDied):
     """There was not enough memory: alone on its machine, it may be enough."""
 
 
-_KINDS: Final = {"WorkerDied": WorkerDied, "MemoryRanOut": MemoryRanOut, "MemoryError": MemoryRanOut}
-"""Errors of `error` events that errors.py does not have"""
+_WORKER_ERRORS: Final = {"WorkerDied": WorkerDied, "MemoryRanOut": MemoryRanOut, "MemoryError": MemoryRanOut}
+"""the errors of `error` events that are defined here, not in errors.py"""
 
 
 class Runner(ABC):
@@ -110,17 +110,17 @@ class Runner(ABC):
         With `ids` only those of these requests; the others are kept for who asks for them.
         """
         self._collect(0.0)
-        found = self._taken(ids)
+        found = self._take_events(ids)
         if not found and wait and self._open:
             self._collect(wait)
-            found = self._taken(ids)
+            found = self._take_events(ids)
         return found
 
     def results(self, *requests: int) -> Iterator[Event]:
         """The `done` events of these requests as they come, whichever ends first. Raises the first error."""
         left = set(requests)
         while left:
-            for event in self.events(*left, wait=_PAUSE):
+            for event in self.events(*left, wait=_POLL_SECONDS):
                 if event["event"] == "error":
                     raise _raised(event)
                 if event["event"] == "done":
@@ -138,7 +138,7 @@ class Runner(ABC):
         kind = self._open.get(request, "request")
         deadline = None if timeout is None else time.monotonic() + timeout
         while True:
-            for event in self.events(request, wait=_PAUSE):
+            for event in self.events(request, wait=_POLL_SECONDS):
                 if event["event"] == "done":
                     return event
                 if event["event"] == "error":
@@ -155,28 +155,28 @@ class Runner(ABC):
 
     def _give_up(self, why: str, kind: str = WorkerError.__name__) -> None:
         """End everything and answer every open request with an error of this kind."""
-        self._answer_all(kind, why, "")
+        self._fail_all(kind, why, "")
         self.stop()
 
-    def _answer_all(self, kind: str, message: str, details: str) -> None:
+    def _fail_all(self, kind: str, message: str, details: str) -> None:
         for request in self._open:
             fields = {"type": kind, "message": message, "details": details}
             self._events.append({"event": "error", "id": request, **fields})
         self._open.clear()
 
-    def _opened(self, kind: str) -> int:
+    def _register(self, kind: str) -> int:
         """The number of a new request."""
         self._number += 1
         self._open[self._number] = kind
         return self._number
 
-    def _ended(self, number: int, events: Iterable[Event]) -> None:
+    def _finish(self, number: int, events: Iterable[Event]) -> None:
         """Take in the events of a request that is over."""
         del self._open[number]
         self._events += ({**event, "id": number} for event in events)
 
-    def _taken(self, ids: tuple[int, ...]) -> list[Event]:
-        """The events of these requests, of all where none are named, which are not kept any longer."""
+    def _take_events(self, ids: tuple[int, ...]) -> list[Event]:
+        """Take out and return the events of these requests, of all where none are named."""
         found = [event for event in self._events if not ids or event["id"] in ids]
         if found:
             self._events = deque(event for event in self._events if ids and event["id"] not in ids)
@@ -196,7 +196,7 @@ class InProcess(Runner):
 
     def submit(self, kind: str, /, **fields: Any) -> int:
         """Note a request; nothing is done yet."""
-        number = self._opened(kind)
+        number = self._register(kind)
         self._waiting.append((number, {**fields, "request": kind}))
         return number
 
@@ -206,29 +206,30 @@ class InProcess(Runner):
             if number == request:
                 self._waiting.remove((number, message))
                 cancelled = Cancelled("cancelled before it was begun")
-                self._ended(number, [{"event": "error", **error_fields(cancelled)}])
+                self._finish(number, [{"event": "error", **error_fields(cancelled)}])
                 return
 
     def stop(self) -> None:
         """Take out everything that waits."""
         self._waiting.clear()
-        self._answer_all(Cancelled.__name__, "stopped before it was finished", "")
+        self._fail_all(Cancelled.__name__, "stopped before it was finished", "")
 
     def _collect(self, wait: float) -> None:  # noqa: ARG002 - the request itself is what it waits for
         if self._waiting:
             number, message = self._waiting.popleft()
-            self._ended(number, events_of(self._answer, message))
+            self._finish(number, run_request(self._answer, message))
 
 
-def events_of(answer: Answer, message: Mapping[str, Any]) -> list[Event]:
-    """Do a request in this process: what it says on the way, and last `done` or `error`, without its id."""
-    said: list[Event] = []
+def run_request(answer: Answer, message: Mapping[str, Any]) -> list[Event]:
+    """Do a request in this process; its events without ids: progress, warnings, and last `done` or
+    `error`."""
+    events: list[Event] = []
 
     def say(kind: str, /, **fields: Any) -> None:
-        said.append({"event": kind, **fields})
+        events.append({"event": kind, **fields})
 
     try:
-        with warnings_told(lambda text: say("warning", message=text)):
+        with log_warnings_to(lambda text: say("warning", message=text)):
             done = answer(
                 message,
                 lambda: False,
@@ -238,12 +239,12 @@ def events_of(answer: Answer, message: Mapping[str, Any]) -> list[Event]:
         say("error", **error_fields(error), exception=error)
     else:
         say("done", **done)
-    return said
+    return events
 
 
 @contextlib.contextmanager
-def warnings_told(say: Callable[[str], None]) -> Iterator[None]:
-    """Within, `say` gets each warning that the core logs, as one line."""
+def log_warnings_to(say: Callable[[str], None]) -> Iterator[None]:
+    """Within, `say` gets each warning that the core logs, as one line of text."""
     handler = logging.Handler(logging.WARNING)
     handler.emit = lambda record: say(" ".join(record.getMessage().split()))
     log = logging.getLogger("handfit")
@@ -279,7 +280,7 @@ def as_error(event: Event) -> HandfitError:
     if isinstance(kind, type) and issubclass(kind, HandfitError):
         error = kind(message)
     else:
-        error = _KINDS.get(str(event.get("type")), WorkerError)(message, details)
+        error = _WORKER_ERRORS.get(str(event.get("type")), WorkerError)(message, details)
     if details:
         error.add_note(details)
     return error

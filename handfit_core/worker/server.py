@@ -26,17 +26,17 @@ from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
 from handfit_core.worker.protocol import JOBS, LONGEST_REQUEST, PROTOCOL, REQUESTS, check_id, decode, encode
-from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, warnings_told
+from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, log_warnings_to
 
-PROGRESS_EVERY: Final = 0.05
+PROGRESS_SECONDS: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
 
-GRACE: Final = 1.0
+STOP_SECONDS: Final = 1.0
 """seconds that the work gets, once nobody listens any more, to take its temporary files away"""
 
 
-class _Ended(BaseException):
-    """Nobody is left to talk to. Not an Exception, so that no handler of errors on the way takes it."""
+class _ClientGone(BaseException):
+    """The client is gone. Not an Exception, so that no handler of errors on the way takes it."""
 
 
 @dataclass(eq=False)
@@ -56,7 +56,7 @@ class Server:
         self._requests, self._events = requests, events
         self._sending = threading.Lock()
         self._jobs: dict[int, _Job] = {}
-        """Those that have had no last event"""
+        """the jobs without a last event, by their numbers"""
         self._waiting: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._current: _Job | None = None
         self._ending = threading.Event()
@@ -64,7 +64,7 @@ class Server:
 
     def run(self, *, leave: Callable[[], None] | None = None) -> None:
         """Say `ready`, then work until the client is done. `leave` is called from another thread when the
-        work does not stop `GRACE` seconds after that."""
+        work does not stop `STOP_SECONDS` seconds after that."""
         try:
             self._send(
                 event="ready",
@@ -76,10 +76,10 @@ class Server:
                 solvers=SOLVERS.offered(),
             )
             threading.Thread(target=self._read, args=(leave,), daemon=True).start()
-            with warnings_told(self.warn):
+            with log_warnings_to(self.warn):
                 while (job := self._waiting.get()) is not None:
                     self._do(job)
-        except _Ended:
+        except _ClientGone:
             pass
         finally:
             self._finished.set()
@@ -100,7 +100,7 @@ class Server:
                     self._skip_line()
                 elif line.strip() and not self._receive(line):
                     break
-        except (OSError, ValueError, _Ended):  # the pipe broke
+        except (OSError, ValueError, _ClientGone):  # the pipe broke
             pass
         except Exception:  # a defect, or no memory: the client finds what it was in our last words
             traceback.print_exc()
@@ -108,7 +108,7 @@ class Server:
             # Nobody reads any more: whatever it was, the worker must not stay.
             self._ending.set()
             self._waiting.put(None)
-            if not self._finished.wait(GRACE) and leave is not None:
+            if not self._finished.wait(STOP_SECONDS) and leave is not None:
                 leave()
 
     def _skip_line(self) -> None:
@@ -158,7 +158,7 @@ class Server:
         self._current = job
         try:
             if self._ending.is_set():
-                raise _Ended
+                raise _ClientGone
             if job.cancelled.is_set():
                 raise Cancelled("cancelled before it was begun")
             done = self._answer(job)
@@ -170,11 +170,11 @@ class Server:
             self._current = None
 
     def _answer(self, job: _Job) -> dict[str, Any]:
-        """What the `done` event says beside its id."""
+        """The fields of the job's `done` event."""
 
         def should_stop() -> bool:
             if self._ending.is_set():
-                raise _Ended
+                raise _ClientGone
             return job.cancelled.is_set()
 
         return answer(job.message, should_stop, self._progress_of(job))
@@ -185,16 +185,16 @@ class Server:
         def report(stage: str, done: int, total: int) -> None:
             nonlocal last_stage, last_time
             if self._ending.is_set():
-                raise _Ended
+                raise _ClientGone
             now = time.monotonic()
-            if stage == last_stage and now - last_time < PROGRESS_EVERY and done != total:
+            if stage == last_stage and now - last_time < PROGRESS_SECONDS and done != total:
                 return
             last_stage, last_time = stage, now
             self._send(event="progress", id=job.number, stage=stage, done=done, total=total)
 
         return report
 
-    # Both
+    # Called from both threads
 
     def _close(self, job: _Job, event: str, **fields: Any) -> None:
         """Send a job's last event, if it has had none."""
@@ -217,7 +217,7 @@ class Server:
                 self._events.flush()
         except (OSError, ValueError):  # closed by the other side
             self._ending.set()
-            raise _Ended from None
+            raise _ClientGone from None
 
 
 def serve(threads: int | None = None) -> None:

@@ -13,7 +13,7 @@ import pytest
 from blender_manient import command
 from blender_manient.batch.character import Character
 from blender_manient.scene.characters import keep_map
-from blender_manient.scene.onto_character import APART, motion_of
+from blender_manient.scene.onto_character import MAX_TOUCH_ERROR, motion_of
 from handfit_core.hand_model.poses import ready_poses
 from handfit_core.retarget.hand_map import to_preset
 from handfit_core.retarget.transfer import globally
@@ -178,7 +178,7 @@ def test_contacts_are_kept_unless_it_is_told_otherwise(make_take, hero, tmp_path
         (entry,) = report(tmp_path)
         (hand,) = entry["character"]["hands"]
         told = any("fingertips that touch do not meet" in warning for warning in entry["warnings"])
-        assert told == (hand["tips_apart"] > APART)
+        assert told == (hand["tips_apart"] > MAX_TOUCH_ERROR)
         armature = opened(tmp_path / "out" / "pinch" / "pinch.blend")
         bpy.context.scene.frame_set(8)
         bones = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones

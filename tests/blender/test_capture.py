@@ -94,11 +94,11 @@ def test_a_shot_keeps_its_time_and_the_hand_begins_where_the_button_was_pressed(
     action = hand.armature.animation_data.action
     assert tuple(action.frame_range) == (1010.0, 1013.0)
     assert not job.matched
-    assert job.scene_said == "Hand came at frame 1010, 24 fps: the scene stays as it is"
+    assert job.scene_message == "Hand came at frame 1010, 24 fps: the scene stays as it is"
     settings.matching = "MATCH"
     assert bpy.ops.manient.capture() == {"FINISHED"}
     assert (scene.frame_start, scene.frame_end) == (3, 6)
-    assert jobs.jobs()[-1].scene_said.startswith("Scene became ")
+    assert jobs.jobs()[-1].scene_message.startswith("Scene became ")
 
 
 @needs_capture

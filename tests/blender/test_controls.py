@@ -11,7 +11,7 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.controls import CAPTURED, LIMIT, MARK, ROLES, in_use
 from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
-from blender_manient.scene.controls import shown_on as sampled_on
+from blender_manient.scene.controls import sampled_pose as sampled_on
 from blender_manient.scene.keys import read_pose_keys, write_pose_keys
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
@@ -53,7 +53,7 @@ def shown(armature) -> np.ndarray:
     return np.array([evaluated.pose.bones[name].matrix for name in rig_of(armature).bones])
 
 
-def shown_on(armature, frames=FRAMES) -> np.ndarray:
+def sampled_pose(armature, frames=FRAMES) -> np.ndarray:
     """(N, 16, 4, 4) the same on every frame."""
     found = []
     for frame in frames:
@@ -108,9 +108,9 @@ def everything(armature) -> dict:
 def test_at_rest_they_change_nothing(make_take, model, limits):
     armature = build(make_take, model=model)
     armature.manient.limits = limits
-    before = shown_on(armature)
+    before = sampled_pose(armature)
     assert bpy.ops.manient.add_controls() == {"FINISHED"}
-    change = np.abs(shown_on(armature) - before)
+    change = np.abs(sampled_pose(armature) - before)
     print(f"places change by {change[..., 3].max():.1e} m, axes by {change[..., :3].max():.1e}")
     assert change[..., 3].max() < 1e-6
     assert change[..., :3].max() < 2e-6  # single precision, three joints after each other
@@ -240,10 +240,10 @@ def test_a_constraint_on_the_hands_control_holds_the_hand(hand):
     bpy.context.scene.frame_set(int(FRAMES[7]))
     np.testing.assert_allclose(shown(hand)[0, :3, 3], cup.location, atol=1e-6)
     frames = FRAMES.astype(float)
-    before = shown_on(hand)
+    before = sampled_pose(hand)
     assert bpy.ops.manient.bake_controls() == {"FINISHED"}
     assert not in_use(hand)
-    np.testing.assert_allclose(shown_on(hand), before, atol=2e-6)
+    np.testing.assert_allclose(sampled_pose(hand), before, atol=2e-6)
     assert set(frames) <= set(read_pose_keys(rig_of(hand)).frames)
 
 
@@ -269,10 +269,10 @@ def test_bake_writes_what_is_shown_into_the_keys(hand, animated):
         if animated:
             index.keyframe_insert("rotation_euler", frame=frame)
             place.keyframe_insert("rotation_euler", frame=frame)
-    before = shown_on(hand, range(3, 19))
+    before = sampled_pose(hand, range(3, 19))
     assert bpy.ops.manient.bake_controls() == {"FINISHED"}
     assert not in_use(hand)
-    np.testing.assert_allclose(shown_on(hand, range(3, 19)), before, atol=5e-6)
+    np.testing.assert_allclose(sampled_pose(hand, range(3, 19)), before, atol=5e-6)
     keys = read_pose_keys(rig)
     alone = [joint for joint in range(1, 16) if joint not in FINGER_JOINTS["index"]]
     same = np.isin(keys.frames, untouched.frames)
@@ -325,9 +325,9 @@ def test_bake_and_limits(hand):
     """What limits cut off stays cut off, on every frame that has keys."""
     control(hand, "middle").rotation_euler.x = 1.8
     frames = read_pose_keys(rig_of(hand)).frames
-    before = shown_on(hand, frames)
+    before = sampled_pose(hand, frames)
     assert bpy.ops.manient.bake_controls() == {"FINISHED"}
-    np.testing.assert_allclose(shown_on(hand, frames), before, atol=5e-6)
+    np.testing.assert_allclose(sampled_pose(hand, frames), before, atol=5e-6)
 
 
 def test_a_used_control_asks_for_bake_before_keys_are_changed(hand):
@@ -347,23 +347,23 @@ def test_a_used_control_asks_for_bake_before_keys_are_changed(hand):
 def test_remove_leaves_nothing_behind(make_take, bake):
     armature = build(make_take)
     armature.pose.bones["index_middle.R"].lock_location = (True, False, False)
-    before, keys, plain = everything(armature), read_pose_keys(rig_of(armature)), shown_on(armature)
+    before, keys, plain = everything(armature), read_pose_keys(rig_of(armature)), sampled_pose(armature)
     bpy.ops.manient.add_controls()
     with pytest.raises(RuntimeError, match="has its controls"):
         bpy.ops.manient.add_controls()
     bone = control(armature, "thumb")
     bone.rotation_euler.x = 0.3
     bone.keyframe_insert("rotation_euler", frame=5)
-    used = shown_on(armature)
+    used = sampled_pose(armature)
     assert bpy.ops.manient.remove_controls(bake=bake) == {"FINISHED"}
     after = everything(armature)
     if bake:
-        np.testing.assert_allclose(shown_on(armature), used, atol=5e-6)
+        np.testing.assert_allclose(sampled_pose(armature), used, atol=5e-6)
         for each in (before, after):
             each.pop("curves")
     else:
         np.testing.assert_array_equal(read_pose_keys(rig_of(armature)).quats, keys.quats)
-        np.testing.assert_allclose(shown_on(armature), plain, atol=1e-6)
+        np.testing.assert_allclose(sampled_pose(armature), plain, atol=1e-6)
     assert after == before
 
 
@@ -459,25 +459,25 @@ def test_the_mirrored_hand_has_mirrored_controls(hand):
 def test_copies_saved_files_and_undo(hand, tmp_path):
     control(hand, "index").rotation_euler.x = 0.4
     name, frames = hand.name, FRAMES[:3]
-    wanted = shown_on(hand, frames)
+    wanted = sampled_pose(hand, frames)
     copy = hand.copy()
     bpy.context.scene.collection.objects.link(copy)
-    np.testing.assert_allclose(shown_on(copy, frames), wanted, atol=1e-6)
+    np.testing.assert_allclose(sampled_pose(copy, frames), wanted, atol=1e-6)
     control(hand, "index").rotation_euler.x = 0.0
-    assert np.abs(shown_on(copy, frames) - wanted).max() < 1e-6  # on its own
+    assert np.abs(sampled_pose(copy, frames) - wanted).max() < 1e-6  # on its own
     control(hand, "index").rotation_euler.x = 0.4
     bpy.data.objects.remove(copy)
     path = str(tmp_path / "a.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
     bpy.ops.wm.open_mainfile(filepath=path)
-    np.testing.assert_allclose(shown_on(bpy.data.objects[name], frames), wanted, atol=1e-6)
+    np.testing.assert_allclose(sampled_pose(bpy.data.objects[name], frames), wanted, atol=1e-6)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     with bpy.data.libraries.load(path) as (there, wanted_blocks):
         wanted_blocks.objects = [name]
         assert name in there.objects
     appended = bpy.data.objects[name]
     bpy.context.scene.collection.objects.link(appended)
-    np.testing.assert_allclose(shown_on(appended, frames), wanted, atol=1e-6)
+    np.testing.assert_allclose(sampled_pose(appended, frames), wanted, atol=1e-6)
     assert control(appended, "index").custom_shape is not None
 
 

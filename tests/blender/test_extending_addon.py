@@ -138,7 +138,7 @@ from handfit_core.take import Take
 blender_manient.register()
 from blender_manient.rigs import found_hand
 from blender_manient.scene.build import build_take
-from blender_manient.scene.onto_character import Onto, putting
+from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
 bpy.ops.wm.read_factory_settings(use_empty=True)
 hand = build_take(Take.load(sys.argv[1]), picture=False).hands[0]
@@ -156,7 +156,7 @@ found = found_hand(puppet, "right").hand_map
 assert found.rig == "Studio puppet", found
 puppet["finger_ik"] = 1.0
 def put():
-    run_to_completion(putting(puppet, [(found, hand_of(hand.armature))], Onto(contacts=False)))
+    run_to_completion(putting(puppet, [(found, hand_of(hand.armature))], TransferOptions(contacts=False)))
 try:
     put()
     raise SystemExit("applied with IK")

@@ -11,9 +11,9 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from blender_manient import jobs, shared_worker  # noqa: E402
-from blender_manient.find_mode.choice import MOST_ZOOM, Choice, Found, Sight  # noqa: E402
+from blender_manient.find_mode.choice import MAX_ZOOM, Choice, FoundHand, PictureView  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
-from blender_manient.operators.find_hands import MANIENT_OT_find_hands, source_of  # noqa: E402
+from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.scene.store import captured_hands  # noqa: E402
 from handfit_core.errors import OptionError  # noqa: E402
@@ -56,9 +56,9 @@ def test_the_surest_of_those_that_are_wanted_are_chosen_at_first():
 def test_hands_are_left_out_turned_and_thrown_out_and_each_step_is_taken_back(choice):
     begun = state(choice)
     choice.toggle(choice.hands[0])
-    choice.turn(choice.hands[1])
+    choice.flip_side(choice.hands[1])
     assert state(choice) == [(100, "right", False), (200, "right", True), (300, "right", True)]
-    choice.drop(choice.hands[2])
+    choice.remove(choice.hands[2])
     choice.toggle_all()
     assert state(choice) == [(100, "right", True), (200, "right", True)]
     choice.toggle_all()
@@ -71,7 +71,7 @@ def test_hands_are_left_out_turned_and_thrown_out_and_each_step_is_taken_back(ch
 
 def test_regions_are_of_the_chosen_hands_and_name_sides_that_were_changed(choice):
     choice.toggle(choice.hands[0])
-    choice.turn(choice.hands[1])
+    choice.flip_side(choice.hands[1])
     low, size = SHAPE.min(axis=0), np.ptp(SHAPE, axis=0)
     turned, other = choice.regions(7)
     np.testing.assert_allclose(
@@ -84,40 +84,40 @@ def test_regions_are_of_the_chosen_hands_and_name_sides_that_were_changed(choice
 
 def test_a_hand_of_a_box_is_found_again_by_the_box_and_replaces_what_was_taken_for_it(choice):
     box = (170.0, 70.0, 60.0, 60.0)
-    choice.add(Found.of(answered(202, side="left"), drawn=box))
+    choice.add(FoundHand.of(answered(202, side="left"), drawn=box))
     assert state(choice) == [(100, "right", True), (300, "right", True), (202, "left", True)]
     assert choice.regions(None)[-1] == Region(*box)
 
 
 def test_the_hand_that_is_pointed_at(choice):
     first, second, _ = choice.hands
-    assert choice.at(np.array([100.0, 100.0]), 1.0, 14.0) is first
-    assert choice.at(second.points[8] + [0.0, 3.0], 1.0, 14.0) is second
-    assert choice.at(np.array([500.0, 300.0]), 1.0, 14.0) is None
+    assert choice.hand_at(np.array([100.0, 100.0]), 1.0, 14.0) is first
+    assert choice.hand_at(second.points[8] + [0.0, 3.0], 1.0, 14.0) is second
+    assert choice.hand_at(np.array([500.0, 300.0]), 1.0, 14.0) is None
     # Where the picture is small in the view, the mouse need not be as exact.
-    assert choice.at(np.array([100.0, 200.0]), 0.1, 14.0) is first
+    assert choice.hand_at(np.array([100.0, 200.0]), 0.1, 14.0) is first
 
 
 def test_the_picture_fits_and_is_enlarged_where_the_mouse_is():
-    sight, free = Sight((400, 200)), (100.0, 50.0, 300.0, 250.0)
+    picture_view, free = PictureView((400, 200)), (100.0, 50.0, 300.0, 250.0)
     corners = np.array([[0.0, 0.0], [400.0, 200.0]])
-    np.testing.assert_allclose(mapped(sight.matrix(free), corners), [[100.0, 200.0], [300.0, 100.0]])
+    np.testing.assert_allclose(mapped(picture_view.matrix(free), corners), [[100.0, 200.0], [300.0, 100.0]])
     place = np.array([330.0, 40.0])
-    before = mapped(sight.matrix(free), place)
+    before = mapped(picture_view.matrix(free), place)
     for _ in range(4):
-        sight.zoom(1.5, place, free)
-    np.testing.assert_allclose(mapped(sight.matrix(free), place), before)
-    assert sight.scale(free) == pytest.approx(0.5 * 1.5**4)
-    sight.move(np.array([10.0, -20.0]), free)
-    np.testing.assert_allclose(mapped(sight.matrix(free), place), before + [10.0, -20.0])
+        picture_view.zoom(1.5, place, free)
+    np.testing.assert_allclose(mapped(picture_view.matrix(free), place), before)
+    assert picture_view.scale(free) == pytest.approx(0.5 * 1.5**4)
+    picture_view.move(np.array([10.0, -20.0]), free)
+    np.testing.assert_allclose(mapped(picture_view.matrix(free), place), before + [10.0, -20.0])
     for _ in range(40):
-        sight.zoom(1.5, place, free)
-    assert sight.scale(free) == pytest.approx(MOST_ZOOM)
+        picture_view.zoom(1.5, place, free)
+    assert picture_view.scale(free) == pytest.approx(MAX_ZOOM)
     for _ in range(60):
-        sight.zoom(1 / 1.5, place, free)
-    assert sight.scale(free) == pytest.approx(0.5), "no smaller than fits"
-    sight.move(np.array([9e9, 9e9]), free)
-    assert mapped(np.linalg.inv(sight.matrix(free)), np.array([200.0, 150.0])).min() >= 0.0
+        picture_view.zoom(1 / 1.5, place, free)
+    assert picture_view.scale(free) == pytest.approx(0.5), "no smaller than fits"
+    picture_view.move(np.array([9e9, 9e9]), free)
+    assert mapped(np.linalg.inv(picture_view.matrix(free)), np.array([200.0, 150.0])).min() >= 0.0
 
 
 @pytest.fixture
@@ -130,19 +130,19 @@ def test_what_is_asked_for_is_the_frame_that_the_scene_shows(settings):
     asked = {}
     for frame in (1, 7, 24, 99):
         bpy.context.scene.frame_set(frame)
-        fields = source_of(bpy.context).fields()
+        fields = chosen_source(bpy.context).fields()
         asked[frame] = CaptureOptions.of_message(fields["options"])
         assert (len(fields["input"]), asked[frame].threshold) == (24, 0.25)
     assert [str(options.frames) for options in asked.values()] == ["1-1", "7-7", "24-24", "1-1"]
     settings.use_frames, settings.first_frame, settings.last_frame, settings.frame_step = True, 3, 12, 4
     for frame, expected in ((1, 3), (6, 7), (12, 3), (11, 11)):
         bpy.context.scene.frame_set(frame)
-        assert source_of(bpy.context).frame == expected, frame
+        assert chosen_source(bpy.context).frame == expected, frame
     settings.first_frame, settings.last_frame = 30, 40
     with pytest.raises(OptionError, match="none of the source's frames"):
-        source_of(bpy.context)
+        chosen_source(bpy.context)
     settings.source = str(SAMPLE / "hand.0001.jpg")
-    source = source_of(bpy.context)
+    source = chosen_source(bpy.context)
     assert source.frame is None
     box = CaptureOptions.of_message(source.fields((1.0, 2.0, 30.0, 40.0))["options"])
     assert (box.regions, box.only_regions, box.frames) == ((Region(1.0, 2.0, 30.0, 40.0),), True, None)
@@ -187,7 +187,7 @@ def test_hands_of_another_program_are_not_looked_for(settings, tmp_path):
 @needs_capture
 def test_what_was_found_and_turned_is_built(settings, tmp_path):
     settings.source = str(shutil.copy(SAMPLE / "hand.0007.jpg", tmp_path / "hand.jpg"))
-    source, picture = source_of(bpy.context), tmp_path / "shown.jpg"
+    source, picture = chosen_source(bpy.context), tmp_path / "shown.jpg"
     worker = shared_worker.worker()
     shown = worker.wait(worker.submit("find", **source.fields(picture=picture)), timeout=120)
     assert (shown["width"], shown["height"], shown["hands"]) == (640, 480, [])
@@ -197,7 +197,7 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
     choice.show(found["hands"], settings.hands)
     ((_, side, chosen),) = state(choice)
     assert (side, chosen) == ("right", True)
-    choice.turn(choice.hands[0])
+    choice.flip_side(choice.hands[0])
     jobs.submit(new_job(bpy.context, only_frame=False, regions=choice.regions(source.frame)))
     (job,) = jobs.run()
     assert job.state == "done", job.message
@@ -209,9 +209,9 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
 def test_a_crowd_is_not_built_where_somebody_can_be_asked(settings, monkeypatch):
     monkeypatch.setattr(jobs, "CROWD", 0)
     settings.source = str(SAMPLE / "hand.0001.jpg")
-    jobs.submit(new_job(bpy.context, only_frame=False, asks=True))
+    jobs.submit(new_job(bpy.context, only_frame=False, ask_if_many=True))
     (job,) = jobs.run()
-    assert (job.state, job.crowd, job.message) == ("cancelled", 1, "1 hands: choose those to build")
+    assert (job.state, job.hands_to_choose, job.message) == ("cancelled", 1, "1 hands: choose those to build")
     assert not captured_hands(bpy.context.scene)
     assert bpy.ops.manient.capture() == {"FINISHED"}, "scripts cannot be asked"
     assert len(captured_hands(bpy.context.scene)) == 1

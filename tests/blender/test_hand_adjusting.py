@@ -13,7 +13,7 @@ from blender_manient import hand_adjusting, live_link
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
-from blender_manient.scene.hand_motion import MARK, noted
+from blender_manient.scene.hand_motion import MARK, written_keys
 from blender_manient.scene.store import hand_of
 from tests.drawn import drawn
 
@@ -67,7 +67,7 @@ def turns(target, frame) -> np.ndarray:
 
 
 def curve_of(target, path="location", index=0):
-    action = noted(target, "right").action
+    action = written_keys(target, "right").action
     return next(
         c
         for c in action_curves(action)
@@ -86,7 +86,7 @@ def test_travel_is_scaled_again_and_again_about_the_marked_frame(target):
         np.testing.assert_allclose(found - found[0], travel * (before - before[0]), atol=1e-4)
         np.testing.assert_allclose(turns(target, 12), turned, atol=1e-4)
     assert len(bpy.data.actions) == actions
-    assert hand_adjusting.said(target) is None
+    assert hand_adjusting.message(target) is None
 
 
 def test_any_frame_can_be_marked(target):
@@ -170,12 +170,12 @@ def test_nothing_is_written_where_nothing_was(target):
         character.travel = 0.5
         settle()
         np.testing.assert_allclose(places(target), before, atol=1e-5)
-    action = noted(target, "right").action
+    action = written_keys(target, "right").action
     for damaged in ({"0/right": 3}, "text", {key: {"keys": "?"} for key in dict(action[MARK])}):
         action[MARK] = damaged
         character.travel = 0.7
         settle()
-        assert noted(target, "right") is None
+        assert written_keys(target, "right") is None
         np.testing.assert_allclose(places(target), before, atol=1e-5)
 
 

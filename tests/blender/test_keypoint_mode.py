@@ -10,7 +10,7 @@ import pytest
 
 from blender_manient.keypoint_mode import mode as keypoint_mode
 from blender_manient.keypoint_mode.drawing import RADIUS, Picture, handle_sizes
-from blender_manient.keypoint_mode.mode import REACH, KeypointMode, forget_sights
+from blender_manient.keypoint_mode.mode import REACH, KeypointMode, forget_views
 from blender_manient.operators import edit_keypoints
 from blender_manient.refiner import Refiner
 from blender_manient.scene.build import build_take
@@ -56,7 +56,7 @@ def viewport(monkeypatch) -> FakeViewport:
     monkeypatch.setattr(keypoint_mode.view, "viewport_at", lambda *_: made)
     monkeypatch.setattr(keypoint_mode.view, "picture_matrix", lambda *_: made.matrix)
     monkeypatch.setattr(keypoint_mode.screen, "ui_scale", lambda: 1.0)
-    forget_sights()
+    forget_views()
     return made
 
 
@@ -68,14 +68,14 @@ class Begun(KeypointMode):
         self.view = SimpleNamespace(address=0, face=lambda _: None, shows=lambda _: True)
         self._frame, self._places = bpy.context.scene.frame_current_final, places
         viewport.show_picture(None, None)
-        self._look_again(viewport)
+        self._restore_view(viewport)
 
     def picture_places(self) -> np.ndarray:
         return self.places
 
     def leave(self, viewport) -> None:
         viewport.view.view_camera_zoom = viewport.matrix
-        self._remember_sight(bpy.context)
+        self._save_view(bpy.context)
 
 
 @pytest.fixture

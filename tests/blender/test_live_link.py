@@ -88,11 +88,11 @@ def test_switched_on_it_shows_this_frame_before_it_keys_and_tells_how_far_it_is(
     assert live_link.step() is not None
     assert target.animation_data is None, "a key"
     assert alike(hand, target, 6)
-    assert live_link.keyed(target) is None
+    assert live_link.keying_progress(target) is None
     told = []
     while live_link.step() is not None:
-        told.append(live_link.keyed(target))
-    assert live_link.keyed(target) is None
+        told.append(live_link.keying_progress(target))
+    assert live_link.keying_progress(target) is None
     assert told[0] == 0.0
     assert told == sorted(told)
     assert len(set(told)) > 10

@@ -11,7 +11,7 @@ from blender_manient import source_info
 from blender_manient.rigs import rig_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys
-from blender_manient.scene.matching import Footage, matches, said, why_kept
+from blender_manient.scene.matching import Footage, matches, scene_sentence, why_kept
 from handfit_core.media.source import Source
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH
@@ -101,7 +101,7 @@ def test_what_tells_of_a_shot_keeps_the_scene(clip, tmp_path, sign):
     scene.frame_set(41)
     before = state()
     assert why in why_kept(scene)
-    told = said(scene, "AUTO", Footage.of_take(clip), scene.frame_current)
+    told = scene_sentence(scene, "AUTO", Footage.of_take(clip), scene.frame_current)
     rate = scene.render.fps
     assert told.startswith(f"Hand comes at frame 41, {rate} fps: the scene stays, as ")
     assert told.endswith(". The clip of 30 fps is retimed to it")
@@ -117,7 +117,7 @@ def test_what_tells_of_a_shot_keeps_the_scene(clip, tmp_path, sign):
 def test_the_start_up_scene_is_matched(clip, tmp_path):
     scene = bpy.context.scene
     scene.frame_set(41)
-    told = said(scene, "AUTO", Footage.of_take(clip), 41)
+    told = scene_sentence(scene, "AUTO", Footage.of_take(clip), 41)
     assert (
         told == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}, {WIDTH}×{HEIGHT}, with the footage's camera"
     )
@@ -196,7 +196,7 @@ def test_a_scene_whose_captures_were_deleted_is_nobodys_again(clip, make_take, p
 def test_a_rate_that_no_whole_number_tells_is_known_again(make_take, fps):
     take = make_take(sides=("right",), fps=fps).take
     build_take(take)
-    assert Footage.of_take(take).is_that_of(bpy.context.scene)
+    assert Footage.of_take(take).is_applied_to(bpy.context.scene)
 
 
 def test_a_pictures_shot_keeps_the_range_that_the_artist_set(make_take, clip, tmp_path):
@@ -212,12 +212,13 @@ def test_a_pictures_shot_keeps_the_range_that_the_artist_set(make_take, clip, tm
 
 def test_all_that_matching_changes_is_said(clip):
     scene = bpy.context.scene
-    told = said(scene, "MATCH", Footage.of_take(clip), 1, render_setup=True)
+    told = scene_sentence(scene, "MATCH", Footage.of_take(clip), 1, render_setup=True)
     for word in ("30 fps", f"{FRAMES[0]}-{FRAMES[-1]}", f"{WIDTH}×{HEIGHT}", "camera", "suns", "Standard"):
         assert word in told
     own = Footage.of_take(clip, own_camera=True)
     assert (
-        said(scene, "MATCH", own, 1, render_setup=True) == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}"
+        scene_sentence(scene, "MATCH", own, 1, render_setup=True)
+        == f"Scene becomes 30 fps, {FRAMES[0]}-{FRAMES[-1]}"
     )
 
 
@@ -228,16 +229,20 @@ def test_one_frame_of_a_clip_has_no_time(clip):
     )
     info.fps, info.first, info.last = 25.0, 1, 60
     whole, one = (source_info.footage(scene.manient, info, only=only) for only in (None, 7))
-    assert said(scene, "AUTO", whole, 7) == "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"
-    assert said(scene, "AUTO", one, 7) == "Scene becomes 64×48, with the footage's camera"
+    assert (
+        scene_sentence(scene, "AUTO", whole, 7)
+        == "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"
+    )
+    assert scene_sentence(scene, "AUTO", one, 7) == "Scene becomes 64×48, with the footage's camera"
 
 
 def test_nothing_known_of_the_footage_is_said_without_figures():
-    told = said(bpy.context.scene, "AUTO", None, 1)
+    told = scene_sentence(bpy.context.scene, "AUTO", None, 1)
     assert told == "Scene becomes what the footage has: rate, range, size and camera"
     # Before a camera of the scene's own its size stays, and a picture has no time.
-    assert said(bpy.context.scene, "MATCH", Footage(25.0, 1, 60), 1) == "Scene becomes 25 fps, 1-60"
-    assert said(bpy.context.scene, "MATCH", Footage(25.0, 4, 4), 1) == "Hand comes at frame 4"
+    assert scene_sentence(bpy.context.scene, "MATCH", Footage(25.0, 1, 60), 1) == "Scene becomes 25 fps, 1-60"
+    assert scene_sentence(bpy.context.scene, "MATCH", Footage(25.0, 4, 4), 1) == "Hand comes at frame 4"
     assert (
-        said(bpy.context.scene, "KEEP", None, 7) == "Hand comes at frame 7, 24 fps: the scene stays as it is"
+        scene_sentence(bpy.context.scene, "KEEP", None, 7)
+        == "Hand comes at frame 7, 24 fps: the scene stays as it is"
     )

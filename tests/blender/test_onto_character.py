@@ -12,7 +12,7 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import pose_at
-from blender_manient.scene.onto_character import Onto, applying, putting, reading_motion
+from blender_manient.scene.onto_character import TransferOptions, applying, putting, reading_motion
 from blender_manient.scene.sampling import sample
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandfitError
@@ -30,7 +30,7 @@ from .conftest import action_curves
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-PLAIN = Onto(contacts=False)
+PLAIN = TransferOptions(contacts=False)
 
 
 def captured(make_take, side="right", **fields):
@@ -163,7 +163,9 @@ def test_bones_with_quotes_in_their_names(make_take):
 def test_a_strip_above_all_others(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(8), bend=0.3))
-    run_to_completion(putting(target, [(map_of("right"), hand)], Onto(into="STRIP", contacts=False)))
+    run_to_completion(
+        putting(target, [(map_of("right"), hand)], TransferOptions(into="STRIP", contacts=False))
+    )
     data = target.animation_data
     assert data.action is None
     assert len(data.nla_tracks) == 1
@@ -182,7 +184,9 @@ def test_the_present_action_loses_the_same_bones_keys_in_the_range_alone(make_ta
     for frame in (-20, 4.5, 90):
         bone.keyframe_insert("rotation_quaternion", frame=frame)
     action = target.animation_data.action
-    run_to_completion(putting(target, [(map_of("right"), hand)], Onto(into="ACTION", contacts=False)))
+    run_to_completion(
+        putting(target, [(map_of("right"), hand)], TransferOptions(into="ACTION", contacts=False))
+    )
     assert target.animation_data.action is action
     keyed = hand.armature.animation_data.action.frame_range
     curve = next(c for c in action_curves(action) if c.data_path.split('"')[1] == bone.name)
@@ -248,7 +252,9 @@ def test_the_hand_turns_and_moves_as_captured_from_the_marked_frame(make_take, w
     )
     before = shown(target, 3)[names].matrix.copy()
     run_to_completion(
-        putting(target, [(map_of("right"), hand)], Onto(wrist=wrist, reference=3.0, contacts=False))
+        putting(
+            target, [(map_of("right"), hand)], TransferOptions(wrist=wrist, reference=3.0, contacts=False)
+        )
     )
     assert np.abs(np.array(shown(target, 3)[names].matrix) - np.array(before)).max() < 1e-4
     for frame in (4, 5, 8):
@@ -282,7 +288,9 @@ def test_a_marked_frame_outside_is_refused(make_take):
     hand = captured(make_take)
     target = build_armature(hand_specs("right", np.random.default_rng(13)))
     with pytest.raises(HandfitError, match="marked frame"):
-        run_to_completion(putting(target, [(map_of("right"), hand)], Onto(wrist="TURNED", reference=500.0)))
+        run_to_completion(
+            putting(target, [(map_of("right"), hand)], TransferOptions(wrist="TURNED", reference=500.0))
+        )
     assert target.animation_data is None
 
 
@@ -292,7 +300,7 @@ def test_a_stop_loses_no_keys_of_the_present_action(make_take):
     run_to_completion(putting(target, [(map_of("right"), hand)], PLAIN))
     action = target.animation_data.action
     count = sum(len(c.keyframe_points) for c in action_curves(action))
-    steps = putting(target, [(map_of("right"), hand)], Onto(into="ACTION", contacts=False))
+    steps = putting(target, [(map_of("right"), hand)], TransferOptions(into="ACTION", contacts=False))
     while True:
         try:
             next(steps)
@@ -354,7 +362,9 @@ def test_what_would_not_be_shown_is_refused(make_take, spoil, into, said):
     spoil(target)
     tracks = len(target.animation_data.nla_tracks)
     with pytest.raises(HandfitError, match=said):
-        run_to_completion(putting(target, [(map_of("right"), hand)], Onto(into=into, contacts=False)))
+        run_to_completion(
+            putting(target, [(map_of("right"), hand)], TransferOptions(into=into, contacts=False))
+        )
     assert target.animation_data.action == action
     assert len(target.animation_data.nla_tracks) == tracks
     assert len(bpy.data.actions) == 2
@@ -485,7 +495,9 @@ def test_fingertips_that_touch_do_so_on_the_character(make_take, side):
     for seed in range(3):
         for contacts in off:
             target = build_armature(hand_specs(side, np.random.default_rng(seed), stretch=0.25))
-            (done,) = run_to_completion(putting(target, [(map_of(side), hand)], Onto(contacts=contacts)))
+            (done,) = run_to_completion(
+                putting(target, [(map_of(side), hand)], TransferOptions(contacts=contacts))
+            )
             off[contacts].append(abs(tips_apart(target, side, 3) - wanted))
             assert done.apart < 0.002
             assert done.missed == 0
@@ -507,7 +519,7 @@ def test_fingertips_that_cannot_meet_are_told(make_take, capfd):
         for spec in specs
     ]
     target = build_armature(specs)
-    (done,) = run_to_completion(putting(target, [(map_of("right"), hand)], Onto()))
+    (done,) = run_to_completion(putting(target, [(map_of("right"), hand)], TransferOptions()))
     assert done.apart > 0.005
     assert done.missed == done.frames
     keep_map(target, map_of("right"))

@@ -101,8 +101,8 @@ def test_a_dropped_playlist_reads_no_other_file(tmp_path):
     listed, settings = tmp_path / "list.mp4", SimpleNamespace(camera="SOLVE")
     for content in playlists(str(tmp_path / "hidden.mp4")).values():
         listed.write_bytes(content)
-        assert source_info.of_dropped(settings, listed) is None
-    assert source_info.of_dropped(settings, tmp_path / "hidden.mp4") is not None
+        assert source_info.dropped_footage(settings, listed) is None
+    assert source_info.dropped_footage(settings, tmp_path / "hidden.mp4") is not None
 
 
 @pytest.mark.parametrize(("name", "side", "kind"), [("a.jpg", 7900, np.uint8), ("a.png", 4600, np.uint16)])

@@ -352,9 +352,9 @@ def touch(**others) -> None:
     [((0.0128, 0.0131), "13 mm"), ((0.0124, 0.0131, np.nan), "12 to 13 mm"), ((-0.002, 0.0001), "0 mm")],
 )
 def test_how_far_apart(monkeypatch, gaps, said):
-    monkeypatch.setattr(touching, "_Work", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
+    monkeypatch.setattr(touching, "_TouchTask", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
     count = f"{len(gaps)} frames. The points are {said} apart there"
-    assert MANIENT_OT_touch.said(SimpleNamespace(), bpy.context) == (count, False)
+    assert MANIENT_OT_touch.summary(SimpleNamespace(), bpy.context) == (count, False)
 
 
 def test_points_are_made_to_touch_over_a_range_and_let_go_again(armature):
@@ -494,7 +494,7 @@ def mode_without_a_window(armature) -> KeypointMode:
 
 def until_answered(mode: KeypointMode) -> None:
     deadline = time.monotonic() + 120.0
-    while (mode.drag.request or mode.drag.waiting) and time.monotonic() < deadline:
+    while (mode.drag.request or mode.drag.needs_request) and time.monotonic() < deadline:
         mode.tick(bpy.context)
         time.sleep(0.005)
     assert mode.drag.answer is not None
@@ -506,7 +506,7 @@ def test_another_frame_while_dragging_shows_its_own_pose(armature):
     expected = displayed_pose(rig_of(armature))
     scene.frame_set(FRAME)
     before = all_keys(armature)
-    mode.drag = mode._begun(TIP, mode.row(), (0, 0), np.zeros(2))
+    mode.drag = mode._new_drag(TIP, mode.row(), (0, 0), np.zeros(2))
     mode.drag.place, mode.drag.moved = landmarks(armature)[TIP] + FARTHER, True
     until_answered(mode)
     scene.frame_set(FRAME + 4)
@@ -519,7 +519,7 @@ def test_another_frame_while_dragging_shows_its_own_pose(armature):
 def test_pins_are_those_of_the_pose_that_is_kept(armature):
     """Where the last place of a drag could not be fitted, the pin stays where it could."""
     mode = mode_without_a_window(armature)
-    mode.drag = drag = mode._begun(TIP, mode.row(), (0, 0), np.zeros(2))
+    mode.drag = drag = mode._new_drag(TIP, mode.row(), (0, 0), np.zeros(2))
     fitted = landmarks(armature)[TIP] + 0.5 * FARTHER
     drag.place, drag.moved = fitted, True
     until_answered(mode)

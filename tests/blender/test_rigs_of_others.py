@@ -17,7 +17,7 @@ from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
 from blender_manient.scene.build import build_take
-from blender_manient.scene.onto_character import Onto, putting
+from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
@@ -240,7 +240,7 @@ def test_the_hand_of_rigify_moves_as_captured(make_take, generated, by_fk):
     hand = hand_of(build_take(make_take(sides=("left",)).take).hands[0].armature)
     assert hand is not None
     hand_map = found_hand(rig, "left").hand_map
-    onto = Onto(wrist="TURNED" if by_fk else "PLACED", reference=3.0, contacts=False)
+    onto = TransferOptions(wrist="TURNED" if by_fk else "PLACED", reference=3.0, contacts=False)
     run_to_completion(putting(rig, [(hand_map, hand)], onto))
     scale = target_hand(bones_of(rig), hand_map, SourceHand.of(hand.shaped(), "left")).scale
     first = {}

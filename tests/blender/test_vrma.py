@@ -12,7 +12,7 @@ from mathutils import Quaternion, Vector
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import CharacterObjects, keep_map
 from blender_manient.scene.export import Stage, export_hands, export_take
-from blender_manient.scene.onto_character import Onto, applying, motion_of
+from blender_manient.scene.onto_character import TransferOptions, applying, motion_of
 from handfit_core.errors import OptionError
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.skeleton import FINGER_JOINTS, SIDES
@@ -83,7 +83,7 @@ def test_a_characters_fingers_point_as_they_show(make_take, tmp_path):
     placed(armature, rng, 0.3)
     maps = {side: map_of(side) for side in SIDES}
     motions = [(maps[track.side], motion_of(take, track)) for track in take.hands]
-    run_to_completion(applying(armature, motions, Onto(contacts=False)))
+    run_to_completion(applying(armature, motions, TransferOptions(contacts=False)))
     arm = armature.pose.bones["arm_left"]
     arm.rotation_mode = "XYZ"
     arm.rotation_euler = (0.5, 0.4, -0.3)
@@ -126,7 +126,9 @@ def test_toon_hands_tell_of_the_fingers_that_they_have(make_take, tmp_path):
     lacking = {*FINGER_JOINTS["ring"], FINGER_JOINTS["thumb"][0]}
     names = tuple("" if joint in lacking else name for joint, name in enumerate(whole.bones))
     toon = HandMap("left", names)
-    run_to_completion(applying(armature, [(toon, motion_of(take, take.hands[0]))], Onto(contacts=False)))
+    run_to_completion(
+        applying(armature, [(toon, motion_of(take, take.hands[0]))], TransferOptions(contacts=False))
+    )
     played = exported(armature, take, tmp_path, hand_maps=(toon,))
     moved = {name for name, node in played.bones.items() if node in played.tracks}
     fingers = {"Thumb", "Index", "Middle", "Little"}

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from blender_manient import jobs, refiner
+from blender_manient.block_reference import BlockReference
 from blender_manient.jobs import Building, Job
 from blender_manient.operators.doubtful_frames import MANIENT_OT_jump_worst
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_PT_proportions
-from blender_manient.remembered import Remembered
 from blender_manient.scene import confidence, reshape, store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
@@ -96,7 +96,7 @@ def test_hands_are_named_after_their_capture_and_its_program(make_take):
 
 
 def a_job(name: str) -> Job:
-    scene = Remembered.of("scenes", bpy.context.scene)
+    scene = BlockReference.of("scenes", bpy.context.scene)
     return Job(name, (f"/shots/{name}",), CaptureOptions(), Building(scene))
 
 

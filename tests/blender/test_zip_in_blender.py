@@ -176,7 +176,7 @@ try:
     bpy.ops.manient.capture()
 except RuntimeError as error:
     said.append(str(error))
-worker = shared_worker.own()
+worker = shared_worker.new_worker()
 try:
     worker.submit("capture", input=["a.jpg"], output="b.npz")
 except Exception as error:
@@ -186,11 +186,11 @@ os.environ["HANDFIT_PYTHON"] = "/some/python"
 said += [section.poll(bpy.context), shared_worker.capture_sentence()]
 found([state(), said])
 """)
-    state, (shown, sentence, refused, raised, codes, shown_later, later) = done.value
+    state, (shown, sentence, is_refused, raised, codes, shown_later, later) = done.value
     assert state["runs"]
     assert shown
     assert "wheel of mediapipe 0.10.31 is missing" in sentence
-    assert sentence in refused
+    assert sentence in is_refused
     assert raised.lower() == sentence.lower()
     assert codes == [1, 1]
     assert f"Manient Hand Capture: {sentence}" in done.console
@@ -286,7 +286,7 @@ file.write_text(good)
 earlier = file.parents[1] / "source_info.py"  # was imported before the other failed
 earlier.write_text(earlier.read_text() + chr(10) + "MENDED = True" + chr(10))
 enable()
-modules = [sys.modules[NAME].parts.source_info, sys.modules[NAME + ".source_info"]]
+modules = [sys.modules[NAME].modules.source_info, sys.modules[NAME + ".source_info"]]
 found([broken, state(), *(hasattr(module, "MENDED") for module in modules)])
 """)
     broken, mended, *found = done.value

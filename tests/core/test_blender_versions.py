@@ -25,7 +25,7 @@ ASKED_ELSEWHERE = {
     "register": "whether a part of the add-on adds more than its classes",
     "unregister": "whether a part of the add-on adds more than its classes",
     "HANDLERS": "whether a part of the add-on hears of events",
-    "FOLLOWS": "whether a part of the add-on follows properties",
+    "LISTENERS": "whether a part of the add-on follows properties",
     "fget": "whether a class has a property or a value",
     "materials": "kinds of objects",
     "animation_data": "kinds of data-blocks",

@@ -122,7 +122,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
 
 
 ASSEMBLIES = (
-    *("parts", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take"),
+    *("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take"),
     "scene.smoothing",
 )
 PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.commands")

@@ -20,8 +20,8 @@ import bpy
 import blender_manient
 from blender_manient import jobs, parts, shared_worker
 from blender_manient.batch.order import Order
+from blender_manient.block_reference import BlockReference
 from blender_manient.find_mode.choice import Choice
-from blender_manient.remembered import Remembered
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
 from handfit_core.edit import result_from_message
@@ -190,7 +190,7 @@ def client(peer: str, kind: str) -> None:
         os.environ["HANDFIT_PYTHON"] = peer
         shared_worker.stop()
         try:
-            building = jobs.Building(Remembered.of("scenes", bpy.context.scene))
+            building = jobs.Building(BlockReference.of("scenes", bpy.context.scene))
             job = jobs.Job("x", ("x.jpg",), CaptureOptions(), building)
             jobs.submit(job)
             jobs.run()

@@ -32,7 +32,7 @@ from handfit_core.farm import pool
 from handfit_core.farm.collect import Report
 from handfit_core.farm.plan import Plan
 from handfit_core.farm.pool import Pool
-from handfit_core.farm.show import Shown
+from handfit_core.farm.show import ProgressReporter
 from handfit_core.farm.templates import KINDS, write_template
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.opening import RELATIVE, open_input, read_recording
@@ -141,7 +141,7 @@ def farm(path: str) -> None:
     report.look()
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            results = _doing[0].run(plan, tasks, Shown(list(tasks), "json", report), wait=False)
+            results = _doing[0].run(plan, tasks, ProgressReporter(list(tasks), "json", report), wait=False)
         report.look()
         report.write()
     except BaseException:

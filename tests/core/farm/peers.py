@@ -179,7 +179,9 @@ def commanded(command: str, plan: str, *words: str) -> int:
     _note({"sources": [task.source for task in tasks]})
     show._EVERY.update(dict.fromkeys(show._EVERY, 0.0))
     with Pool(COMMAND) as doing:
-        results = doing.run(mapped, tasks, show.Shown(tasks, options.get("--progress", "text")), wait=False)
+        results = doing.run(
+            mapped, tasks, show.ProgressReporter(tasks, options.get("--progress", "text")), wait=False
+        )
     return int("--accept-failed" not in words and any(result.status != "ok" for result in results))
 
 

@@ -376,8 +376,8 @@ def test_what_dask_thinks_of_for_itself_is_not_ours(machines):
             from distributed import get_worker
 
             before = os.environ.get("OMP_NUM_THREADS")
-            seat = dask_engine._Seat(get_worker())
-            return before, seat.share, [name for name in os.environ if name.endswith(OF_DASK)]
+            thread_state = dask_engine._ThreadState(get_worker())
+            return before, thread_state.share, [name for name in os.environ if name.endswith(OF_DASK)]
 
         before, share, after = cluster.client.submit(look, pure=False).result()
     own = {name for name in os.environ if name.endswith(OF_DASK)}

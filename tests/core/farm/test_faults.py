@@ -30,7 +30,7 @@ from handfit_core.farm.folder import Lost
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.pool import Listener, Pool
 from handfit_core.farm.report import Result
-from handfit_core.farm.show import Shown
+from handfit_core.farm.show import ProgressReporter
 from tests.core.farm.peers import COMMAND, attempts, content, plan_of
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in Linux's /proc")
@@ -295,7 +295,7 @@ def test_a_disk_that_stays_away_ends_the_batch_with_a_sentence(tmp_path, log, mo
     monkeypatch.setattr(pools, "AWAY", 0.5)
     plan = plan_of(tmp_path / "out", ["slow", "slow-2"])
     report = Report([plan])
-    shown = Shown(list(plan.tasks), "none", report)
+    shown = ProgressReporter(list(plan.tasks), "none", report)
 
     class Gone(Listener):
         def turn(self) -> None:
@@ -337,7 +337,7 @@ def test_ten_thousand_that_are_done_are_read_once_each(tmp_path, monkeypatch):
     report = Report([plan])
     report.look()
     assert counts["_read"] <= len(plan.tasks)
-    shown = Shown(list(plan.tasks), "none", report)
+    shown = ProgressReporter(list(plan.tasks), "none", report)
     with Pool(("never started",), jobs=4) as pool:
         results = pool.run(plan, plan.tasks, shown)
     assert all(result.status == "ok" for result in results)

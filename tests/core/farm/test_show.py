@@ -12,7 +12,7 @@ import pytest
 from handfit_core.farm.collect import Report
 from handfit_core.farm.plan import Plan, Task
 from handfit_core.farm.report import Result
-from handfit_core.farm.show import Shown
+from handfit_core.farm.show import ProgressReporter
 
 CLEARED = "\r\x1b[J"
 
@@ -42,60 +42,60 @@ def ok(task: Task) -> Result:
     return Result(task.shown, task.name, "ok", id=task.id)
 
 
-def seconds_left(shown: Shown, clock: Clock, capsys) -> float:
+def seconds_left(reporter: ProgressReporter, clock: Clock, capsys) -> float:
     clock.now += 1.0
-    shown.turn()
+    reporter.turn()
     return json.loads(capsys.readouterr().out.splitlines()[-1])["seconds_left"]
 
 
 def test_time_left_begins_with_the_guess_and_follows_what_is_measured(clock, capsys):
     given = tasks(*"abcdefgh")
-    shown = Shown(given, "json")
-    assert seconds_left(shown, clock, capsys) == 80, "nothing is known yet"
+    reporter = ProgressReporter(given, "json")
+    assert seconds_left(reporter, clock, capsys) == 80, "nothing is known yet"
     for task in given[:2]:
-        shown.began(task)
-    assert seconds_left(shown, clock, capsys) == 40, "two at a time"
+        reporter.began(task)
+    assert seconds_left(reporter, clock, capsys) == 40, "two at a time"
     clock.now += 29.0
     for task in given[:2]:
-        shown.ended(task, ok(task))  # each took three times as long as was guessed
-    left = seconds_left(shown, clock, capsys)
+        reporter.ended(task, ok(task))  # each took three times as long as was guessed
+    left = seconds_left(reporter, clock, capsys)
     assert 30 * 2.5 < left < 30 * 3.1
     for task in given[2:4]:
-        shown.began(task)
-        shown.progress(task, "detect", 50, 100)
-    assert seconds_left(shown, clock, capsys) < left
+        reporter.began(task)
+        reporter.progress(task, "detect", 50, 100)
+    assert seconds_left(reporter, clock, capsys) < left
 
 
 def test_sealed_and_failed_tasks_say_nothing_of_how_long_others_take(clock, capsys):
     given = tasks(*"abcdefgh")
-    shown = Shown(given, "json")
+    reporter = ProgressReporter(given, "json")
     for task in given[:4]:
-        shown.ended(task, ok(task))  # which never began here
-    shown.began(given[4])
-    shown.ended(given[4], Result("e.mp4", "e", "failed", error="no hand"))
-    assert seconds_left(shown, clock, capsys) == 30
+        reporter.ended(task, ok(task))  # which never began here
+    reporter.began(given[4])
+    reporter.ended(given[4], Result("e.mp4", "e", "failed", error="no hand"))
+    assert seconds_left(reporter, clock, capsys) == 30
 
 
 def test_the_longest_at_hand_is_shared_by_nobody(clock, capsys):
     given = [*tasks(*"abcdefg", cost=1.0), *tasks("long", cost=100.0)]
-    shown = Shown(given, "json")
+    reporter = ProgressReporter(given, "json")
     for task in given[-4:]:
-        shown.began(task)
-    assert seconds_left(shown, clock, capsys) == 100
+        reporter.began(task)
+    assert seconds_left(reporter, clock, capsys) == 100
 
 
 def test_lines_for_programs(clock, capsys):
     (task, other) = given = tasks("a", "b")
     for style in ("json", "openjd", "none"):
-        shown = Shown(given, style)
-        shown.began(task)
-        shown.progress(task, "detect", 50, 100)
+        reporter = ProgressReporter(given, style)
+        reporter.began(task)
+        reporter.progress(task, "detect", 50, 100)
         clock.now += 10.0
-        shown.turn()
-        shown.ended(task, ok(task))
-        shown.began(other)
-        shown.ended(other, Result("b.mp4", "b", "failed", error="b.mp4: no hand"))
-        shown.close()
+        reporter.turn()
+        reporter.ended(task, ok(task))
+        reporter.began(other)
+        reporter.ended(other, Result("b.mp4", "b", "failed", error="b.mp4: no hand"))
+        reporter.close()
         lines = capsys.readouterr().out.splitlines()
         if style == "json":
             progress, done, failed = map(json.loads, lines)
@@ -115,11 +115,11 @@ def test_lines_for_programs(clock, capsys):
 
 def test_logs_get_a_line_at_least_each_minute(clock, capsys):
     given = tasks("a", "b")
-    shown = Shown(given)
-    shown.began(given[0])
+    reporter = ProgressReporter(given)
+    reporter.began(given[0])
     for _ in range(600):
         clock.now += 1.0
-        shown.turn()
+        reporter.turn()
     assert len(capsys.readouterr().err.splitlines()) >= 10
 
 
@@ -128,15 +128,15 @@ def test_the_report_says_what_is_running(tmp_path, clock):
     plan = Plan(tmp_path, tuple(given), {})
     plan.save()
     report = Report([plan])
-    shown = Shown(given, "none", report)
-    shown.began(given[0])
-    shown.turn()
+    reporter = ProgressReporter(given, "none", report)
+    reporter.began(given[0])
+    reporter.turn()
 
     def statuses() -> list[str]:
         return [r["status"] for r in json.loads((tmp_path / "report.json").read_text())["inputs"]]
 
     assert statuses() == ["running", "pending"]
-    shown.interrupted()
+    reporter.interrupted()
     assert statuses() == ["interrupted", "pending"]
 
 
@@ -154,13 +154,13 @@ def test_bars_fit_the_terminal_and_leave_nothing(columns, rows, clock, monkeypat
     given = tasks("a clip", "手のジェスチャー" * 9, "moves\x1b[9Athe cursor", *"defghijk")
     with os.fdopen(theirs, "w", encoding="utf-8") as terminal, os.fdopen(ours, "rb", buffering=0) as screen:
         monkeypatch.setattr("sys.stderr", terminal)
-        shown = Shown(given)
+        reporter = ProgressReporter(given)
         for task in given:
-            shown.began(task)
-            shown.progress(task, "detect", 50, 100)
+            reporter.began(task)
+            reporter.progress(task, "detect", 50, 100)
         clock.now += 1.0
-        shown.turn()
-        shown.close()
+        reporter.turn()
+        reporter.close()
         terminal.write("end")
         terminal.flush()
         said = b""

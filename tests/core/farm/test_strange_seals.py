@@ -11,7 +11,7 @@ import pytest
 from handfit_core.farm.collect import Report
 from handfit_core.farm.plan import plans_in
 from handfit_core.farm.pool import Pool
-from handfit_core.farm.show import Shown
+from handfit_core.farm.show import ProgressReporter
 from tests.core.farm.peers import COMMAND, attempts, plan_of
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="the peer ends as processes do on POSIX")
@@ -42,7 +42,7 @@ def done(plan) -> Report:
     report = Report(plans_in(plan.output))
     report.look()
     with Pool(COMMAND) as pool:
-        pool.run(plan, plan.tasks, Shown(list(plan.tasks), "text", report))
+        pool.run(plan, plan.tasks, ProgressReporter(list(plan.tasks), "text", report))
     report.write()
     return report
 

@@ -111,16 +111,16 @@ _FIVE = """
 import sys
 from handfit_core.farm.plan import Task
 from handfit_core.farm.report import Result
-from handfit_core.farm.show import Shown
+from handfit_core.farm.show import ProgressReporter
 
 tasks = [Task(str(i), str(i), str(i)) for i in range(5)]
-shown = Shown(tasks, sys.argv[1])
+reporter = ProgressReporter(tasks, sys.argv[1])
 sys.stdin.readline()
 for task in tasks:
-    shown.began(task)
-    shown._last = -1e9
-    shown.turn()
-    shown.ended(task, Result(task.shown, task.name, "ok"))
+    reporter.began(task)
+    reporter._last = -1e9
+    reporter.turn()
+    reporter.ended(task, Result(task.shown, task.name, "ok"))
 """
 
 

@@ -16,7 +16,12 @@ import handfit_core
 from handfit_core.errors import InputError
 from handfit_core.worker import interpreter
 from handfit_core.worker.client import Worker
-from handfit_core.worker.interpreter import find_python, runs_here, worker_command, worker_environment
+from handfit_core.worker.interpreter import (
+    find_python,
+    is_current_interpreter,
+    worker_command,
+    worker_environment,
+)
 from handfit_core.worker.runner import WorkerError
 from tests.conftest import ROOT
 
@@ -62,11 +67,11 @@ def test_choice_of_the_interpreter(monkeypatch):
 
 
 def test_blenders_own_python_by_other_names(bare_python):
-    assert runs_here(sys.executable)
-    assert runs_here(os.path.relpath(sys.executable))
+    assert is_current_interpreter(sys.executable)
+    assert is_current_interpreter(os.path.relpath(sys.executable))
     # The same program behind a link, with packages of its own.
-    assert not runs_here(bare_python)
-    assert not runs_here("/nowhere/python")
+    assert not is_current_interpreter(bare_python)
+    assert not is_current_interpreter("/nowhere/python")
 
 
 def test_paths_as_they_are_typed_and_copied(monkeypatch, tmp_path):
@@ -91,13 +96,13 @@ def test_a_name_without_a_folder_is_looked_up_as_programs_are(monkeypatch, tmp_p
     (tmp_path / "programs" / name).chmod(0o755)
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("PATH", str(tmp_path / "programs"), prepend=os.pathsep)
-    runs_here.cache_clear()
-    assert not runs_here(name)
-    assert not runs_here("python-that-is-nowhere")
+    is_current_interpreter.cache_clear()
+    assert not is_current_interpreter(name)
+    assert not is_current_interpreter("python-that-is-nowhere")
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
-    runs_here.cache_clear()
-    assert runs_here(Path(sys.executable).name)
-    runs_here.cache_clear()
+    is_current_interpreter.cache_clear()
+    assert is_current_interpreter(Path(sys.executable).name)
+    is_current_interpreter.cache_clear()
 
 
 def test_blenders_own_python_gets_all_packages(monkeypatch):

@@ -143,7 +143,7 @@ class Last:
     def __del__(self, sleep=time.sleep):
         sleep(0.5)
 kept = Last()
-process._EVERY = 0.01
+process._PARENT_POLL_SECONDS = 0.01
 process.end_with_parent(os.getppid(), lambda: None)
 """
 

@@ -28,7 +28,7 @@ def posed(stage, source, side, points, frame=None, shot="add"):
         yield from put(stage, keypoint, place)
         shapes.append(_mesh(armature))
         yield from stage.screenshot(f"{shot}-point-{keypoint}")
-    line, _ = operator()._mode.line(_viewport(operator()._mode.view.address))
+    line, _ = operator()._mode.status_line(_viewport(operator()._mode.view.address))
     landmarks = operator()._mode.refiner.shown_landmarks().tolist()
     pins = sorted(state()["pins"])
     yield from stage.undo()

@@ -110,7 +110,7 @@ def in_place(stage, source):
     job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
     yield from stage.key("LEFTMOUSE")
     yield from stage.until(lambda: job.stage == "detect" and job.done >= 5, 60.0, "five frames")
-    begun = [len(jobs()), job.stop_said]
+    begun = [len(jobs()), job.stop_button]
     yield from stage.move_to(stage.region())
     yield from stage.screenshot("place-during")
     stop = yield from stage.find_button("bpy.ops.manient.cancel_capture(")
@@ -366,14 +366,14 @@ def into_the_start_up_scene(stage, source):
     yield from stage.screenshot("start-up-scene-before")
     settings, info = scene.manient, part("source_info").of(scene.manient)
     footage = part("source_info").footage(settings, info)
-    told = part("scene.matching").said(scene, "AUTO", footage, scene.frame_current)
+    told = part("scene.matching").scene_sentence(scene, "AUTO", footage, scene.frame_current)
     job = yield from capture(stage, source)
     yield from stage.screenshot("start-up-scene-after")
     render = scene.render
     size = render.resolution_x, render.resolution_y
     return {
         "told": told,
-        "said": job.scene_said,
+        "said": job.scene_message,
         "scene": [render.fps, scene.frame_start, scene.frame_end, *size],
         "camera": hands()[0].manient.capture.manient.camera == scene.camera,
     }

@@ -161,7 +161,9 @@ def linked(stage, source, steps=12):
     yield from stage.key("RET")
     yield from stage.until(lambda: not refine.operator().running(), 5.0, "the mode to end")
     yield 1.0
-    yield from stage.until(lambda: part("live_link").keyed(follower) is None, 20.0, "the follower's keys")
+    yield from stage.until(
+        lambda: part("live_link").keying_progress(follower) is None, 20.0, "the follower's keys"
+    )
     after, ours = _index_turns(follower), _index_turns(armature)
     return {
         "behind": behind,

@@ -36,7 +36,7 @@ def chosen(stage, source):
     yield 0.1
     answer = {"before": before, "dropped": dropped, "now": described()}
     yield from boxed(stage, (2.0, 2.0), (40.0, 40.0))
-    answer["nothing"] = mode().line()[0]
+    answer["nothing"] = mode().status_line()[0]
     yield from stage.screenshot("find-nothing")
     answer["untouched"] = [len(bpy.data.objects) - objects, len(bpy.data.images) - images]
     return {**answer, **(yield from captured(stage, "find-captured"))}
@@ -47,7 +47,7 @@ def boxed_hand(stage, source):
     yield from stage.open_sidebar()
     bpy.context.scene.manient.threshold = 1.0
     yield from begun(stage, source)
-    answer = {"found": described(), "line": mode().line()[0]}
+    answer = {"found": described(), "line": mode().status_line()[0]}
     yield from boxed_around(stage, HER_LEFT_HAND, shot="find-box")
     answer["with_box"] = described()
     return {**answer, **(yield from captured(stage, "find-box-captured"))}
@@ -146,7 +146,9 @@ def begun(stage, source):
     bpy.context.scene.manient.source = source
     yield 0.5
     yield from stage.invoke("manient.find_hands")
-    yield from stage.until(lambda: mode() is not None and mode().sight is not None, FOUND, "the picture")
+    yield from stage.until(
+        lambda: mode() is not None and mode().picture_view is not None, FOUND, "the picture"
+    )
     stage.screenshot_now("find-waiting")
     yield from found(stage)
 
@@ -174,7 +176,7 @@ def described() -> list[tuple[str, bool]]:
 def in_window(place) -> tuple[float, float]:
     """Pixels of the picture -> of the window."""
     there = viewport()
-    matrix = mode().sight.matrix(mode().room(there))
+    matrix = mode().picture_view.matrix(mode().room(there))
     x, y, w = matrix @ [*place, 1.0]
     return float(x / w + there.region.x), float(y / w + there.region.y)
 

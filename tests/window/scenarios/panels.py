@@ -72,7 +72,7 @@ def _listed() -> types.ModuleType:
 
 def sections() -> list[type]:
     """All sections of the sidebar, parents before children."""
-    registered = part("parts").PARTS
+    registered = part("modules").MODULES
     return [c for one in registered for c in one.classes if issubclass(c, bpy.types.Panel)]
 
 

@@ -296,9 +296,9 @@ def smoothed(stage, source):
             for _ in range(notches):
                 yield from stage.key("WHEELUPMOUSE", ctrl=True)
                 yield 0.05
-            yield from stage.until(lambda: refit().FitsRange.running, 10.0, "the fit to begin")
+            yield from stage.until(lambda: refit().RangeFitOperator.running, 10.0, "the fit to begin")
             yield from stage.screenshot("smooth-running")
-            yield from stage.until(lambda: not refit().FitsRange.running, WARM, "the fit")
+            yield from stage.until(lambda: not refit().RangeFitOperator.running, WARM, "the fit")
             yield 0.3
             yield from stage.screenshot("smooth-done")
             (armature,) = hands()
@@ -379,8 +379,8 @@ def touched(stage, source):
     yield 0.5
     yield from stage.screenshot("touch-asks")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().FitsRange.running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().FitsRange.running, WARM, "the fit")
+    yield from stage.until(lambda: refit().RangeFitOperator.running, 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().RangeFitOperator.running, WARM, "the fit")
     yield 0.3
     yield from stage.screenshot("touch-done")
     refiner = part("refiner").Refiner(armature)

@@ -1,4 +1,4 @@
-"""All parts of the add-on: modules whose classes and handlers are registered with Blender."""
+"""The add-on's modules whose classes and handlers are registered with Blender, in their order."""
 
 from __future__ import annotations
 
@@ -38,9 +38,10 @@ _KINDS = (
 )
 
 
-class Part:
-    """A module's own classes, in the order of their definition, its HANDLERS (Blender's name for an event ->
-    what is called then), what of it FOLLOWS changed properties, and what its `register` adds beside."""
+class AddonModule:
+    """Registers one module: its own classes in the order of their definition, its HANDLERS (Blender's name of
+    an event -> function), its LISTENERS (name of a notifier in properties.py -> function), and what its
+    `register` adds."""
 
     def __init__(self, module: ModuleType) -> None:
         self.classes = [
@@ -51,47 +52,47 @@ class Part:
         self._module = module
         # Blender 4.2 does not tell of imports.
         events = {name: getattr(bpy.app.handlers, name, []) for name in getattr(module, "HANDLERS", {})}
-        # Others are gone as soon as a file is opened.
+        # Handlers that are not persistent are gone as soon as a file is opened.
         kept = bpy.app.handlers.persistent
         self._handlers = [(events[name], kept(module.HANDLERS[name])) for name in events]
-        self._add, self._remove = bpy.utils.register_classes_factory(self.classes)
+        self._register_classes, self._unregister_classes = bpy.utils.register_classes_factory(self.classes)
 
     def register(self) -> None:
-        """Add it."""
-        self._add()
+        """Register the module's classes, handlers and listeners."""
+        self._register_classes()
         for event, handler in self._handlers:
             event.append(handler)
-        properties.listeners |= getattr(self._module, "FOLLOWS", {})
-        getattr(self._module, "register", _nothing)()
+        properties.listeners |= getattr(self._module, "LISTENERS", {})
+        getattr(self._module, "register", _do_nothing)()
         # The add-on may be switched on in a file that is open; at start-up there is none yet.
         if hasattr(bpy.data, "objects") and "load_post" in getattr(self._module, "HANDLERS", {}):
             self._module.HANDLERS["load_post"]()
 
     def unregister(self) -> None:
-        """Take it away again."""
+        """Undo `register`."""
         try:
-            getattr(self._module, "unregister", _nothing)()
+            getattr(self._module, "unregister", _do_nothing)()
         finally:
             for event, handler in self._handlers:
                 if handler in event:
                     event.remove(handler)
-            for name in getattr(self._module, "FOLLOWS", ()):
+            for name in getattr(self._module, "LISTENERS", ()):
                 properties.listeners.pop(name, None)
-            self._remove()
+            self._unregister_classes()
 
 
-def _nothing() -> None:
+def _do_nothing() -> None:
     pass
 
 
-def _files_of(package: ModuleType) -> list[ModuleType]:
+def _submodules(package: ModuleType) -> list[ModuleType]:
     return [
         importlib.import_module(f"{package.__name__}.{found.name}")
         for found in pkgutil.iter_modules(package.__path__)
     ]
 
 
-_MODULES = (
+_ORDER = (
     preferences_panel,  # what follows asks for what the user has chosen
     preferences,
     hand_table,
@@ -111,8 +112,8 @@ _MODULES = (
     hand_adjusting,
     source_info,
     steady,
-    *_files_of(operators),
-    *_files_of(panels),
+    *_submodules(operators),
+    *_submodules(panels),
 )
-PARTS = tuple(Part(module) for module in dict.fromkeys(_MODULES))
+MODULES = tuple(AddonModule(module) for module in dict.fromkeys(_ORDER))
 """In the order of their registration"""

@@ -14,8 +14,8 @@ from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand, active_hand, hand_of
 
 
-class Refuses:
-    """An operator, in its first part, that says in a sentence what it lacks."""
+class PollMixin:
+    """An operator's poll whose message is the sentence that `lacks` returns."""
 
     @classmethod
     def poll(cls: Any, context):
@@ -31,8 +31,8 @@ class Refuses:
         return None if context.scene.is_editable else "This scene is linked from another file"
 
 
-class OnHand(Refuses):
-    """An operator, in its first part, that works on the active captured hand."""
+class HandOperator(PollMixin):
+    """The poll and the options of an operator on the active captured hand."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
@@ -43,7 +43,6 @@ class OnHand(Refuses):
 
     @classmethod
     def lacks(cls, context):
-        """A hand to work on, or a mode to do so."""
         hand = active_hand(context)
         if hand is None:
             return "Select a captured hand first: its armature or its mesh"
@@ -52,28 +51,29 @@ class OnHand(Refuses):
         return cls.why_not(hand.armature)
 
 
-class Waits:
-    """A modal operator, in its first part, that looks again and again while the window stays free."""
+class TimerMixin:
+    """The timer and the status line of a modal operator, whose `cancel` Blender calls when it ends the
+    operator itself, as on loading a file."""
 
     _timer = None
 
-    def _wait(self, context: bpy.types.Context, seconds: float) -> set[str]:
+    def _start_timer(self, context: bpy.types.Context, seconds: float) -> set[str]:
         """Get a TIMER event every few `seconds` from now on."""
         self._timer = context.window_manager.event_timer_add(seconds, window=context.window)
         context.window_manager.modal_handler_add(self)  # type: ignore[arg-type]
         return {"RUNNING_MODAL"}
 
-    def _tell(self, context: bpy.types.Context, text: str | None) -> None:
+    def _show_status(self, context: bpy.types.Context, text: str | None) -> None:
         """Show a line in the status bar; None: Blender's own again."""
         if context.workspace is not None:
             context.workspace.status_text_set(text)
 
-    def _wait_no_more(self, context: bpy.types.Context) -> None:
-        """Undo both. May be called twice."""
+    def _stop_timer(self, context: bpy.types.Context) -> None:
+        """End the timer and give the status bar back. May be called twice."""
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
-        self._tell(context, None)
+        self._show_status(context, None)
 
 
 def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
@@ -86,7 +86,7 @@ def named_hand(context: bpy.types.Context, name: str) -> CapturedHand:
     return hand
 
 
-def hand_in(context: bpy.types.Context) -> CapturedHand:
+def polled_hand(context: bpy.types.Context) -> CapturedHand:
     """The captured hand that the poll found."""
     hand = active_hand(context)
     assert hand is not None
