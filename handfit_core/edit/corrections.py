@@ -28,10 +28,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
-from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.batch import spread
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
@@ -14,7 +15,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side, can_touch
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
 
 START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_pose": (45,), "transl": (3,)}
 """The pose to start from, and its shapes behind T"""

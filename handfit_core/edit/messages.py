@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.batch import spread
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.values import Unfit, number, path, shortly, whole
@@ -21,7 +22,6 @@ from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, other_side
 from handfit_core.solvers import ShouldStop
-from handfit_core.take import LARGEST
 from handfit_core.worker.protocol import pack, unpack
 
 MODES = ("each", "draft", "range")

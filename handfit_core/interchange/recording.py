@@ -7,12 +7,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
 
 VIRTUAL_SIZE: Final = (1920, 1080)
 """Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
