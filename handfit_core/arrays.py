@@ -59,11 +59,12 @@ class Array:
     """of numbers, in either direction"""
     sent: type = np.float64
     """of floats in messages"""
+    optional: bool = False
+    """Whether it may be absent: None in an object"""
 
-    def check(self, name: str, value: Any, of: Any, axes: dict[str, int]) -> None:
-        """Raise Unfit, which names the array, unless it is of this shape and kind, and within bounds. `axes`
-        has the sizes of lettered axes that are known, and gets those that become known."""
-        array = np.asarray(value)
+    def check_form(self, name: str, array: np.ndarray, axes: dict[str, int]) -> None:
+        """Raise Unfit, which names the array, unless it is of this shape and kind. `axes` has the known sizes
+        of lettered axes, and gets those that become known."""
         fits = array.ndim == len(self.shape) and all(
             (axes.setdefault(n, m) if isinstance(n, str) else n) == m
             for n, m in zip(self.shape, array.shape, strict=True)
@@ -73,8 +74,9 @@ class Array:
             raise Unfit(f"{name} has shape {array.shape}, expected {wanted.replace(chr(39), '')}")
         if array.dtype.kind not in _HELD[self.kind]:
             raise Unfit(f"{name} holds {array.dtype}, expected {_KINDS[self.kind]}")
-        if self.kind == "b":
-            return
+
+    def check_numbers(self, name: str, array: np.ndarray, of: Any) -> None:
+        """Raise Unfit, which names the array, unless the numbers of that object's array are within bounds."""
         if self.finite == "all" and not np.isfinite(array).all():
             raise Unfit(f"{name} is not finite")
         if self.finite not in ("", "all") and not np.isfinite(array[getattr(of, self.finite)]).all():
@@ -97,7 +99,7 @@ def array(
 ) -> Any:
     """A field that holds an array, as `Array` says. `default`: None for one that may be absent, or a number
     that fills an array of a fixed shape."""
-    metadata = {"array": Array(shape, kind, finite, most, sent)}
+    metadata = {"array": Array(shape, kind, finite, most, sent, default is None)}
     if default is None or default is MISSING:
         return field(default=default, metadata=metadata)
     sizes = [n for n in shape if isinstance(n, int)]
@@ -116,12 +118,6 @@ def declared(of: Any) -> dict[str, Array]:
     return {name: each.metadata["array"] for name, each in fields if "array" in each.metadata}
 
 
-def may_lack(of: Any, name: str) -> bool:
-    """Whether a dataclass can do without that field."""
-    each = of.__dataclass_fields__[name]
-    return each.default is not MISSING or each.default_factory is not MISSING
-
-
 def arrays_of(of: Any, axis: str | None = None) -> dict[str, Any]:
     """An object's arrays by their names, without absent ones; only those whose rows go along `axis`."""
     found = {n: getattr(of, n) for n, spec in declared(of).items() if axis in (None, *spec.shape[:1])}
@@ -132,12 +128,14 @@ def check_arrays(of: Any, error: type[Exception] = Unfit, where: str = "", **axe
     """Raise an `error` that begins with `where` and names the field, unless all arrays of an object are as
     declared. `axes`: sizes that lettered axes must have."""
     specs = declared(of)
+    values = {name: getattr(of, name) for name in specs}
+    given = {n: np.asarray(v) for n, v in values.items() if v is not None or not specs[n].optional}
     try:
-        # Bools first, as they say where floats must be finite.
-        for name in sorted(specs, key=lambda name: specs[name].kind != "b"):
-            value = getattr(of, name)
-            if value is not None or not may_lack(of, name):
-                specs[name].check(name, value, of, axes)
+        for name, value in given.items():
+            specs[name].check_form(name, value, axes)
+        # Only then, as other arrays say where floats must be finite.
+        for name, value in given.items():
+            specs[name].check_numbers(name, value, of)
     except Unfit as unfit:
         raise error(f"{where}{unfit}") from unfit
 
@@ -183,22 +181,22 @@ def packed_arrays(of: Any) -> dict[str, Any]:
     }
 
 
-def unpacked_arrays(cls: type, message: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def unpacked_arrays(cls: type, message: Mapping[str, Any], where: str = "") -> dict[str, np.ndarray]:
     """The arrays of a dataclass's object out of a message, floats as float64; absent ones are left out where
-    they may be. Raises ProtocolError that names the field for a lack, and for what is no array of its
-    kind; `check_arrays` looks at the rest."""
+    they may be. Raises ProtocolError that begins with `where` and names the field for a lack, and for what is
+    no array of its kind; `check_arrays` looks at the rest."""
     found = {}
     for name, spec in declared(cls).items():
         if name not in message:
-            if may_lack(cls, name):
+            if spec.optional:
                 continue
-            raise ProtocolError(f"{name} is missing")
+            raise ProtocolError(f"{where}{name} is missing")
         try:
             array = unpack(message[name])
         except ProtocolError as error:
-            raise ProtocolError(f"{name}: {error}") from error
+            raise ProtocolError(f"{where}{name}: {error}") from error
         if array.dtype.kind not in _HELD[spec.kind]:
-            raise ProtocolError(f"{name} holds {array.dtype}, expected {_KINDS[spec.kind]}")
+            raise ProtocolError(f"{where}{name} holds {array.dtype}, expected {_KINDS[spec.kind]}")
         found[name] = array.astype(spec.dtype(np.float64), copy=False)
     return found
 
@@ -216,7 +214,7 @@ def reading_arrays(
     limit. Raises KeyError for a lack, and NotNpz; `check_arrays` looks at the rest."""
     found = {}
     for name, spec in declared(cls).items():
-        if f"{prefix}{name}" in archive or not may_lack(cls, name):
+        if f"{prefix}{name}" in archive or not spec.optional:
             found[name] = archive.array(f"{prefix}{name}", _KEPT[spec.kind])
             yield
     return found
