@@ -254,7 +254,7 @@ class _Frames(Batch):
 def over_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
     """Poses (T rows) of all frames, over time. Those with pins or touches are found twice: without, which
     tells how far away the wrist is, and with them."""
-    pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
+    pose = {name: np.full(np.shape(getattr(hand, name)), np.nan) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
     told = hand.pinned.any(axis=1) | hand.touching
     rows = np.flatnonzero(hand.detected | (posed & told))

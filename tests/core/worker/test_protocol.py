@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.arrays import pack, unpack
 from handfit_core.errors import ProtocolError
-from handfit_core.worker.protocol import check_event, check_id, decode, encode, pack, unpack
+from handfit_core.worker.protocol import check_event, check_id, decode, encode
 
 
 @pytest.mark.parametrize(
@@ -169,7 +170,7 @@ def test_events_that_are_of_the_protocol(message: dict[str, Any], request_kind: 
         (
             {"event": "done", **FOUND, "hands": [{**HAND, "keypoints": NOT_FINITE}]},
             "find",
-            "finite keypoints",
+            "keypoints is not finite",
         ),
         ({"event": "done", "seconds": []}, "refit", "seconds must be a finite number"),
         ({"event": "done", "report": {}}, "check", "report must be a text"),
