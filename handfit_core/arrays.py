@@ -57,6 +57,8 @@ class Array:
     (T,) bool, says, or nowhere (""). NaN stands elsewhere for what is not known; infinity is beyond `most`"""
     most: float = LARGEST
     """of numbers, in either direction"""
+    most_rows: float = math.inf
+    """along the first axis"""
     sent: type = np.float64
     """of floats in messages"""
     optional: bool = False
@@ -74,6 +76,8 @@ class Array:
             raise Unfit(f"{name} has shape {array.shape}, expected {wanted.replace(chr(39), '')}")
         if array.dtype.kind not in _HELD[self.kind]:
             raise Unfit(f"{name} holds {array.dtype}, expected {_KINDS[self.kind]}")
+        if array.ndim and len(array) > self.most_rows:
+            raise Unfit(f"{name} has {len(array)} rows, more than {self.most_rows}")
 
     def check_numbers(self, name: str, array: np.ndarray, of: Any) -> None:
         """Raise Unfit, which names the array, unless the numbers of that object's array are within bounds."""
@@ -94,12 +98,13 @@ def array(
     kind: Literal["f", "b", "i"] = "f",
     finite: str = "",
     most: float = LARGEST,
+    most_rows: float = math.inf,
     sent: type = np.float64,
     default: Any = MISSING,
 ) -> Any:
     """A field that holds an array, as `Array` says. `default`: None for one that may be absent, or a number
     that fills an array of a fixed shape."""
-    metadata = {"array": Array(shape, kind, finite, most, sent, default is None)}
+    metadata = {"array": Array(shape, kind, finite, most, most_rows, sent, default is None)}
     if default is None or default is MISSING:
         return field(default=default, metadata=metadata)
     sizes = [n for n in shape if isinstance(n, int)]
