@@ -30,7 +30,7 @@ from handfit_core.errors import ProtocolError
 LARGEST: Final = 1e9
 """Metres, pixels, radians: what is beyond in either direction was not measured"""
 
-LARGEST_PACKED: Final = 1 << 28
+_LARGEST_PACKED: Final = 1 << 28
 """items along an axis of an array in a message; bytes of the longest request"""
 _MOST_DIMENSIONS: Final = 8
 _DTYPES: Final = ("bool", "uint8", "int32", "int64", "float32", "float64")
@@ -85,7 +85,7 @@ class Array:
             raise Unfit(f"{name} is not finite")
         if self.finite not in ("", "all") and not np.isfinite(array[getattr(of, self.finite)]).all():
             raise Unfit(f"{name} is not finite where the hand is {self.finite}")
-        if np.any((array > self.most) | (array < -self.most)):  # NaN is not
+        if np.any(np.abs(np.asarray(array, dtype=np.float64)) > self.most):  # NaN is not
             raise Unfit(f"{name} holds numbers beyond {self.most:g}")
 
     def dtype(self, floats: type) -> type:
@@ -167,7 +167,7 @@ def unpack(packed: object) -> np.ndarray:
         assert name in _DTYPES
         assert isinstance(shape, list)
         assert len(shape) <= _MOST_DIMENSIONS
-        shape = [whole("shape", n, 0, LARGEST_PACKED) for n in shape]
+        shape = [whole("shape", n, 0, _LARGEST_PACKED) for n in shape]
         data = base64.b64decode(packed["data"], validate=True)
         dtype = np.dtype(name)
         assert len(data) == math.prod(shape) * dtype.itemsize
