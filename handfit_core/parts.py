@@ -18,6 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.detect.cuts import Glance
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.opening import settings_of
@@ -31,7 +32,7 @@ from handfit_core.files import read_file, samples, shown, why, written_whole
 from handfit_core.media.frame_range import STRETCH, FrameRange
 from handfit_core.media.source import Media
 from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.take import LARGEST, MAX_FILE_BYTES
+from handfit_core.take import MAX_FILE_BYTES
 from handfit_core.version import __version__
 
 FORMAT_NAME: Final = "handfit-part"

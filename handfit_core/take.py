@@ -12,10 +12,11 @@ import os
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Literal
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 
+from handfit_core.arrays import array, array_dataclass, arrays_of, check_arrays, kept_arrays, reading_arrays
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.npz import NotNpz, NpzArchive, names_of
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
@@ -24,7 +25,7 @@ from handfit_core.files import opened_file, output_path, read_file, shown, why, 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
-from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side, can_touch, other_side
+from handfit_core.skeleton import FINGERS, NUM_BETAS, NUM_KEYPOINTS, SIDES, Side, can_touch, other_side
 from handfit_core.slices import run_to_completion
 
 FORMAT_NAME = "handfit-take"
@@ -38,8 +39,6 @@ _MOST_MEMORY: Final = 400_000_000
 _MOST_PACKED: Final = 50
 """times the size of a larger file that its arrays may have"""
 
-LARGEST: Final = 1e9
-"""Metres, pixels, radians: what is beyond in either direction was not measured"""
 _LARGEST_ERROR: Final = 1e30
 """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
 _LARGEST_BETA: Final = 1e3
@@ -51,46 +50,7 @@ MOST_HANDS: Final = 200
 """of a take"""
 
 
-@dataclass(frozen=True)
-class _Array:
-    """What one of a hand's arrays must be."""
-
-    shape: tuple[int, ...] = ()
-    """Behind T, but for the betas, which have no T"""
-    kind: Literal["f", "b"] = "f"
-    """Floats or bools, as NumPy calls them"""
-    finite: Literal["present", "detected", "all", "none"] = "detected"
-    """The frames in which floats must be finite"""
-    largest: float = LARGEST
-    optional: bool = False
-
-
-_ARRAYS: Final[dict[str, _Array]] = {
-    "betas": _Array((NUM_BETAS,), finite="all", largest=_LARGEST_BETA),
-    "global_orient": _Array((3,), finite="present"),
-    "hand_pose": _Array((45,), finite="present"),
-    "transl": _Array((3,), finite="present"),
-    "joints_3d": _Array((21, 3), finite="present"),
-    "keypoints_2d": _Array((21, 2)),
-    "reprojection_error": _Array(largest=_LARGEST_ERROR),
-    "detected": _Array(kind="b"),
-    "score": _Array(),
-    "filled": _Array(kind="b", optional=True),
-    "doubtful": _Array(kind="b", optional=True),
-    "expected_error": _Array((len(FINGERS),), finite="none", optional=True),
-    "keypoints_depth": _Array((21,), optional=True),
-    "world_landmarks": _Array((21, 3), optional=True),
-    "keypoints_2020": _Array((21, 3), finite="none", optional=True),
-    "right_side": _Array(finite="none", optional=True),
-    "other_side": _Array(kind="b", optional=True),
-    "overlapped": _Array((21,), kind="b", optional=True),
-    "placed": _Array((21, 2), finite="none", optional=True),
-    "touches": _Array((21,), finite="none", optional=True),
-}
-"""A hand's arrays in a take's file, by the names of HandTrack's fields"""
-
-
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class HandTrack:
     """One hand over a take's T frames.
 
@@ -103,62 +63,57 @@ class HandTrack:
     """
 
     side: Side
-    betas: np.ndarray
-    """(10,) one shape for the whole take"""
-    global_orient: np.ndarray
-    """(T, 3) radians"""
-    hand_pose: np.ndarray
-    """(T, 45) radians"""
-    transl: np.ndarray
-    """(T, 3) metres; the wrist lies at the shaped model's wrist + transl"""
-    joints_3d: np.ndarray
-    """(T, 21, 3) metres, the fitted model's keypoints in MediaPipe's order"""
-    keypoints_2d: np.ndarray
-    """(T, 21, 2) pixels, as detected"""
-    reprojection_error: np.ndarray
-    """(T,) pixels: mean distance from the projected joints_3d to keypoints_2d"""
-    detected: np.ndarray
-    """(T,) bool"""
-    score: np.ndarray
-    """(T,) the detector's confidence in this hand, 0..1"""
-    filled: np.ndarray | None = None
-    """(T,) bool: frames of short gaps, bridged from their neighbours; None: there are none"""
-    doubtful: np.ndarray | None = None
-    """(T,) bool: frames whose pose may well be wrong; None: nobody looked"""
-    expected_error: np.ndarray | None = None
-    """(T, 5) metres that each finger, thumb first, is likely to be off once the hand is laid over the true
+    betas: np.ndarray = array(NUM_BETAS, finite="all", most=_LARGEST_BETA)
+    """One shape for the whole take"""
+    global_orient: np.ndarray = array("T", 3, finite="present")
+    """radians"""
+    hand_pose: np.ndarray = array("T", 45, finite="present")
+    """radians"""
+    transl: np.ndarray = array("T", 3, finite="present")
+    """metres; the wrist lies at the shaped model's wrist + transl"""
+    joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, finite="present")
+    """metres, the fitted model's keypoints in MediaPipe's order"""
+    keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected")
+    """pixels, as detected"""
+    reprojection_error: np.ndarray = array("T", finite="detected", most=_LARGEST_ERROR)
+    """pixels: mean distance from the projected joints_3d to keypoints_2d"""
+    detected: np.ndarray = array("T", kind="b")
+    score: np.ndarray = array("T", finite="detected")
+    """The detector's confidence in this hand, 0..1"""
+    filled: np.ndarray | None = array("T", kind="b", default=None)
+    """Frames of short gaps, bridged from their neighbours; None: there are none"""
+    doubtful: np.ndarray | None = array("T", kind="b", default=None)
+    """Frames whose pose may well be wrong; None: nobody looked"""
+    expected_error: np.ndarray | None = array("T", len(FINGERS), default=None)
+    """metres that each finger, thumb first, is likely to be off once the hand is laid over the true
     one; NaN where nobody can tell, as where a person has corrected the pose, or in all frames, where the
     keypoints are of a source for which that is not known; None: nobody looked"""
-    keypoints_depth: np.ndarray | None = None
-    """(T, 21) pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not
-    kept"""
-    world_landmarks: np.ndarray | None = None
-    """(T, 21, 3) metres about the hand's centre, axes as the camera frame's, as detected; None: not kept"""
-    keypoints_2020: np.ndarray | None = None
-    """(T, 21, 3) what the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN
-    where it was not asked; None: nowhere"""
-    right_side: np.ndarray | None = None
-    """(T,) probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
-    other_side: np.ndarray | None = None
-    """(T,) bool: frames in which the detector named the other side; None: in none"""
-    overlapped: np.ndarray | None = None
-    """(T, 21) bool: keypoints that lie where another hand is, or that another program did not find (they
-    are guessed) or doubts, and are believed less; None: none do"""
-    placed: np.ndarray | None = None
-    """(T, 21, 2) pixels: where a person has put points; NaN: not a person's; None: none is"""
-    touches: np.ndarray | None = None
-    """(T, 21) the keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands
-    for the palm; NaN: none; None: none does"""
+    keypoints_depth: np.ndarray | None = array("T", NUM_KEYPOINTS, finite="detected", default=None)
+    """pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not kept"""
+    world_landmarks: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, finite="detected", default=None)
+    """metres about the hand's centre, axes as the camera frame's, as detected; None: not kept"""
+    keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, default=None)
+    """What the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN where it was
+    not asked; None: nowhere"""
+    right_side: np.ndarray | None = array("T", default=None)
+    """Probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
+    other_side: np.ndarray | None = array("T", kind="b", default=None)
+    """Frames in which the detector named the other side; None: in none"""
+    overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
+    """Keypoints that lie where another hand is, or that another program did not find (they are guessed) or
+    doubts, and are believed less; None: none do"""
+    placed: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
+    """pixels: where a person has put points; NaN: not a person's; None: none is"""
+    touches: np.ndarray | None = array("T", NUM_KEYPOINTS, default=None)
+    """The keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands for the
+    palm; NaN: none; None: none does"""
 
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
         finite where there is a hand."""
         if self.side not in SIDES:
             raise TakeError(f"a hand's side must be left or right, not {shortly(self.side)}")
-        # Flags first, as they say where floats must be finite.
-        for name, expected in sorted(_ARRAYS.items(), key=lambda item: item[1].kind):
-            if getattr(self, name) is not None or not expected.optional:
-                self._check_array(name, expected, count)
+        check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
@@ -169,24 +124,6 @@ class HandTrack:
                     raise TakeError(
                         f"the {self.side} hand's touches must name smaller points of other fingers"
                     )
-
-    def _check_array(self, name: str, expected: _Array, count: int) -> None:
-        array = np.asarray(getattr(self, name))
-        shape = expected.shape if name == "betas" else (count, *expected.shape)
-        if array.shape != shape:
-            raise TakeError(f"the {self.side} hand's {name} has shape {array.shape}, expected {shape}")
-        if array.dtype.kind != expected.kind:
-            kind = {"f": "floats", "b": "bools"}[expected.kind]
-            raise TakeError(f"the {self.side} hand's {name} holds {array.dtype}, expected {kind}")
-        if expected.kind == "b":
-            return
-        rows = {"all": slice(None), "none": slice(0)}.get(expected.finite)
-        if not np.isfinite(array[getattr(self, expected.finite) if rows is None else rows]).all():
-            raise TakeError(f"the {self.side} hand's {name} is not finite in a frame with a hand")
-        if np.any(
-            np.abs(array) > expected.largest
-        ):  # NaN is not, and is how frames without a hand are marked
-            raise TakeError(f"the {self.side} hand's {name} holds numbers beyond {expected.largest:g}")
 
     @property
     def added(self) -> bool:
@@ -290,7 +227,6 @@ class Take:
         return stream.getvalue()
 
     def _write(self, stream: BinaryIO, compact: bool) -> None:
-        number = np.float32 if compact else np.float64
         header = {
             "format": FORMAT_NAME,
             "version": FORMAT_VERSION,
@@ -315,10 +251,7 @@ class Take:
             "frame_numbers": np.asarray(self.frame_numbers, dtype=np.int64),
         }
         for i, track in enumerate(self.hands):
-            for name, held in _ARRAYS.items():
-                if (array := getattr(track, name)) is not None:
-                    dtype = bool if held.kind == "b" else number
-                    arrays[f"hand{i}_{name}"] = np.asarray(array, dtype=dtype)
+            arrays |= kept_arrays(track, f"hand{i}_", np.float32 if compact else np.float64)
         np.savez_compressed(stream, **arrays)
 
     @classmethod
@@ -364,12 +297,7 @@ class Take:
             fields = _of_header(header)
             hands = []
             for i, side in enumerate(fields.pop("sides")):
-                arrays: dict[str, Any] = {}
-                for name, held in _ARRAYS.items():
-                    if held.optional and f"hand{i}_{name}" not in archive:
-                        continue
-                    arrays[name] = archive.array(f"hand{i}_{name}", held.kind)
-                    yield
+                arrays = yield from reading_arrays(HandTrack, archive, f"hand{i}_")
                 hands.append(HandTrack(side=side, **arrays))
             return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
         except KeyError as error:
@@ -406,10 +334,7 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
 
 def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
     """A hand over some of its frames, in any order."""
-    of_frames = {name: getattr(hand, name) for name in _ARRAYS if name != "betas"}
-    return replace(
-        hand, **{n: np.asarray(array)[rows] for n, array in of_frames.items() if array is not None}
-    )
+    return replace(hand, **{n: np.asarray(array)[rows] for n, array in arrays_of(hand, "T").items()})
 
 
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.options import CROWD, HandChoice, Region
 from handfit_core.skeleton import SIDES, Side, other_side
-from handfit_core.worker.protocol import unpack
+from handfit_core.worker import protocol
 
 SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
@@ -39,10 +39,11 @@ class FoundHand:
     @classmethod
     def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> FoundHand:
         """A hand of the answer to a `find` request; `drawn`: the box in which it was searched."""
-        points = unpack(hand["keypoints"]).astype(np.float64)
+        found = protocol.FoundHand.of_message(hand)
+        points = found.keypoints
         low = points.min(axis=0)
         box = drawn or (*low.tolist(), *np.maximum(points.max(axis=0) - low, 1.0).tolist())
-        return cls(points, float(hand["certainty"]), hand["side"], hand["side"], box, drawn is not None)
+        return cls(points, found.certainty, found.side, found.side, box, drawn is not None)
 
     @property
     def extent(self) -> float:

@@ -28,10 +28,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import array, array_dataclass, arrays_of, check_arrays, declared
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
-from handfit_core.take import LARGEST
 
 FORMAT_VERSION: Final = 1
 _DECIMALS: Final = 8
@@ -40,44 +40,35 @@ _DECIMALS: Final = 8
 _MIN_CHANGE: Final = 0.01
 """radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
 
-_ARRAYS: Final[dict[str, tuple[int, ...]]] = {
-    "rotation": (NUM_JOINTS, 3),
-    "location": (3,),
-    "start_rotation": (NUM_JOINTS, 3),
-    "start_location": (3,),
-    "pose": (NUM_JOINTS, 4),
-    "place": (3,),
-}
-
 Pins = Mapping[int, tuple[float, float]]
 """Keypoint index -> (x, y) pixels of the upright picture"""
 Touches = Mapping[int, int]
 """Keypoint index -> the smaller one that it touches, as `RefineHand.touches` has it"""
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class Correction:
     """The artist's changes to one source frame."""
 
     pins: Pins
     """Keypoints that were dragged, and where they belong"""
-    rotation: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
-    """(16, 3) axis-angle in radians per bone, in the bone's own posed axes"""
-    location: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) metres, added to the wrist bone's location"""
+    rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
+    """Axis-angle in radians per bone, in the bone's own posed axes"""
+    location: np.ndarray = array(3, finite="all", default=0.0)
+    """metres, added to the wrist bone's location"""
     spread: float = 0.0
     """frames over which it fades out, before and after"""
     added_key: bool = False
     """Whether the frame had no key before, so that its key goes with the correction"""
-    start_rotation: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 3)))
-    """(16, 3) what its neighbours' corrections did here when it was made: the part of `rotation` that pins
+    start_rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
+    """What its neighbours' corrections did here when it was made: the part of `rotation` that pins
     are not answerable for, and that stays when they change"""
-    start_location: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) metres: the part of `location` that neighbours' corrections made, as in `start_rotation`"""
-    pose: np.ndarray = field(default_factory=lambda: np.zeros((NUM_JOINTS, 4)))
-    """(16, 4) the key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
-    place: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """(3,) metres: the wrist's location in that key; zeros: unknown"""
+    start_location: np.ndarray = array(3, finite="all", default=0.0)
+    """metres: the part of `location` that neighbours' corrections made, as in `start_rotation`"""
+    pose: np.ndarray = array(NUM_JOINTS, 4, finite="all", default=0.0)
+    """The key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
+    place: np.ndarray = array(3, finite="all", default=0.0)
+    """metres: the key's location of the wrist when it was made; zeros: unknown"""
     keyed: bool = False
     """Whether the frame was keyed anew, so that without this correction the field is zero there"""
     posed: bool = False
@@ -122,11 +113,10 @@ class Correction:
         object.__setattr__(self, "pins", pins)
         object.__setattr__(self, "touches", touches)
         object.__setattr__(self, "spread", float(self.spread))
-        for name, shape in _ARRAYS.items():
-            array = np.round(np.asarray(getattr(self, name), dtype=np.float64), _DECIMALS)
-            if array.shape != shape or not np.all(np.abs(array) <= LARGEST):
-                raise ValueError(f"{name} of a correction is finite and of the shape {shape}")
-            object.__setattr__(self, name, array)
+        for name in declared(self):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            object.__setattr__(self, name, np.round(value, _DECIMALS))
+        check_arrays(self, ValueError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +262,7 @@ class CorrectionField:
                 **({"posed": True} if c.posed else {}),
                 **({"begins": True} if c.begins else {}),
                 **({"touches": {str(k): other for k, other in c.touches.items()}} if c.touches else {}),
-                **{name: getattr(c, name).tolist() for name in _ARRAYS if np.any(getattr(c, name))},
+                **{name: value.tolist() for name, value in arrays_of(c).items() if np.any(value)},
             }
             for frame, c in sorted(self.corrections.items())
         }
@@ -356,7 +346,7 @@ def _correction(content: Mapping[str, Any]) -> Correction:
         posed=bool(content.get("posed", False)),
         begins=bool(content.get("begins", False)),
         touches={int(k): int(other) for k, other in content.get("touches", {}).items()},
-        **{name: np.array(content[name], dtype=np.float64) for name in _ARRAYS if name in content},
+        **{name: content[name] for name in declared(Correction) if name in content},
     )
 
 

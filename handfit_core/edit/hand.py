@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import array, array_dataclass, check_arrays
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
@@ -14,22 +14,13 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side, can_touch
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
 
-START_ARRAYS: Final[dict[str, tuple[int, ...]]] = {"global_orient": (3,), "hand_pose": (45,), "transl": (3,)}
-"""The arrays of a pose, and their shapes behind T"""
-
-RESULT_SHAPES: Final[dict[str, tuple[int, ...]]] = {
-    **START_ARRAYS,
-    "joints_3d": (NUM_KEYPOINTS, 3),
-    "projected": (NUM_KEYPOINTS, 2),
-    "landmarks_2d": (NUM_KEYPOINTS, 2),
-    "reprojection_error": (),
-}
-"""The arrays of a result, and their shapes behind T"""
+START_ARRAYS: Final = ("global_orient", "hand_pose", "transl")
+"""The pose to start from"""
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class RefineHand:
     """T consecutive frames of one hand with the artist's pins, touches and locks.
 
@@ -38,23 +29,21 @@ class RefineHand:
     """
 
     side: Side
-    betas: np.ndarray
-    """(10,) the shape, which stays as it is"""
+    betas: np.ndarray = array(NUM_BETAS, finite="all", most=np.inf)
+    """The shape, which stays as it is"""
     intrinsics: Intrinsics
     detections: tuple[HandDetection | None, ...]
     """T of them; None where nothing was detected"""
-    pins: np.ndarray
-    """(T, 21, 2) pixels where the detector's keypoints truly are, as the artist says; NaN: not pinned"""
-    global_orient: np.ndarray
-    """(T, 3) the pose that is corrected, NaN in frames without one: what was captured, or what a drag started
-    from. During a drag better that than the last answer: the result then depends on where the pins are,
-    and not on the way there. A pose behind the camera counts as none"""
-    hand_pose: np.ndarray
-    """(T, 45)"""
-    transl: np.ndarray
-    """(T, 3)"""
-    locked: np.ndarray
-    """(16,) bool in MANO's order of joints: those rotations stay as they are; with the wrist (0) its place
+    pins: np.ndarray = array("T", NUM_KEYPOINTS, 2)
+    """pixels where the detector's keypoints truly are, as the artist says; NaN: not pinned"""
+    global_orient: np.ndarray = array("T", 3, most=np.inf)
+    """The pose that is corrected, NaN in frames without one: what was captured, or what a drag started from.
+    During a drag better that than the last answer: the result then depends on where the pins are, and not on
+    the way there. A pose behind the camera counts as none"""
+    hand_pose: np.ndarray = array("T", 45, most=np.inf)
+    transl: np.ndarray = array("T", 3, most=np.inf)
+    locked: np.ndarray = array(NUM_JOINTS, kind="b")
+    """In MANO's order of joints: those rotations stay as they are; with the wrist (0) its place
     too. In frames without a pose nothing is locked"""
     model: str = OPEN_HAND
     """`open-hand`, or the path of the user's model file or folder"""
@@ -66,8 +55,8 @@ class RefineHand:
     """Rows after which the source lacks pictures: nothing is smoothed across"""
     added: bool = False
     """Whether a person laid it into the picture: its pose is a guess until pins say how it lies"""
-    touches: np.ndarray | None = None
-    """(T, 21) which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
+    touches: np.ndarray | None = array("T", NUM_KEYPOINTS, most=np.inf, default=None)
+    """Which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
     for the palm, wherever it is nearest. NaN: none; None: none does"""
 
     def __post_init__(self) -> None:
@@ -75,35 +64,15 @@ class RefineHand:
             raise OptionError(f"side must be left or right, not {self.side!r}")
         if not self.detections:
             raise OptionError("detections must have an entry for each frame, and at least one")
-        count = len(self.detections)
-        expected = {
-            "betas": (NUM_BETAS,),
-            "pins": (count, NUM_KEYPOINTS, 2),
-            "locked": (NUM_JOINTS,),
-            **{name: (count, *shape) for name, shape in START_ARRAYS.items()},
-        }
-        for name, shape in expected.items():
-            array = np.asarray(getattr(self, name))
-            if array.shape != shape:
-                raise OptionError(f"{name} must have the shape {shape}, not {array.shape}")
-            if array.dtype.kind not in "fbiu":
-                raise OptionError(f"{name} must hold numbers, not {array.dtype}")
-        if not np.isfinite(self.betas).all():
-            raise OptionError("betas must be finite")
-        if np.any(np.abs(self.pins) > LARGEST) or (np.isnan(self.pins).sum(axis=-1) == 1).any():
-            raise OptionError(
-                f"pins must have x and y in pixels, up to {LARGEST:g}, or NaN for both where a point is not "
-                "pinned"
-            )
+        check_arrays(self, OptionError, T=len(self.detections))
+        if (np.isnan(self.pins).sum(axis=-1) == 1).any():
+            raise OptionError("pins must have x and y in pixels, or NaN for both where a point is not pinned")
         if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
             raise OptionError(f"fps must lie between {SMALLEST_FPS:g} and {LARGEST_FPS:g}, not {self.fps}")
         OPTIONS["smoothing"].read(self.smoothing)
         if self.touches is not None:
-            touches = np.asarray(self.touches)
-            if touches.shape != (count, NUM_KEYPOINTS) or touches.dtype.kind not in "fiu":
-                raise OptionError(f"touches must be numbers of the shape {(count, NUM_KEYPOINTS)}")
-            for row, point in np.argwhere(~np.isnan(touches)).tolist():
-                other = touches[row, point]
+            for row, point in np.argwhere(~np.isnan(self.touches)).tolist():
+                other = self.touches[row, point]
                 if not (float(other).is_integer() and can_touch(point, int(other))):
                     raise OptionError(
                         f"touches: keypoint {point} must name a smaller one of another finger, 0 for the "
@@ -113,8 +82,8 @@ class RefineHand:
             if detection is None:
                 continue
             for name in ("keypoints", "world"):
-                array = np.asarray(getattr(detection, name))
-                if array.shape != (NUM_KEYPOINTS, 3) or not np.isfinite(array).all():
+                points = np.asarray(getattr(detection, name))
+                if points.shape != (NUM_KEYPOINTS, 3) or not np.isfinite(points).all():
                     raise OptionError(
                         f"detections: {name} of row {row} must be {NUM_KEYPOINTS} finite points; give None "
                         "where there is no detection"
@@ -155,26 +124,25 @@ class RefineHand:
         return np.where(self.pinned[..., None], self.pins, seen)
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class RefineResult:
     """T re-fitted frames; NaN rows where there is nothing to fit to. Camera frame, metres, pixels."""
 
-    global_orient: np.ndarray
-    """(T, 3) radians"""
-    hand_pose: np.ndarray
-    """(T, 45) radians"""
-    transl: np.ndarray
-    """(T, 3)"""
-    joints_3d: np.ndarray
-    """(T, 21, 3) the model's keypoints, as a take has them"""
-    projected: np.ndarray
-    """(T, 21, 2) their projection"""
-    landmarks_2d: np.ndarray
-    """(T, 21, 2) projection of the points that pins pull at (see `handles.landmark_points`), where
-    handles belong: at a pin that the hand can reach this is the pin"""
-    reprojection_error: np.ndarray
-    """(T,) as in a take: mean distance from `projected` to the detected keypoints, with pins in their place;
-    NaN without either"""
+    global_orient: np.ndarray = array("T", 3, sent=np.float32)
+    """radians"""
+    hand_pose: np.ndarray = array("T", 45, sent=np.float32)
+    """radians"""
+    transl: np.ndarray = array("T", 3, sent=np.float32)
+    joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, sent=np.float32)
+    """The model's keypoints, as a take has them"""
+    projected: np.ndarray = array("T", NUM_KEYPOINTS, 2, sent=np.float32)
+    """Their projection"""
+    landmarks_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, sent=np.float32)
+    """Projection of the points that pins pull at (see `handles.landmark_points`), where handles belong: at a
+    pin that the hand can reach this is the pin"""
+    reprojection_error: np.ndarray = array("T", sent=np.float32)
+    """As in a take: mean distance from `projected` to the detected keypoints, with pins in their place; NaN
+    without either"""
 
     @property
     def present(self) -> np.ndarray:

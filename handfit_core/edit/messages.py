@@ -4,45 +4,96 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
+from handfit_core.arrays import (
+    LARGEST,
+    array,
+    array_dataclass,
+    arrays_of,
+    check_arrays,
+    packed_arrays,
+    unpacked_arrays,
+)
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.values import Unfit, number, path, shortly, whole
-from handfit_core.edit.hand import RESULT_SHAPES, START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.hand import RefineHand, RefineResult
 from handfit_core.edit.recent import Recent
 from handfit_core.edit.refit import refit_each, refit_range
-from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, other_side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 from handfit_core.solvers import ShouldStop
-from handfit_core.take import LARGEST
-from handfit_core.worker.protocol import pack, unpack
 
 MODES = ("each", "draft", "range")
-_POINTS = ("keypoints", "world")
 _RECENT = Recent()
 
 
-def to_message(hand: RefineHand) -> dict[str, Any]:
-    """A hand as JSON's types: the `hand` of a `refit` request.
+@array_dataclass
+class _Detections:
+    """What was detected in T frames, as a message has it: NaN in frames where nothing was."""
 
-    Arrays are packed; detections are `keypoints` and `world` (T, 21, 3), `score` (T,) and `agrees` (T,)
-    (whether the detector named this side), NaN rows where there is none; `keypoints_2020` (T, 21, 3)
-    and `overlapped` (T, 21) bool where a detection has it; `touches` (T, 21) where points do.
-    """
-    count, there = len(hand), hand.detected
-    found = [d for d in hand.detections if d is not None]
-    points = {name: np.reshape([getattr(d, name) for d in found], (-1, NUM_KEYPOINTS, 3)) for name in _POINTS}
+    keypoints: np.ndarray = array("T", NUM_KEYPOINTS, 3, sent=np.float32)
+    """pixels, with depth"""
+    world: np.ndarray = array("T", NUM_KEYPOINTS, 3, sent=np.float32)
+    """metres"""
+    score: np.ndarray = array("T", sent=np.float32)
+    agrees: np.ndarray | None = array("T", kind="b", default=None)
+    """Whether the detector named the hand's side; None: wherever it found the hand"""
+    keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, sent=np.float32, default=None)
+    """As `keypoints`; NaN where that network was not asked, None: nowhere"""
+    overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
+
+    def __post_init__(self) -> None:
+        check_arrays(self, OptionError)
+
+    @classmethod
+    def of(cls, hand: RefineHand) -> _Detections:
+        """Those of a hand; what it has nowhere is absent."""
+        count, there = len(hand), hand.detected
+        found = [d for d in hand.detections if d is not None]
+        nowhere, unasked = np.zeros(NUM_KEYPOINTS, dtype=bool), np.full((NUM_KEYPOINTS, 3), np.nan)
+        second = [unasked if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
+        overlapped = [nowhere if d.overlapped is None else d.overlapped for d in found]
+        return cls(
+            *(
+                scatter(np.reshape([getattr(d, name) for d in found], (-1, NUM_KEYPOINTS, 3)), there, count)
+                for name in ("keypoints", "world")
+            ),
+            score=scatter([d.score for d in found], there, count),
+            agrees=scatter([d.side == hand.side for d in found], there, count, True),
+            keypoints_2020=scatter(second, there, count) if np.isfinite(second).any() else None,
+            overlapped=scatter(overlapped, there, count, False) if np.any(overlapped) else None,
+        )
+
+    def of_side(self, side: Side) -> tuple[HandDetection | None, ...]:
+        """The inverse, for a hand of that side."""
+        points = np.concatenate([self.keypoints, self.world], axis=1)
+        there = np.asarray(np.isfinite(points).all(axis=(1, 2)))
+        second = self.keypoints_2020
+        return tuple(
+            HandDetection(
+                side if self.agrees is None or self.agrees[row] else other_side(side),
+                float(np.nan_to_num(self.score[row], nan=0.5)),
+                self.keypoints[row],
+                self.world[row],
+                keypoints_2020=None if second is None or not np.isfinite(second[row]).all() else second[row],
+                overlapped=None if self.overlapped is None else self.overlapped[row],
+            )
+            if there[row]
+            else None
+            for row in range(len(there))
+        )
+
+
+def to_message(hand: RefineHand) -> dict[str, Any]:
+    """A hand as JSON's types: the `hand` of a `refit` request, its arrays and its detections' packed."""
     camera = hand.intrinsics
-    nowhere, unasked = np.zeros(NUM_KEYPOINTS, dtype=bool), np.full((NUM_KEYPOINTS, 3), np.nan)
-    second = [unasked if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
-    overlapped = [nowhere if d.overlapped is None else d.overlapped for d in found]
     return {
         "side": hand.side,
         "model": hand.model,
@@ -51,20 +102,8 @@ def to_message(hand: RefineHand) -> dict[str, Any]:
         "smoothing": float(hand.smoothing),
         "holes": [int(row) for row in hand.holes],
         "added": bool(hand.added),
-        "betas": pack(np.asarray(hand.betas, dtype=np.float64)),
-        **{name: pack(np.asarray(getattr(hand, name), dtype=np.float64)) for name in START_ARRAYS},
-        "pins": pack(np.asarray(hand.pins, dtype=np.float64)),
-        "locked": pack(np.asarray(hand.locked, dtype=bool)),
-        **{name: pack(scatter(rows, there, count).astype(np.float32)) for name, rows in points.items()},
-        "score": pack(scatter([d.score for d in found], there, count).astype(np.float32)),
-        "agrees": pack(scatter([d.side == hand.side for d in found], there, count, True)),
-        **(
-            {"keypoints_2020": pack(scatter(second, there, count).astype(np.float32))}
-            if np.isfinite(second).any()
-            else {}
-        ),
-        **({"overlapped": pack(scatter(overlapped, there, count, False))} if np.any(overlapped) else {}),
-        **({"touches": pack(np.asarray(hand.touches, dtype=np.float64))} if hand.touches is not None else {}),
+        **packed_arrays(hand),
+        **packed_arrays(_Detections.of(hand)),
     }
 
 
@@ -80,39 +119,7 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     side = message.get("side")
     if side not in SIDES:
         raise OptionError(f"side must be left or right, not {shortly(side)}")
-    points = {name: _array(message, name) for name in _POINTS}
-    count = points["keypoints"].shape[0] if points["keypoints"].ndim else 0
-    of_frames = {"score": _array(message, "score"), "agrees": np.ones(count, dtype=bool)}
-    if "agrees" in message:
-        of_frames["agrees"] = _array(message, "agrees")
-    for name, array in (points | of_frames).items():
-        shape = (count, NUM_KEYPOINTS, 3) if name in points else (count,)
-        if array.shape != shape:
-            raise OptionError(f"{name} must have the shape {shape}, not {array.shape}")
-    overlapped = _array(message, "overlapped") if "overlapped" in message else None
-    if overlapped is not None and (overlapped.shape != (count, NUM_KEYPOINTS) or overlapped.dtype != bool):
-        raise OptionError(f"overlapped must be bools of the shape {(count, NUM_KEYPOINTS)}")
-    second = np.full((count, NUM_KEYPOINTS, 3), np.nan)
-    if "keypoints_2020" in message:
-        second = _array(message, "keypoints_2020").astype(np.float64)
-        if second.shape != (count, NUM_KEYPOINTS, 3):
-            raise OptionError(
-                f"keypoints_2020 must have the shape {(count, NUM_KEYPOINTS, 3)}, not {second.shape}"
-            )
-    score, agrees = of_frames.values()
-    detections = tuple(
-        HandDetection(
-            side if agrees[row] else other_side(side),
-            float(np.nan_to_num(score[row], nan=0.5)),
-            points["keypoints"][row].astype(np.float64),
-            points["world"][row].astype(np.float64),
-            keypoints_2020=second[row] if np.isfinite(second[row]).all() else None,
-            overlapped=None if overlapped is None else overlapped[row],
-        )
-        if np.isfinite([points[name][row] for name in _POINTS]).all()
-        else None
-        for row in range(count)
-    )
+    detections = _Detections(**unpacked_arrays(_Detections, message, "refit: ")).of_side(side)
     camera, holes, model = message.get("intrinsics"), message.get("holes", []), message.get("model")
     if not isinstance(camera, list) or len(camera) != 4:
         raise ProtocolError(f"refit: intrinsics must be a list of 4 numbers, not {shortly(camera)}")
@@ -125,19 +132,14 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
         holes = [number("holes", row) for row in holes]
         return RefineHand(
             side=side,
-            betas=_array(message, "betas"),
             intrinsics=Intrinsics(*(number("intrinsics", value) for value in camera)),
             detections=detections,
-            # Whole numbers would have no NaN for what is not pinned.
-            pins=_array(message, "pins").astype(np.float64),
-            **{name: _array(message, name).astype(np.float64) for name in START_ARRAYS},
-            locked=_array(message, "locked"),
             model=OPEN_HAND if model in (None, "") else path("model", model),
             fps=number("fps", message.get("fps", 25.0)),
             smoothing=number("smoothing", message.get("smoothing", CaptureOptions.smoothing)),
             holes=tuple(whole("holes", int(n) if n.is_integer() else n) for n in holes),
             added=added,
-            touches=_array(message, "touches") if "touches" in message else None,
+            **unpacked_arrays(RefineHand, message, "refit: "),
         )
     except Unfit as error:
         raise ProtocolError(f"refit: {error}") from error
@@ -167,16 +169,13 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
         _RECENT.keep(hand, result)
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
-    arrays = {f.name: getattr(result, f.name) for f in fields(RefineResult)}
     # A fit that ran away, as one close to the camera can, costs its own frame and no other.
+    arrays = arrays_of(result)
     lost = np.logical_or.reduce(
         [(np.abs(a) > LARGEST).reshape(len(a), -1).any(axis=1) for a in arrays.values()]
     )
-    packed = {
-        name: pack(np.where(lost.reshape(-1, *[1] * (a.ndim - 1)), np.nan, a).astype(np.float32))
-        for name, a in arrays.items()
-    }
-    return {"result": packed, "seconds": time.perf_counter() - begin}
+    kept = {n: np.where(lost.reshape(-1, *[1] * (a.ndim - 1)), np.nan, a) for n, a in arrays.items()}
+    return {"result": packed_arrays(RefineResult(**kept)), "seconds": time.perf_counter() - begin}
 
 
 def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
@@ -184,19 +183,6 @@ def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")
-    arrays = {f.name: _array(result, f.name).astype(np.float64) for f in fields(RefineResult)}
-    for name, array in arrays.items():
-        if array.shape != (count, *RESULT_SHAPES[name]):
-            raise ProtocolError(f"refit: the answer's {name} has the wrong shape, {array.shape}")
-        if np.any(np.abs(array) > LARGEST):  # NaN, in rows without a hand, is not
-            raise ProtocolError(f"refit: the answer's {name} holds numbers beyond {LARGEST:g}")
-    return RefineResult(**arrays)
-
-
-def _array(message: Mapping[str, Any], name: str) -> np.ndarray:
-    if name not in message:
-        raise ProtocolError(f"refit: {name} is missing")
-    try:
-        return unpack(message[name])
-    except HandfitError as error:
-        raise ProtocolError(f"refit: {name}: {error}") from error
+    found = RefineResult(**unpacked_arrays(RefineResult, result, "refit: the answer's "))
+    check_arrays(found, ProtocolError, "refit: the answer's ", T=count)
+    return found

@@ -275,7 +275,7 @@ class _Frames(Batch):
 def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
     """Poses (T rows) of all frames, fitted over time. Frames with pins or touches are fitted twice: without
     these, which gives the wrist's distance, and with them."""
-    pose = {name: np.full((len(hand), *shape), np.nan) for name, shape in START_ARRAYS.items()}
+    pose = {name: np.full(np.shape(getattr(hand, name)), np.nan) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
     edited = hand.pinned.any(axis=1) | hand.touching
     rows = np.flatnonzero(hand.detected | (posed & edited))

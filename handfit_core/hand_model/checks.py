@@ -3,36 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import arrays_of, check_arrays, declared
 from handfit_core.doors.values import shortly
 from handfit_core.errors import HandModelError
-from handfit_core.hand_model.data import HandModel
-from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, SIDES
-
-MOST_VERTICES: Final = 50_000
-MOST_FACES: Final = 2 * MOST_VERTICES
-"""MANO has 778 vertices and 1538 faces, the open hand 1609 and 1598"""
+from handfit_core.hand_model.data import MOST_VERTICES, HandModel
+from handfit_core.skeleton import NUM_BETAS, SIDES
 
 SMALLEST_HAND: Final = 0.01
 LARGEST_HAND: Final = 10.0
 """metres across"""
-
-LARGEST: Final = 1e4
-"""Largest magnitude of any number in a model: metres, weights and radians"""
-
-_PER_VERTEX: Final = -1
-_FLOATS: Final[dict[str, tuple[int | None, ...]]] = {
-    "shapedirs": (_PER_VERTEX, 3, None),
-    "weights": (_PER_VERTEX, NUM_JOINTS),
-    "posedirs": (_PER_VERTEX, 3, 9 * (NUM_JOINTS - 1)),
-    "joint_regressor": (NUM_JOINTS, _PER_VERTEX),
-    "hands_mean": (45,),
-    "hands_components": (45, 45),
-}
-"""A model's arrays of floats besides its vertices, and their shapes; None: as many as there are"""
 
 
 def checked_model(
@@ -45,93 +29,59 @@ def checked_model(
     """
     if side not in SIDES:
         raise HandModelError(f"{where}: the side must be left or right, not {shortly(side)}")
-    v_template = _floats(where, "v_template", arrays["v_template"], (None, 3))
-    count = len(v_template)
-    if not 0 < count <= MOST_VERTICES:
-        raise HandModelError(f"{where}: a hand model has 1 to {MOST_VERTICES} vertices, not {count}")
-    size = float(np.ptp(v_template, axis=0).max())
+    found: dict[str, Any] = {key: _numbers(where, key, arrays.get(key)) for key in declared(HandModel)}
+    if found["uv"] is None or found["uv_faces"] is None:
+        found["uv"] = found["uv_faces"] = None
+    vertices, shapedirs = found["v_template"], found["shapedirs"]
+    if vertices.ndim and not 0 < len(vertices) <= MOST_VERTICES:
+        raise HandModelError(f"{where}: a hand model has 1 to {MOST_VERTICES} vertices, not {len(vertices)}")
+    if shapedirs.ndim == 3:
+        if shapedirs.shape[2] < NUM_BETAS:
+            raise HandModelError(
+                f"{where}: shapedirs has {shapedirs.shape[2]} shape directions, {NUM_BETAS} are needed"
+            )
+        found["shapedirs"] = np.array(shapedirs[..., :NUM_BETAS])
+    found["tip_vertices"] = found["tip_vertices"].reshape(-1)
+    model = HandModel(name=name, side=side, source=source, **found)
+    check_arrays(model, HandModelError, f"{where}: ")
+    size = float(np.ptp(model.v_template, axis=0).max())
     if not SMALLEST_HAND <= size <= LARGEST_HAND:
         raise HandModelError(
             f"{where}: this hand is {size:.3g} m long; a hand model is in metres, from {SMALLEST_HAND:g} to "
             f"{LARGEST_HAND:g} m"
         )
-    faces = _indices(where, "faces", arrays["faces"], 3, count)
-    found = {}
-    for key, sizes in _FLOATS.items():
-        shape = tuple(count if n == _PER_VERTEX else n for n in sizes)
-        shown_key = "J_regressor" if key == "joint_regressor" else key
-        found[key] = _floats(where, shown_key, arrays[key], shape)
-    shapedirs, weights = found.pop("shapedirs"), found.pop("weights")
-    if shapedirs.shape[2] < NUM_BETAS:
-        raise HandModelError(
-            f"{where}: shapedirs has {shapedirs.shape[2]} shape directions, {NUM_BETAS} are needed"
-        )
+    weights = model.weights
     if np.any(weights < -1e-6) or np.any(np.abs(weights.sum(axis=1) - 1.0) > 1e-3):
         raise HandModelError(f"{where}: the skin weights must be positive and sum to 1 for every vertex")
-    tips = _indices(where, "tip_vertices", np.reshape(arrays["tip_vertices"], (-1, 1)), 1, count).reshape(-1)
-    if tips.shape != (5,):
-        raise HandModelError(f"{where}: tip_vertices must name 5 vertices, not {len(tips)}")
-    quads, uv, uv_faces = (arrays.get(key) for key in ("quads", "uv", "uv_faces"))
-    quads = None if quads is None else _indices(where, "quads", quads, 4, count)
-    if uv is None or uv_faces is None:
-        uv = uv_faces = None
-    else:
-        polygons = faces if quads is None else quads
-        uv = _floats(where, "uv", uv, (None, 2))
-        uv_faces = _indices(where, "uv_faces", uv_faces, polygons.shape[1], len(uv))
-        if len(uv_faces) != len(polygons):
-            raise HandModelError(f"{where}: uv_faces has {len(uv_faces)} rows for {len(polygons)} polygons")
-    return HandModel(
-        name=name,
-        side=side,
-        v_template=v_template,
-        faces=faces,
-        shapedirs=_frozen(shapedirs[:, :, :NUM_BETAS]),
-        # Some released weights sum to 1 within 1e-4 only; skinning wants exactly 1.
-        weights=_frozen(weights / weights.sum(axis=1, keepdims=True)),
-        tip_vertices=tips,
-        quads=quads,
-        uv=uv,
-        uv_faces=uv_faces,
-        source=source,
-        **found,
-    )
+    for key in ("faces", "tip_vertices", "quads"):
+        _check_indices(where, key, getattr(model, key), "vertices", len(model.v_template))
+    if model.uv is not None and model.uv_faces is not None:
+        if model.uv_faces.shape != model.polygons.shape:
+            raise HandModelError(
+                f"{where}: uv_faces has shape {model.uv_faces.shape}, expected {model.polygons.shape} as the "
+                "polygons have"
+            )
+        _check_indices(where, "uv_faces", model.uv_faces, "texture coordinates", len(model.uv))
+    # Some released weights sum to 1 within 1e-4 only; skinning wants exactly 1.
+    model = replace(model, weights=weights / weights.sum(axis=1, keepdims=True))
+    for value in arrays_of(model).values():
+        value.setflags(write=False)
+    return model
 
 
-def _floats(where: str, key: str, array: Any, shape: tuple[int | None, ...]) -> np.ndarray:
+def _numbers(where: str, key: str, value: Any) -> np.ndarray | None:
+    """A copy, floats as float64 and whole numbers as int64."""
+    if value is None:
+        return None
+    if declared(HandModel)[key].kind == "i":
+        value = np.asarray(value)
+        return value.astype(np.int64) if value.dtype.kind in "iu" else value
     try:
-        array = np.asarray(array, dtype=np.float64)
+        return np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise HandModelError(f"{where}: {key} is not an array of numbers") from error
-    expected = "x".join("N" if n is None else str(n) for n in shape)
-    if array.ndim != len(shape) or any(
-        n is not None and n != m for n, m in zip(shape, array.shape, strict=True)
-    ):
-        found = "x".join(map(str, array.shape)) or "a single number"
-        raise HandModelError(f"{where}: {key} has shape {found}, a MANO-format file has {expected}")
-    if not np.all(np.isfinite(array)):
-        raise HandModelError(f"{where}: {key} holds values that are not finite (NaN or infinity)")
-    if np.any(np.abs(array) > LARGEST):
-        raise HandModelError(f"{where}: {key} holds values beyond {LARGEST:g}")
-    return _frozen(array)
 
 
-def _indices(where: str, key: str, array: Any, width: int, limit: int) -> np.ndarray:
-    array = np.asarray(array)
-    if array.ndim and len(array) > MOST_FACES:
-        raise HandModelError(f"{where}: {key} has {len(array)} rows, more than {MOST_FACES}")
-    if array.ndim != 2 or array.shape[1] != width or not np.issubdtype(array.dtype, np.integer):
-        raise HandModelError(
-            f"{where}: {key} has shape {'x'.join(map(str, array.shape))} and type {array.dtype}, expected "
-            f"integers Nx{width}"
-        )
-    array = array.astype(np.int64)
-    if array.size and (array.min() < 0 or array.max() >= limit):
-        raise HandModelError(f"{where}: {key} names vertices that do not exist (there are {limit})")
-    return _frozen(array)
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    array = np.array(array)
-    array.setflags(write=False)
-    return array
+def _check_indices(where: str, key: str, array: np.ndarray | None, of: str, count: int) -> None:
+    if array is not None and array.size and (array.min() < 0 or array.max() >= count):
+        raise HandModelError(f"{where}: {key} names {of} that do not exist (there are {count})")

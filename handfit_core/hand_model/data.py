@@ -9,11 +9,19 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import array, array_dataclass
 from handfit_core.geometry import rotations
-from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, PARENTS, Side, keypoints_from_joints
+from handfit_core.skeleton import FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, Side, keypoints_from_joints
+
+MOST_VERTICES: Final = 50_000
+MOST_FACES: Final = 2 * MOST_VERTICES
+"""of a model; MANO has 778 vertices and 1538 faces, the open hand 1609 and 1598"""
+LARGEST: Final = 1e4
+"""of any number of a model: metres, weights and radians"""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,7 @@ class PosedHand:
     """(..., 21, 3)"""
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class HandModel:
     """A hand in MANO's format, in metres; zero pose is the flat hand.
 
@@ -51,30 +59,27 @@ class HandModel:
     name: str
     """`open-hand`, or the stem of the user's file"""
     side: Side
-    v_template: np.ndarray
-    """(V, 3)"""
-    faces: np.ndarray
-    """(F, 3) int triangles, counter-clockwise seen from outside"""
-    shapedirs: np.ndarray
-    """(V, 3, 10)"""
-    posedirs: np.ndarray
-    """(V, 3, 135): offsets per element of R - I of joints 1..15, row-major"""
-    joint_regressor: np.ndarray
-    """(16, V)"""
-    weights: np.ndarray
-    """(V, 16) skin weights; rows sum to 1"""
-    hands_mean: np.ndarray
-    """(45,) relaxed pose, axis-angle; never added by us: hand_pose is always relative to the flat hand"""
-    hands_components: np.ndarray
-    """(45, 45) principal directions of the pose, in rows"""
-    tip_vertices: np.ndarray
-    """(5,) vertex index of each fingertip: thumb, index, middle, ring, little"""
-    quads: np.ndarray | None = None
-    """(Q, 4) int faces for artists, where the model has them"""
-    uv: np.ndarray | None = None
-    """(U, 2) texture coordinates, where the model has them"""
-    uv_faces: np.ndarray | None = None
-    """(Q, 4) or (F, 3) indices into uv, per corner of quads (or of faces where quads is None)"""
+    v_template: np.ndarray = array("V", 3, finite="all", most=LARGEST)
+    faces: np.ndarray = array("F", 3, kind="i", most_rows=MOST_FACES)
+    """Triangles, counter-clockwise seen from outside"""
+    shapedirs: np.ndarray = array("V", 3, NUM_BETAS, finite="all", most=LARGEST)
+    posedirs: np.ndarray = array("V", 3, 9 * (NUM_JOINTS - 1), finite="all", most=LARGEST)
+    """Offsets per element of R - I of joints 1..15, row-major"""
+    joint_regressor: np.ndarray = array(NUM_JOINTS, "V", finite="all", most=LARGEST)
+    weights: np.ndarray = array("V", NUM_JOINTS, finite="all", most=LARGEST)
+    """Skin weights; rows sum to 1"""
+    hands_mean: np.ndarray = array(45, finite="all", most=LARGEST)
+    """Relaxed pose, axis-angle; never added by us: hand_pose is always relative to the flat hand"""
+    hands_components: np.ndarray = array(45, 45, finite="all", most=LARGEST)
+    """Principal directions of the pose, in rows"""
+    tip_vertices: np.ndarray = array(len(FINGERS), kind="i")
+    """Vertex index of each fingertip: thumb, index, middle, ring, little"""
+    quads: np.ndarray | None = array("Q", 4, kind="i", most_rows=MOST_FACES, default=None)
+    """Faces for artists, where the model has them"""
+    uv: np.ndarray | None = array("U", 2, finite="all", most=LARGEST, default=None)
+    """Texture coordinates, where the model has them"""
+    uv_faces: np.ndarray | None = array("P", "C", kind="i", most_rows=MOST_FACES, default=None)
+    """Indices into uv, per corner of quads (or of faces where quads is None)"""
     source: str = field(default="")
     """Path of the file it came from, or empty for the bundled open hand"""
 
@@ -96,8 +101,8 @@ class HandModel:
         normalised again on every reading.
         """
         sha = hashlib.sha256(self.side.encode())
-        for array in (self.v_template, self.shapedirs, self.posedirs, self.joint_regressor):
-            sha.update(np.ascontiguousarray(array, dtype=np.float32).tobytes())
+        for numbers in (self.v_template, self.shapedirs, self.posedirs, self.joint_regressor):
+            sha.update(np.ascontiguousarray(numbers, dtype=np.float32).tobytes())
         return sha.hexdigest()[:16]
 
     def shaped(self, betas: np.ndarray | None = None) -> ShapedHand:

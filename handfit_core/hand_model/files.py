@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.arrays import arrays_of, declared
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandModelError
@@ -34,20 +35,7 @@ FORMAT_NAME = "handfit-model"
 FORMAT_VERSION = 1
 
 _DATA = Path(__file__).parent / "data"
-_REQUIRED = (
-    "v_template",
-    "faces",
-    "shapedirs",
-    "posedirs",
-    "joint_regressor",
-    "weights",
-    "hands_mean",
-    "hands_components",
-    "tip_vertices",
-)
-_OPTIONAL = ("quads", "uv", "uv_faces")
-
-ARRAY_NAMES = (*_REQUIRED, *_OPTIONAL)
+ARRAY_NAMES = tuple(declared(HandModel))
 """All arrays of a model, named as in `HandModel` and in the file."""
 
 _MANO_FILES: dict[Side, str] = {"right": "MANO_RIGHT", "left": "MANO_LEFT"}
@@ -159,7 +147,7 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
             f"{path}: this hand model has format version {version}, this program reads up to "
             f"{FORMAT_VERSION}; update the add-on"
         )
-    missing = [key for key in _REQUIRED if key not in arrays]
+    missing = [key for key, spec in declared(HandModel).items() if not (spec.optional or key in arrays)]
     if missing:
         raise HandModelError(f"{path}: the hand model lacks {', '.join(missing)}")
     return checked_model(arrays, where=str(path), name=name, side=side, source="" if bundled else str(path))
@@ -181,10 +169,7 @@ def save_model_npz(
         "notes": notes or {},
     }
     arrays: dict[str, Any] = {"header": np.array(json.dumps(header, ensure_ascii=False))}
-    for key in ARRAY_NAMES:
-        array = getattr(model, key)
-        if array is None:
-            continue
+    for key, array in arrays_of(model).items():
         integer = np.issubdtype(array.dtype, np.integer)
         arrays[key] = np.asarray(array, dtype=np.int32 if integer else np.float32)
     with written_whole(path, load_model_npz) as beside:

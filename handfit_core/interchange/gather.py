@@ -8,11 +8,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.batch import Batch
 from handfit_core.errors import InputError
 from handfit_core.interchange.recording import LEAST_POINTS, PointsHand, SeenHands, known
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST
 
 UNKNOWN: Final = -1
 """A side that is not told"""

@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.doors.values import Unfit
 from handfit_core.errors import OptionError
@@ -26,7 +27,7 @@ from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
-from handfit_core.take import LARGEST, MOST_HANDS
+from handfit_core.take import MOST_HANDS
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""

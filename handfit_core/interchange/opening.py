@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import arrays_of
 from handfit_core.errors import InputError, PictureSizeError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document
@@ -246,9 +247,7 @@ def _hand_at(hand: PointsHand | PosedHand, rows: np.ndarray) -> Any:
         taken[rows < 0] = np.nan
         return taken
 
-    of_frames = {"points", "global_orient", "hand_pose", "transl", "confidence"}
-    known = {name: value for name, value in vars(hand).items() if name in of_frames and value is not None}
-    return replace(hand, **{name: at(value) for name, value in known.items()})
+    return replace(hand, **{name: at(value) for name, value in arrays_of(hand, "T").items()})
 
 
 def scaled(recording: Recording, width: int, height: int) -> Recording:

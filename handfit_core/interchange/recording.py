@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 
+from handfit_core.arrays import array, array_dataclass, check_arrays
 from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
 
 VIRTUAL_SIZE: Final = (1920, 1080)
 """Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
@@ -20,25 +21,25 @@ VIRTUAL_DISTANCE: Final = 0.8
 """Metres from that camera to hands that have no place of their own"""
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class SeenHands(Batch):
     """N hands as they were seen in pictures, each in one of a recording's frames. Pixels of the upright
     picture (the middle of its first pixel is (0.5, 0.5)), keypoints in MediaPipe's order."""
 
-    row: np.ndarray
-    """(N,) int, not decreasing: which of the recording's T frames"""
-    left: np.ndarray
-    """(N,) bool: the true hand is a left one"""
-    score: np.ndarray
-    """(N,) how sure it is that this is a hand, 0..1"""
-    keypoints: np.ndarray
-    """(N, 21, 2) pixels; NaN: not seen"""
-    confidence: np.ndarray
-    """(N, 21) how sure each point is, 0..1"""
-    depth: np.ndarray | None = None
-    """(N, 21) pixels: depth towards the scene, relative to the wrist, on the scale of x; None: not known"""
-    world: np.ndarray | None = None
-    """(N, 21, 3) metres about the hand's centre, axes as the camera frame's; None: not known"""
+    row: np.ndarray = array("N", kind="i")
+    """Which of the recording's T frames; not decreasing"""
+    left: np.ndarray = array("N", kind="b")
+    """Whether the true hand is a left one"""
+    score: np.ndarray = array("N")
+    """How sure it is that this is a hand, 0..1"""
+    keypoints: np.ndarray = array("N", NUM_KEYPOINTS, 2)
+    """pixels; NaN: not seen"""
+    confidence: np.ndarray = array("N", NUM_KEYPOINTS)
+    """How sure each point is, 0..1"""
+    depth: np.ndarray | None = array("N", NUM_KEYPOINTS, default=None)
+    """pixels: depth towards the scene, relative to the wrist, on the scale of x; None: not known"""
+    world: np.ndarray | None = array("N", NUM_KEYPOINTS, 3, default=None)
+    """metres about the hand's centre, axes as the camera frame's; None: not known"""
 
 
 LEAST_POINTS: Final = 6
@@ -50,13 +51,13 @@ def known(numbers: np.ndarray) -> np.ndarray:
     return np.asarray(np.isfinite(numbers).all(axis=-1))
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class PointsHand:
     """One hand's keypoints in space over a recording's T frames."""
 
     side: Side
-    points: np.ndarray
-    """(T, 21, 3) metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
+    points: np.ndarray = array("T", NUM_KEYPOINTS, 3)
+    """metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
     on_joints: bool = True
     """Whether the points are a skeleton's joints (a fingertip's lies on the skin), rather than where
     annotators click, as MediaPipe's do"""
@@ -71,50 +72,27 @@ class PointsHand:
         return np.asarray(known(self.points).sum(axis=1) >= LEAST_POINTS)
 
 
-@dataclass(frozen=True, eq=False)
+@array_dataclass
 class PosedHand:
     """One hand's pose in MANO's parameters over a recording's T frames; NaN in frames without it."""
 
     side: Side
-    global_orient: np.ndarray
-    """(T, 3) radians, from the model frame to the camera frame"""
-    hand_pose: np.ndarray
-    """(T, 45) radians, MANO's joint order, relative to the flat hand"""
-    transl: np.ndarray | None = None
-    """(T, 3) metres, camera frame, as a take has it; None: not known, it is put before the camera"""
-    betas: np.ndarray | None = None
-    """(10,) of the open hand's or the user's model; None: the mean shape"""
-    confidence: np.ndarray | None = None
-    """(T,) 0..1; None: the program does not tell"""
+    global_orient: np.ndarray = array("T", 3)
+    """radians, from the model frame to the camera frame"""
+    hand_pose: np.ndarray = array("T", 45)
+    """radians, MANO's joint order, relative to the flat hand"""
+    transl: np.ndarray | None = array("T", 3, default=None)
+    """metres, camera frame, as a take has it; None: not known, it is put before the camera"""
+    betas: np.ndarray | None = array(NUM_BETAS, default=None)
+    """Of the open hand's or the user's model; None: the mean shape"""
+    confidence: np.ndarray | None = array("T", default=None)
+    """0..1; None: the program does not tell"""
 
     @property
     def present(self) -> np.ndarray:
         """(T,) bool: frames with the hand."""
         there = known(self.hand_pose) & known(self.global_orient)
         return there if self.transl is None else there & known(self.transl)
-
-
-_SEEN: Final = {
-    **{"row": (), "left": (), "score": (), "keypoints": (NUM_KEYPOINTS, 2), "confidence": (NUM_KEYPOINTS,)},
-    **{"depth": (NUM_KEYPOINTS,), "world": (NUM_KEYPOINTS, 3)},
-}
-_IN_SPACE: Final = {
-    **{"points": (NUM_KEYPOINTS, 3), "global_orient": (3,), "hand_pose": (45,), "transl": (3,)},
-    **{"betas": None, "confidence": ()},
-}
-"""Arrays, and their shapes behind the number of hands or frames; None: betas have none"""
-
-
-def _check_arrays(hand: Any, shapes: dict[str, tuple[int, ...] | None], count: int) -> None:
-    """Raise ValueError for arrays of other shapes, and for numbers beyond what takes hold."""
-    for name, shape in shapes.items():
-        if (array := getattr(hand, name, None)) is None:
-            continue
-        wanted = (NUM_BETAS,) if shape is None else (count, *shape)
-        if np.shape(array) != wanted:
-            raise ValueError(f"its {name} have the shape {np.shape(array)}, expected {wanted}")
-        if np.any(np.abs(np.asarray(array, dtype=np.float64)) > LARGEST):
-            raise ValueError(f"its {name} hold numbers beyond {LARGEST:g}")
 
 
 @dataclass(frozen=True)
@@ -172,14 +150,14 @@ class Recording:
             raise ValueError("it has no hand")
         count = len(numbers)
         if self.seen is not None:
-            _check_arrays(self.seen, _SEEN, len(self.seen))
+            check_arrays(self.seen, ValueError, "its array ")
             if np.any(np.diff(self.seen.row) < 0) or np.any((self.seen.row < 0) | (self.seen.row >= count)):
                 raise ValueError("its hands are in frames that it does not have")
             check_crowd(numbers[self.seen.row])
         for hand in (*self.points, *self.posed):
             if hand.side not in SIDES:
                 raise ValueError("a hand's side is neither left nor right")
-            _check_arrays(hand, _IN_SPACE, count)
+            check_arrays(hand, ValueError, "its array ", T=count)
 
     @property
     def summary(self) -> str:

@@ -14,7 +14,7 @@ from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError, PictureSizeError
 from handfit_core.files import written_whole
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.worker.protocol import pack
+from handfit_core.worker.protocol import FoundHand
 from handfit_core.worker.runner import OnProgress
 
 if TYPE_CHECKING:
@@ -160,11 +160,11 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
         "width": frame.rgb.shape[1],
         "height": frame.rgb.shape[0],
         "hands": [
-            {
-                "side": hand.given_side or hand.likely_side,
-                "certainty": hand.score if hand.certainty is None else hand.certainty,
-                "keypoints": pack(hand.keypoints_2d.astype("float32")),
-            }
+            FoundHand(
+                hand.given_side or hand.likely_side,
+                hand.score if hand.certainty is None else hand.certainty,
+                hand.keypoints_2d,
+            ).to_message()
             for hand in hands
         ],
     }

@@ -1,22 +1,20 @@
-"""The messages between Blender and the worker process: JSON lines, arrays packed into them.
+"""The messages between Blender and the worker process: JSON lines, with arrays packed into them by `arrays`.
 
 Both sides import this, so it needs no more than NumPy. docs/worker-protocol.md describes every message.
 """
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import array, array_dataclass, check_arrays, packed_arrays, unpacked_arrays
 from handfit_core.doors.values import Unfit, number, shortly, text, whole
 from handfit_core.errors import ProtocolError
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
@@ -36,9 +34,6 @@ LONGEST_EVENT: Final = 1 << 27
 _MAX_TEXT_CHARS: Final = 1 << 24
 """characters of a text in an event"""
 _MAX_WORD_CHARS: Final = 200
-_MAX_DIMENSIONS: Final = 8
-
-_DTYPES: Final = ("bool", "uint8", "int32", "int64", "float32", "float64")
 
 
 def encode(message: Mapping[str, Any]) -> bytes:
@@ -72,39 +67,6 @@ def _no_number(name: str) -> None:
 def _beginning(line: bytes) -> str:
     text = line.decode("utf-8", errors="replace").strip()
     return repr(text if len(text) <= 60 else f"{text[:60]}...")
-
-
-def pack(array: np.ndarray) -> dict[str, Any]:
-    """An array of numbers -> what JSON can hold: {"dtype", "shape", "data"}, little-endian, in C order,
-    base64. NaN is fine here. Raises ProtocolError for other dtypes than those of numbers and bool."""
-    array = np.asarray(array)
-    if array.dtype.name not in _DTYPES:
-        raise ProtocolError(f"arrays in messages are {', '.join(_DTYPES)}; not {array.dtype}")
-    plain = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-    return {
-        "dtype": array.dtype.name,
-        "shape": list(array.shape),
-        "data": base64.b64encode(plain.tobytes()).decode("ascii"),
-    }
-
-
-def unpack(packed: object) -> np.ndarray:
-    """What `pack` made -> the array, writable and in the machine's byte order. Raises ProtocolError."""
-    try:
-        assert isinstance(packed, dict)
-        name, shape = packed["dtype"], packed["shape"]
-        assert name in _DTYPES
-        assert isinstance(shape, list)
-        assert len(shape) <= _MAX_DIMENSIONS
-        shape = [whole("shape", n, 0, LONGEST_REQUEST) for n in shape]
-        data = base64.b64decode(packed["data"], validate=True)
-        dtype = np.dtype(name)
-        assert len(data) == math.prod(shape) * dtype.itemsize
-        return np.frombuffer(data, dtype=dtype.newbyteorder("<")).astype(dtype).reshape(shape)
-    except (AssertionError, KeyError, TypeError, ValueError, binascii.Error) as error:
-        raise ProtocolError(
-            "an array in a message must be an object with dtype, shape and data in base64 of that size"
-        ) from error
 
 
 def check_id(message: Mapping[str, Any], key: str = "id") -> int:
@@ -141,18 +103,35 @@ def _count(name: str, value: Any) -> int:
     return whole(name, value, 0)
 
 
-def _hands(name: str, value: Any) -> list[Any]:
-    """Hands that were found, each with its points unpacked later."""
+@array_dataclass
+class FoundHand:
+    """One of the hands in the answer to a `find` request."""
+
+    side: Side
+    certainty: float
+    """How sure it is that this is a hand, 0..1"""
+    keypoints: np.ndarray = array(NUM_KEYPOINTS, 2, finite="all", sent=np.float32)
+    """pixels of the upright picture"""
+
+    def to_message(self) -> dict[str, Any]:
+        """As JSON's types."""
+        return {"side": self.side, "certainty": self.certainty, **packed_arrays(self)}
+
+    @classmethod
+    def of_message(cls, message: Any) -> FoundHand:
+        """The inverse of `to_message`. Raises Unfit and ProtocolError."""
+        if not isinstance(message, dict) or message.get("side") not in SIDES:
+            raise Unfit("hands must have a side each, left or right")
+        certainty = number("certainty", message.get("certainty"))
+        found = cls(message["side"], certainty, **unpacked_arrays(cls, message))
+        check_arrays(found)
+        return found
+
+
+def _hands(name: str, value: Any) -> list[FoundHand]:
     if not isinstance(value, list):
         raise Unfit(f"{name} must be a list, not {shortly(value)}")
-    for hand in value:
-        if not isinstance(hand, dict) or hand.get("side") not in SIDES:
-            raise Unfit(f"{name} must have a side each, left or right")
-        number("certainty", hand.get("certainty"))
-        points = unpack(hand.get("keypoints"))
-        if points.shape != (NUM_KEYPOINTS, 2) or not np.isfinite(points).all():
-            raise Unfit(f"{name} must have {NUM_KEYPOINTS} finite keypoints each, x and y")
-    return value
+    return [FoundHand.of_message(hand) for hand in value]
 
 
 def _flag(name: str, value: Any) -> bool:

@@ -86,12 +86,6 @@ def test_it_is_a_plain_archive_without_pickles(tmp_path: Path) -> None:
         assert json.loads(str(archive["header"]))["version"] == FORMAT_VERSION
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_wrong_shapes_are_refused(name: str) -> None:
-    with pytest.raises(TakeError, match=name):
-        take(hands=(track(**{name: np.zeros((FRAMES + 1, 2))}),))
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -106,13 +100,6 @@ def test_wrong_shapes_are_refused(name: str) -> None:
 def test_what_blender_could_not_build_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(TakeError, match=words):
         take(**changes)
-
-
-def test_a_frame_with_a_hand_is_finite() -> None:
-    transl = np.zeros((FRAMES, 3))
-    transl[0] = np.nan
-    with pytest.raises(TakeError, match="transl is not finite"):
-        take(hands=(track(transl=transl),))
 
 
 FILLED = np.array([False, False, True, False])
@@ -149,8 +136,6 @@ def test_expected_errors_come_back_finger_by_finger(tmp_path: Path) -> None:
     loaded = Take.load(take(hands=(track(expected_error=expected), track("left"))).save(tmp_path / "t.npz"))
     np.testing.assert_array_equal(loaded.hands[0].expected_error, expected)
     assert loaded.hands[1].expected_error is None, "a take that an older version made has none"
-    with pytest.raises(TakeError, match="expected_error has shape"):
-        take(hands=(track(expected_error=expected[:, 0]),))
 
 
 def test_takes_from_before_there_were_flags(tmp_path: Path) -> None:
@@ -161,18 +146,9 @@ def test_takes_from_before_there_were_flags(tmp_path: Path) -> None:
     np.testing.assert_array_equal(hand.present, hand.detected)
 
 
-@pytest.mark.parametrize("name", OF_MODEL)
-def test_a_filled_frame_has_a_pose(name: str) -> None:
-    with pytest.raises(TakeError, match=f"{name} is not finite"):
-        take(hands=(bridged(**{name: getattr(track(), name)}),))
-
-
-@pytest.mark.parametrize("name", ["filled", "doubtful"])
-def test_flags_are_one_a_frame(tmp_path: Path, name: str) -> None:
-    with pytest.raises(TakeError, match=f"right hand's {name} has shape"):
-        take(hands=(bridged(**{name: np.zeros(FRAMES + 1, dtype=bool)}),))
-    path = edited(take(hands=(bridged(),)).save(tmp_path / "t.npz"), **{f"hand0_{name}": np.zeros((2, 2))})
-    assert "capture it again" in message_of(path)
+def test_a_filled_frame_has_a_pose() -> None:
+    with pytest.raises(TakeError, match="the right hand's transl is not finite where the hand is present"):
+        take(hands=(bridged(transl=track().transl),))
 
 
 DETECTED = np.array([True, True, False, True])
@@ -243,14 +219,8 @@ def test_older_takes_cannot_be_fitted_again(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         ({"keypoints_depth": np.zeros((FRAMES, 20))}, "keypoints_depth has shape"),
-        ({"world_landmarks": np.zeros((FRAMES, 21))}, "world_landmarks has shape"),
         ({"keypoints_depth": np.full((FRAMES, 21), np.nan)}, "keypoints_depth is not finite"),
-        ({"world_landmarks": np.full((FRAMES, 21, 3), np.inf)}, "world_landmarks is not finite"),
-        ({"right_side": np.zeros((FRAMES, 1))}, "right_side has shape"),
         ({"right_side": np.full(FRAMES, 1.5)}, "right_side must lie between 0 and 1"),
-        ({"other_side": np.zeros(2, dtype=bool)}, "other_side has shape"),
-        ({"placed": np.zeros((FRAMES, 20, 2))}, "placed has shape"),
-        ({"placed": np.full((FRAMES, 21, 2), np.inf)}, "placed holds numbers beyond"),
     ],
     ids=str,
 )
@@ -437,13 +407,10 @@ def test_truncated_or_damaged_anywhere(tmp_path: Path) -> None:
         ({"frame_numbers": np.array([1, 2, 3, 2**63 - 1])}, "frame_numbers lie beyond"),
         ({"frame_numbers": np.array([1, 2, 3, 2**64 - 1], dtype=np.uint64)}, "frame_numbers lie beyond"),
         ({"frame_numbers": np.array([-(2**63), 0, 1, 2**62])}, "frame_numbers lie beyond"),
-        ({"hand0_betas": np.full(10, np.nan)}, "betas is not finite"),
         ({"hand0_betas": np.full(10, 1e6)}, "betas holds numbers beyond"),
         ({"hand0_betas": np.arange(10)}, "holds int64 as hand0_betas"),
         ({"hand0_detected": np.ones(FRAMES)}, "holds float64 as hand0_detected"),
-        ({"hand0_hand_pose": np.full((FRAMES, 45), np.inf)}, "hand_pose is not finite"),
         ({"hand0_transl": np.full((FRAMES, 3), 1e12)}, "transl holds numbers beyond"),
-        ({"hand0_transl": np.array([[0.0] * 3] * 2 + [[np.inf] * 3] + [[0.0] * 3])}, "transl holds numbers"),
         ({"hand0_score": np.array(["1.0"] * FRAMES)}, "as hand0_score"),
     ],
     ids=lambda value: str(value)[:60],

@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.arrays import pack
 from handfit_core.version import __version__
-from handfit_core.worker.protocol import PROTOCOL, encode, pack
+from handfit_core.worker.protocol import PROTOCOL, encode
 from tests.hostile.engine import Case, Place, file_case
 from tests.hostile.mutations import MUTATIONS, mutants, mutated, told
 from tests.hostile.npz import DEEP, VALUES

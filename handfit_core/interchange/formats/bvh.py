@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.errors import HandModelError, InputError, OptionError
 from handfit_core.files import shown
 from handfit_core.geometry.rotations import rotvec_to_rotmat
@@ -39,7 +40,7 @@ from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS, Take
+from handfit_core.take import LARGEST_FPS, SMALLEST_FPS, Take
 
 _MOST_BYTES: Final = 1 << 27
 _MOST_BONES: Final = 2048

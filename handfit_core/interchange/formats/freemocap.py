@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.errors import InputError, OptionError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document, Table
@@ -21,7 +22,6 @@ from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording, known
 from handfit_core.interchange.tables import columns_of, hands_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
-from handfit_core.take import LARGEST
 
 _HAND_FILE: Final = re.compile(r"(?:^|.*_)(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
 _OUTPUT: Final = "output_data"

@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.doors.values import Unfit, number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -31,7 +32,7 @@ from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.transfer import palm_frame
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
-from handfit_core.take import LARGEST, LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
 
 _FINGER: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 JOINTS: Final = (

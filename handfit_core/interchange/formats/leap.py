@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.doors.values import Unfit, number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -22,7 +23,6 @@ from handfit_core.interchange.recording import Asked, PointsHand, Recording
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST
 
 _MILLIMETRES: Final = 0.001
 _JOINTS: Final = ("mcpPosition", "pipPosition", "dipPosition", "btipPosition")

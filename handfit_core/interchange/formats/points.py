@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.doors.values import number, whole
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -17,7 +18,7 @@ from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording, SeenHands, known
 from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST, Take
+from handfit_core.take import Take
 
 FORMAT_NAME: Final = "handfit-points"
 FORMAT_VERSION: Final = 1

@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.arrays import LARGEST
 from handfit_core.errors import InputError, OptionError
 from handfit_core.files import shown
 from handfit_core.geometry.camera import Intrinsics
@@ -24,7 +25,6 @@ from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST
 
 _FIRST: Final[dict[Side, int]] = {"right": 21, "left": 42}
 """Of a hand's 21 keypoints, the wrist last"""

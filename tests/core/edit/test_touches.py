@@ -181,7 +181,7 @@ def test_touches_that_are_none(other: float) -> None:
     wrong[3, 8] = other
     with pytest.raises(OptionError, match="touches: keypoint 8 must name a smaller one"):
         replace(moving(), touches=wrong)
-    with pytest.raises(OptionError, match="touches must be numbers"):
+    with pytest.raises(OptionError, match="touches has shape"):
         replace(moving(), touches=wrong[1:])
 
 

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from handfit_core.arrays import pack
 from handfit_core.errors import Cancelled, InputError, NoHandFoundError, ProtocolError
 from handfit_core.version import __version__
 from handfit_core.worker import client, pipes, process, protocol
@@ -190,7 +191,7 @@ def test_poll_and_request_never_wait(peer, start, waited):
     """A peer that reads nothing and says nothing, and a request larger than any pipe."""
     worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
     began = time.monotonic()
-    worker.submit("refit", data=protocol.pack(np.zeros((300, 1000))))
+    worker.submit("refit", data=pack(np.zeros((300, 1000))))
     for _ in range(10):
         worker.events()
     assert waited() < 0.01  # a child that has just read gets a moment to read on

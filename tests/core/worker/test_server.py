@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from handfit_core import Take
+from handfit_core.arrays import unpack
 from handfit_core.fit_quality import mean_expected_error, mean_relative_error
 from handfit_core.media.pictures import read_picture
 from handfit_core.version import __version__
-from handfit_core.worker.protocol import PROTOCOL, decode, encode, unpack
+from handfit_core.worker.protocol import PROTOCOL, decode, encode
 from tests.conftest import ROOT
 
 FOLDER = ROOT / "samples" / "rendered_hand"

@@ -1,0 +1,216 @@
+"""Arrays of dataclasses: there and back through messages and files, and one sentence for each that is not as
+declared."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import FrozenInstanceError, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.arrays import (
+    array,
+    array_dataclass,
+    arrays_of,
+    check_arrays,
+    declared,
+    kept_arrays,
+    pack,
+    packed_arrays,
+    reading_arrays,
+    unpack,
+    unpacked_arrays,
+)
+from handfit_core.doors.npz import NotNpz, NpzArchive
+from handfit_core.doors.values import Unfit
+from handfit_core.errors import ProtocolError, TakeError
+from handfit_core.slices import result_of
+
+ROWS = 4
+SEEN = np.array([True, True, False, True])
+
+
+@array_dataclass
+class Motion:
+    side: str
+    betas: np.ndarray = array(10, finite="all", most=1e3)
+    pose: np.ndarray = array("T", 45, finite="seen", sent=np.float32)
+    seen: np.ndarray = array("T", kind="b", most_rows=1000)
+    first: np.ndarray = array("N", kind="i", most_rows=5)
+    depth: np.ndarray | None = array("T", 21, default=None)
+    start: np.ndarray = array(2, 3, default=0.0)
+
+
+def motion(**changes: Any) -> Motion:
+    pose = np.where(SEEN[:, None], np.random.default_rng(0).normal(size=(ROWS, 45)), np.nan)
+    return replace(Motion("left", np.arange(10.0), pose, SEEN, np.arange(3)), **changes)
+
+
+def test_a_dataclass_as_any_other() -> None:
+    assert list(declared(Motion)) == ["betas", "pose", "seen", "first", "depth", "start"]
+    assert motion().depth is None
+    np.testing.assert_array_equal(motion().start, np.zeros((2, 3)))
+    assert motion().start is not motion().start
+    assert list(arrays_of(motion())) == ["betas", "pose", "seen", "first", "start"]
+    assert list(arrays_of(motion(depth=np.zeros((ROWS, 21))), "T")) == ["pose", "seen", "depth"]
+    with pytest.raises(FrozenInstanceError):
+        motion().side = "right"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"depth": np.full((ROWS, 21), np.nan)},
+        {"betas": list(range(10))},
+        {"first": np.array([], dtype=np.uint8)},
+        {"pose": np.zeros((0, 45)), "seen": np.zeros(0, dtype=bool)},
+        {"pose": np.zeros((ROWS, 45), dtype=np.float16), "betas": np.full(10, -1e3)},
+    ],
+    ids=["plain", "unknown depths", "a list", "no first", "no rows", "at the bounds"],
+)
+def test_what_is_as_declared(changes: dict[str, Any]) -> None:
+    check_arrays(motion(**changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"betas": np.zeros(9)}, "betas has shape (9,), expected (10,)"),
+        ({"betas": np.zeros(())}, "betas has shape (), expected (10,)"),
+        ({"betas": None}, "betas has shape (), expected (10,)"),
+        ({"betas": np.full(10, np.nan)}, "betas is not finite"),
+        ({"betas": np.full(10, 1001.0)}, "betas holds numbers beyond 1000"),
+        ({"betas": np.full(10, -1001.0)}, "betas holds numbers beyond 1000"),
+        ({"betas": np.full(10, "a")}, "betas holds <U1, expected floats"),
+        ({"betas": np.full(10, 1j)}, "betas holds complex128, expected floats"),
+        ({"pose": np.zeros((ROWS, 44))}, f"pose has shape ({ROWS}, 44), expected ({ROWS}, 45)"),
+        ({"pose": np.full((ROWS, 45), np.nan)}, "pose is not finite where the hand is seen"),
+        ({"pose": np.full((ROWS, 45), [[0.0], [0.0], [np.inf], [0.0]])}, "pose holds numbers beyond 1e+09"),
+        ({"seen": np.ones(ROWS + 1, dtype=bool)}, f"seen has shape ({ROWS + 1},), expected ({ROWS},)"),
+        ({"seen": np.ones(ROWS)}, "seen holds float64, expected bools"),
+        ({"first": np.zeros(3)}, "first holds float64, expected whole numbers"),
+        ({"first": np.zeros((3, 1), dtype=int)}, "first has shape (3, 1), expected (N,)"),
+        ({"first": np.arange(6)}, "first has 6 rows, more than 5"),
+        ({"first": np.array([-(2**63)])}, "first holds numbers beyond 1e+09"),
+        ({"first": np.array([2**64 - 1], dtype=np.uint64)}, "first holds numbers beyond 1e+09"),
+        ({"depth": np.zeros((ROWS + 1, 21))}, f"depth has shape ({ROWS + 1}, 21), expected ({ROWS}, 21)"),
+        ({"depth": np.full((ROWS, 21), -np.inf)}, "depth holds numbers beyond 1e+09"),
+    ],
+    ids=lambda value: str(value)[:50],
+)
+def test_what_is_not(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(Unfit) as caught:
+        check_arrays(motion(**changes))
+    assert str(caught.value) == said
+
+
+def test_sizes_that_are_known_and_errors_of_its_own() -> None:
+    check_arrays(motion(), T=ROWS)
+    with pytest.raises(TakeError, match=r"^the left hand's pose has shape \(4, 45\), expected \(5, 45\)$"):
+        check_arrays(motion(), TakeError, "the left hand's ", T=5)
+
+
+@pytest.mark.parametrize("depth", [None, np.ones((ROWS, 21))], ids=["absent", "present"])
+def test_they_come_back(depth: np.ndarray | None) -> None:
+    one = motion(depth=depth)
+    message = json.loads(json.dumps(packed_arrays(one), allow_nan=False))
+    assert message["pose"]["dtype"] == "float32"
+    stream = io.BytesIO()
+    np.savez(stream, **kept_arrays(one, "hand0_", np.float32))
+    archive = NpzArchive(stream.getvalue(), 100_000)
+    for found in (unpacked_arrays(Motion, message), result_of(reading_arrays(Motion, archive, "hand0_"))):
+        back = Motion("left", **found)
+        check_arrays(back, T=ROWS)
+        for name, value in arrays_of(one).items():
+            np.testing.assert_allclose(getattr(back, name), value, rtol=1e-6)
+            assert getattr(back, name).dtype == value.dtype
+        assert (back.depth is None) == (depth is None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "of_messages", "of_files"),
+    [
+        ({"pose": None}, "refit: pose is missing", "hand0_pose"),
+        ({"seen": np.ones(ROWS)}, "refit: seen holds float64, expected bools", "holds float64 as hand0_seen"),
+        ({"first": np.ones(3)}, "refit: first holds float64, expected whole", "holds float64 as hand0_first"),
+        ({"betas": np.ones(10, bool)}, "refit: betas holds bool, expected", "holds bool as hand0_betas"),
+        ({"pose": np.zeros((9000, 45))}, "", "more memory than such a file ever needs, with its hand0_pose"),
+    ],
+    ids=["missing", "no bools", "no whole numbers", "no floats", "too large"],
+)
+def test_what_is_refused_before_it_is_made(changes: dict[str, Any], of_messages: str, of_files: str) -> None:
+    given = {name: value for name, value in (arrays_of(motion()) | changes).items() if value is not None}
+    if of_messages:
+        with pytest.raises(ProtocolError, match=of_messages):
+            unpacked_arrays(Motion, {name: pack(value) for name, value in given.items()}, "refit: ")
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **{f"hand0_{name}": value for name, value in given.items()})
+    with pytest.raises((KeyError, NotNpz), match=of_files):
+        result_of(reading_arrays(Motion, NpzArchive(stream.getvalue(), 100_000), "hand0_"))
+
+
+def test_a_message_names_the_array_that_is_none() -> None:
+    with pytest.raises(ProtocolError, match=r"^refit: betas: an array in a message must be"):
+        unpacked_arrays(Motion, {**packed_arrays(motion()), "betas": [0.0] * 10}, "refit: ")
+
+
+@pytest.mark.parametrize("dtype", ["bool", "uint8", "int32", "int64", "float32", "float64"])
+@pytest.mark.parametrize("shape", [(), (0, 3), (4,), (2, 3, 5)], ids=str)
+def test_arrays_come_back(dtype: str, shape: tuple[int, ...]) -> None:
+    array = (np.random.default_rng(0).normal(size=shape) * 100).astype(dtype)
+    back = unpack(json.loads(json.dumps(pack(array))))
+    assert back.dtype == array.dtype
+    assert back.flags.writeable
+    np.testing.assert_array_equal(back, array)
+
+
+def test_nan_order_and_bytes_of_arrays() -> None:
+    array = np.array([[np.nan, 1.0, np.inf], [-0.0, 2.0, 3.0]])
+    np.testing.assert_array_equal(unpack(pack(array)), array)
+    np.testing.assert_array_equal(unpack(pack(np.asfortranarray(array).T)), array.T)
+    swapped = array.astype(">f8")
+    assert pack(swapped) == pack(array)
+    assert pack(np.array([1], dtype=np.int32))["data"] == "AQAAAA=="  # little-endian
+
+
+def test_arrays_of_objects_are_not_packed() -> None:
+    for value in (np.array(["a"]), np.array([None]), np.array([1j])):
+        with pytest.raises(ProtocolError, match="float64; not"):
+            pack(value)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"dtype": "object"},
+        {"dtype": None},
+        {"dtype": ["float32"]},
+        {"data": "AAAA"},
+        {"data": "no base64!"},
+        {"data": None},
+    ],
+    ids=str,
+)
+def test_damaged_arrays_are_refused(change: dict[str, Any]) -> None:
+    packed = pack(np.zeros((2, 2), dtype=np.float32))
+    with pytest.raises(ProtocolError, match="an array in a message must be"):
+        unpack(packed | change)
+    for key in change:
+        del packed[key]
+    for other in (packed, None, [1.0], "AAAA"):
+        with pytest.raises(ProtocolError, match="an array in a message must be"):
+            unpack(other)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [[3, 2], 4, ["2"], [2.0], [True], "2", {"2": 1}, [-1], [2**70], [0, 2**70], [1] * 100, [2**20] * 8],
+    ids=str,
+)
+def test_a_shape_is_a_short_list_of_whole_numbers(shape: object) -> None:
+    with pytest.raises(ProtocolError, match="dtype, shape and data"):
+        unpack({**pack(np.zeros(2)), "shape": shape})
