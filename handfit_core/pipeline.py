@@ -17,7 +17,7 @@ from handfit_core.batch import slices
 from handfit_core.detect.detector import DETECTORS, Detected, Quality
 from handfit_core.detect.keypoints import DetectedTrack, SideBySide, largest_extent
 from handfit_core.detect.opening import settings_of
-from handfit_core.detect.sharing import expected_frames, shared
+from handfit_core.detect.sharing import detect_chunks, expected_frames
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames, detect_part
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
@@ -38,11 +38,11 @@ from handfit_core.interchange.taking import (
     tracks_of,
 )
 from handfit_core.media.exif import known_intrinsics
-from handfit_core.media.frame_range import STRETCH, FrameRange
+from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange
 from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CROWD, OPTIONS, CaptureOptions, HandChoice, HandMean, Region
-from handfit_core.parts import Part, Parts, stretches_in
+from handfit_core.parts import Part, Parts, chunks_in
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
 from handfit_core.take import MOST_HANDS, HandTrack, Take
@@ -179,12 +179,12 @@ def capture_with(
         def on_frame(done: int) -> None:
             report(Progress("detect", done, max(media.expected_frames, done)))
 
-        looked_at = shared if parts is None else parts.of(media, options)
+        chunk_source = detect_chunks if parts is None else parts.of(media, options)
         with DETECTORS.blamed(options.detector):
             backend = DETECTORS.get(options.detector)
             calibrated = recording is None and backend.calibrated(settings_of(options))
         seen = (
-            detect_frames(media, options, on_frame, stop, looked_at)
+            detect_frames(media, options, on_frame, stop, chunk_source)
             if recording is None
             else detected_in(recording)
         )
@@ -439,7 +439,7 @@ def detect_to_file(
 ) -> dict[str, Any]:
     """Find the hands in a part of a clip and write it for `Parts`; what is to be told of it, fit for JSON.
 
-    `part` is a range of frame numbers, of which each stretch belongs to the part whose first frame lies in it
+    `part` is a range of frame numbers, of which each chunk belongs to the part in which its first frame lies
     (None: all), and `options` those of the capture of the whole clip, its `frames` included.
 
     Raises what `capture` raises before it fits, but for NoHandFoundError, and OutputError.
@@ -447,7 +447,7 @@ def detect_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
-    rows = stretches_in(media, part)
+    rows = chunks_in(media, part)
     expected = expected_frames(media, rows)
     report = progress or (lambda _: None)
 
@@ -456,9 +456,11 @@ def detect_to_file(
 
     found = detect_part(media, options, rows, on_frame, should_stop or never)
     path = Part.found(media, options, rows, found).save(output)
-    numbers = [number for stretch in found for number in stretch.numbers]
+    numbers = [number for chunk in found for number in chunk.numbers]
     if not numbers:
-        log.warning("no stretch of %d frames begins in frames %s: this part is empty", STRETCH, part or "-")
+        log.warning(
+            "no stretch of %d frames begins in frames %s: this part is empty", CHUNK_FRAMES, part or "-"
+        )
     return {
         "output": str(path),
         "frames": len(numbers),

@@ -17,10 +17,10 @@ from handfit_core.detect.correction.canonical import Canonical
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 FILE: Final = Path(__file__).parent / "data" / "landmark_network.npz"
-MOST: Final = 4.0
-"""Features beyond so many standard deviations count as that many"""
+MAX_FEATURE: Final = 4.0
+"""Standard deviations to which features are clipped"""
 CHUNK: Final = 512
-"""Detections looked at together; bounds the memory"""
+"""Detections in one forward pass; bounds the memory"""
 LOG_SIGMA: Final = -2.0
 """What the network's log sigmas are counted from"""
 
@@ -50,7 +50,7 @@ class Layers:
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """(N, inputs) -> (N, outputs)"""
-        values = np.clip((features.astype(np.float32) - self._mean) * self._scale, -MOST, MOST)
+        values = np.clip((features.astype(np.float32) - self._mean) * self._scale, -MAX_FEATURE, MAX_FEATURE)
         for weight, bias in self._layers[:-1]:
             values = _gelu(values @ weight + bias)
         weight, bias = self._layers[-1]

@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from handfit_core.detect.looks import distance, overlapped
 
 from handfit_core.detect.keypoints import SURE_OF_SIDE, HandDetection
-from handfit_core.detect.looks import distance, overlapped
 from handfit_core.detect.tracks import DUPLICATE_DISTANCE, link_and_count, link_tracks, without_duplicates
 from handfit_core.errors import NoHandFoundError
 from handfit_core.skeleton import Side
