@@ -324,7 +324,7 @@ class Networks:
             done: Future[Result] = Future()
             done.set_result(function())
             return done
-        self._background = self._background or ThreadPoolExecutor(1, "handfit-beside")
+        self._background = self._background or ThreadPoolExecutor(1, "handfit-background")
         return self._background.submit(function)
 
     def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Prediction:

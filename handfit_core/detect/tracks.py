@@ -62,12 +62,12 @@ theirs"""
 @dataclass
 class _OpenTrack:
     detections: dict[int, HandDetection] = field(default_factory=dict)
-    """in the order of frames"""
+    """By frame, in the order of frames"""
     side_votes: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
 
     @classmethod
     def of(cls, detections: Mapping[int, HandDetection]) -> _OpenTrack:
-        """Of these, in the order of frames."""
+        """A track of detections by frame, in the order of frames."""
         track = cls()
         for frame, detection in detections.items():
             track.add(frame, detection)
@@ -75,7 +75,7 @@ class _OpenTrack:
 
     @property
     def given_side(self) -> Side | None:
-        """The side that a person has named."""
+        """The side that a person has given."""
         return next((d.given_side for d in self.detections.values() if d.given_side is not None), None)
 
     @property
@@ -179,11 +179,11 @@ def link_and_count(
 def _with_overlaps(
     chosen: Sequence[_OpenTrack], tracks: Sequence[_OpenTrack], frame: int
 ) -> list[HandDetection | None]:
-    """The detections of the chosen tracks in a frame, with their points marked that lie where another hand
-    is."""
-    there = [track for track in tracks if frame in track.detections]
-    places = {id(track): place for place, track in enumerate(there)}
-    arrays = HandArrays.of([track.detections[frame] for track in there])
+    """The detections of the chosen tracks in a frame, with `overlapped` set where points lie on another
+    hand."""
+    present = [track for track in tracks if frame in track.detections]
+    places = {id(track): place for place, track in enumerate(present)}
+    arrays = HandArrays.of([track.detections[frame] for track in present])
     margin = 1.001 * BONE_RADIUS * arrays.extent[:, None]
     first, end = arrays.box_min - margin, arrays.box_max + margin
     marked: list[HandDetection | None] = []
@@ -208,8 +208,8 @@ def _choose(
     if hands == "auto":
         most = max(t.weight for t in tracks)
         sure = [t for t in tracks if t.shown or t.weight >= MIN_WEIGHT * most]
-        less = _of_doubtful_side(*sure) if len(sure) == 2 else None
-        return [(t, other_side(t.side) if t is less else t.side) for t in sure[:max_hands]]
+        doubtful = _of_doubtful_side(*sure) if len(sure) == 2 else None
+        return [(t, other_side(t.side) if t is doubtful else t.side) for t in sure[:max_hands]]
     if hands == "both":
         first = tracks[0]
         for second in tracks[1:]:
@@ -227,8 +227,9 @@ def _choose(
 
 
 def _of_doubtful_side(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | None:
-    """Of two hands that are named alike and touch, most likely the left and the right one of one person,
-    the one whose side is in doubt; None where neither is, as where two people shake hands."""
+    """The track that is most likely of the other side: of two hands of one side that touch, as a person's
+    left and right one do, the one whose side is in doubt. None where neither is, as where two people shake
+    hands."""
     common = first.detections.keys() & second.detections.keys()
     if first.side != second.side or not any(
         overlapped(first.detections[i], second.detections[i]).any() for i in common
@@ -240,14 +241,14 @@ def _of_doubtful_side(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | Non
 
 
 def _side_score(track: _OpenTrack) -> float:
-    """Mean confidence of the detections that agree with the track's side; nothing outweighs a person."""
+    """Mean score that a track's detections give to its side; infinite where a person has given it."""
     if track.given_side is not None:
         return np.inf
     return track.side_votes[track.side] / len(track.detections)
 
 
 def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
-    """One detection of each hand in one picture: the surest."""
+    """Non-maximum suppression: the best detection of each hand in one picture."""
     ordered = sorted(detections, key=lambda d: (d.shown, d.score), reverse=True)
     arrays, hands = HandArrays.of(ordered), np.zeros(0, dtype=int)
     for number in range(len(ordered)):
@@ -282,7 +283,7 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
 
 
 def _costs(tracks: Sequence[_OpenTrack], detections: Sequence[HandDetection], frame: int) -> np.ndarray:
-    """(tracks, detections) how little a detection looks like what is expected of a track in that frame."""
+    """(tracks, detections) cost in hand sizes of assigning each detection of a frame to each track."""
     last, now = HandArrays.of([track.last for track in tracks]), HandArrays.of(detections)
     moved = np.array([track.displacement(frame) for track in tracks]).reshape(-1, 2)
     sides = np.array([track.side == SIDES[0] for track in tracks], dtype=bool)
@@ -302,7 +303,10 @@ def _limit(gap: int) -> float:
 
 
 class _Merger:
-    """Tracks, of which those of one hand are merged: their detections as arrays, in the order of frames."""
+    """Merges tracks of one hand. Holds the detections of all tracks as arrays, in the order of frames.
+
+    `rows` of a track are indices into these arrays.
+    """
 
     def __init__(self, tracks: Sequence[_OpenTrack]) -> None:
         self._tracks = tracks
@@ -311,65 +315,66 @@ class _Merger:
         self._arrays = HandArrays.of(detections)
         self._shown = np.array([detection.shown for detection in detections], dtype=bool)
         self._frame, self._track_of = np.array(rows, dtype=int).reshape(-1, 2).T.copy()
-        """(N,) the frame of each detection, and the number of its track; -1: of none any more"""
+        """(N,) frame of each detection, and number of its track; -1: it was dropped in a merge"""
         self._sides = np.array([SIDES.index(track.side) for track in tracks], dtype=int)
         self._merged = list(range(len(tracks)))
         self._ranks = np.zeros(len(tracks) + 1, dtype=int)
-        """The places of tracks among the merged ones; as many as there are tracks: not among them yet, as it
-        is for the number -1"""
+        """(tracks + 1,) rank of each track among `_merged`, by falling weight; the count of tracks for one
+        that is not among them, and in the last place, for dropped detections"""
 
     @property
     def tracks(self) -> list[_OpenTrack]:
-        """Those that there are by now."""
+        """The tracks after merging."""
         return [self._tracks[number] for number in self._merged]
 
-    def merge(self, one_hand: Callable[[_Merger, np.ndarray], np.ndarray]) -> None:
-        """Merge tracks into surer ones of the same hand: each into the surest of those that `one_hand`
-        numbers, given the track's rows."""
+    def merge(self, same_hand: Callable[[_Merger, np.ndarray], np.ndarray]) -> None:
+        """Merge each track into the surest of the surer tracks whose numbers `same_hand` returns for its
+        rows."""
         order = sorted(self._merged, key=lambda number: self._tracks[number].weight, reverse=True)
         self._merged = []
         self._ranks[:] = len(self._tracks)
         for number in order:
-            mine = np.flatnonzero(self._track_of == number)
-            surer = one_hand(self, mine)
+            rows = np.flatnonzero(self._track_of == number)
+            surer = same_hand(self, rows)
             if not len(surer):
                 self._ranks[number] = len(self._merged)
                 self._merged.append(number)
                 continue
             into = int(surer[np.argmin(self._ranks[surer])])
-            self._track_of[mine] = np.where(
-                np.isin(self._frame[mine], self._frame[self._track_of == into]), -1, into
-            )
+            taken = np.isin(self._frame[rows], self._frame[self._track_of == into])
+            self._track_of[rows] = np.where(taken, -1, into)
             self._tracks[into].merge(self._tracks[number])
             self._sides[into] = SIDES.index(self._tracks[into].side)
 
-    def overlapping(self, mine: np.ndarray) -> np.ndarray:
-        """Of one hand that was found twice, often once as a left and once as a right one."""
-        mine, theirs = self._concurrent(mine)
+    def overlapping(self, rows: np.ndarray) -> np.ndarray:
+        """Numbers of the surer tracks that overlap a track in most common frames: one hand that was found
+        twice, often once as a left and once as a right one."""
+        mine, theirs = self._concurrent(rows)
         same = self._arrays.distances(theirs, self._arrays, mine, OVERLAP_DISTANCE) < OVERLAP_DISTANCE
-        # Or fingers were taken for another, smaller hand.
+        # Fingers may have been taken for another, smaller hand.
         smaller = self._arrays.extent[mine] < MAX_PART_SIZE * self._arrays.extent[theirs]
         part = np.flatnonzero(~same & ~self._shown[mine] & smaller)
         same[part] = self._arrays.share_within(mine[part], theirs[part]) > MIN_PART_INSIDE
-        of, count = self._track_of[theirs], len(self._tracks)
-        return np.flatnonzero(2 * np.bincount(of[same], minlength=count) > np.bincount(of, minlength=count))
+        tracks, count = self._track_of[theirs], len(self._tracks)
+        overlaps, common = (np.bincount(each, minlength=count) for each in (tracks[same], tracks))
+        return np.flatnonzero(2 * overlaps > common)
 
-    def returning(self, mine: np.ndarray) -> np.ndarray:
-        """Of a left hand that leaves the picture and a left hand that enters later."""
-        return np.flatnonzero(
-            self._disjoint(mine)[:-1] & (self._sides == self._sides[self._track_of[mine[0]]])
-        )
+    def returning(self, rows: np.ndarray) -> np.ndarray:
+        """Numbers of the surer tracks of the same side without a common frame, as a left hand leaves the
+        picture and a left hand enters later."""
+        same_side = self._sides == self._sides[self._track_of[rows[0]]]
+        return np.flatnonzero(self._disjoint(rows)[:-1] & same_side)
 
-    def _concurrent(self, mine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of these rows with those of surer tracks in the same frame: (P,) and (P,)."""
-        first, end = (np.searchsorted(self._frame, self._frame[mine], side) for side in ("left", "right"))
+    def _concurrent(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(P,) and (P,) pairs of these rows with those of surer tracks in the same frame."""
+        first, end = (np.searchsorted(self._frame, self._frame[rows], side) for side in ("left", "right"))
         count = end - first
         theirs = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
         surer = self._ranks[self._track_of[theirs]] < len(self._tracks)
-        return np.repeat(mine, count)[surer], theirs[surer]
+        return np.repeat(rows, count)[surer], theirs[surer]
 
-    def _disjoint(self, mine: np.ndarray) -> np.ndarray:
+    def _disjoint(self, rows: np.ndarray) -> np.ndarray:
         """(tracks + 1,) bool: which surer tracks are in none of the frames of these rows."""
-        apart = self._ranks < len(self._tracks)
-        apart[self._track_of[self._concurrent(mine)[1]]] = False
-        return apart
+        disjoint = self._ranks < len(self._tracks)
+        disjoint[self._track_of[self._concurrent(rows)[1]]] = False
+        return disjoint
