@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 
 from handfit_core.detect.clips import (
-    BACKTRACK_FRAMES,
+    TRACKING,
     ClipFinder,
     PastFrames,
     PastJpegs,
@@ -208,7 +208,7 @@ class _FrameReader:
         """(H, W, 3) uint8 RGB of the frame with that index; None where it cannot be read."""
         if self._next - len(self._past) <= row < self._next:
             return list(self._past.backwards())[self._next - 1 - row]
-        if not self._next <= row <= self._next + BACKTRACK_FRAMES:
+        if not self._next <= row <= self._next + TRACKING.backtrack_frames:
             self._past.clear()
             self._frames, self._next = self._media.frames(row, sys.maxsize), row
         while self._next <= row:
@@ -228,7 +228,7 @@ class _FrameReader:
             for frame in self._media.frames(begin, row - begin):
                 past.append(frame.rgb)
         else:
-            begin = max(begin, row - BACKTRACK_FRAMES)
+            begin = max(begin, row - TRACKING.backtrack_frames)
             for here in range(begin, row):
                 self.picture(here)
             past = self._past

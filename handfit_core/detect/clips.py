@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
+from typing import Final
 
 import numpy as np
 
@@ -29,47 +30,51 @@ from handfit_core.detect.networks import (
     augmented_crops,
     crop_around,
 )
-from handfit_core.detect.search import BOX_MIN_PRESENCE, Search, tiles
+from handfit_core.detect.search import SEARCH, Search, tiles
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.skeleton import Side
 
-SEARCH_INTERVAL = 24
-"""Frames from one palm detection in the whole picture to the next, where all hands that were there are
-tracked"""
 
-BACKTRACK_FRAMES = 24
-"""Past frames through which a new hand is tracked backwards, at most"""
+@dataclass(frozen=True)
+class TrackingSettings:
+    """Thresholds and intervals of tracking in clips. Distances are in hand sizes, intervals in frames."""
 
-MAX_PAST_BYTES = 100_000_000
-"""Memory that those frames may take: 4 frames of 3840 x 2160. Where a hand is to be tracked back to the
-beginning, frames are kept as JPEG, and may take ten times as much"""
+    search_interval: int = 24
+    """From one palm detection in the whole picture to the next, where all hands that were there are
+    tracked"""
+    backtrack_frames: int = 24
+    """Past frames through which a new hand is tracked backwards, at most"""
+    max_past_bytes: int = 100_000_000
+    """Memory that those frames may take: 4 frames of 3840 x 2160. Where a hand is to be tracked back to the
+    beginning, frames are kept as JPEG, and may take ten times as much"""
 
-MAX_SEARCHES = 6
-"""Searches about a lost hand, 1, 2, 4, ... frames apart: one that left costs no more than these"""
+    max_searches: int = 6
+    """About a lost hand, 1, 2, 4, ... frames apart: one that left costs no more than these"""
+    search_span: float = 4.0
+    """Side of the crop about a lost hand in which palms are searched"""
+    first_wait: int = 8
+    """Between the first searches of the whole picture and its tiles in a clip in which no hand is tracked"""
+    max_wait: int = 128
+    """Between two searches, of these and of those about a lost hand, at most"""
+    occluder_distance: float = 1.0
+    """A hand that is lost nearer than this to another is most likely behind it"""
+    max_occluded_searches: int = 32
+    """About a hand that is behind another"""
+    max_occluded_wait: int = 2
+    """Between two of these searches, at most, which costs less than to track the hand"""
 
-OCCLUDER_DISTANCE = 1.0
-"""Hand sizes; a hand that is lost nearer than this to another is most likely behind it"""
+    max_shift: float = 0.15
+    """A hand that is found farther than this from where it was expected lies at the crop's edge, and is
+    predicted once more"""
+    min_speed: float = 0.1
+    """Per frame, beyond which a hand is expected where it is going. Slower ones are expected where they were,
+    since a guess would only make them tremble"""
+    max_disagreement: float = 0.2
+    """Mean lengths of bones; where the two landmark networks' points are farther apart than this in the
+    picture, the mirrored crop is predicted, too. Of clear hands, hardly any differ by more than 0.14"""
 
-MAX_OCCLUDED_SEARCHES, MAX_OCCLUDED_WAIT = 32, 2
-"""Searches for such a hand, and frames between two of them at most, which costs less than to track it"""
 
-FIRST_WAIT, MAX_WAIT = 8, 128
-"""Frames between two searches of the whole picture and its tiles in a clip in which no hand is tracked"""
-
-SEARCH_SPAN = 4.0
-"""Side of the crop about a lost hand in which palms are searched, in hand sizes"""
-
-MAX_SHIFT = 0.15
-"""Hand sizes; a hand that is found farther than this from where it was expected lies at the crop's edge, and
-is predicted once more"""
-
-MIN_SPEED = 0.1
-"""Hand sizes a frame beyond which a hand is expected where it is going. Slower ones are expected where they
-were, since a guess would only make them tremble"""
-
-MAX_DISAGREEMENT = 0.2
-"""Mean lengths of bones; where the two landmark networks' points are farther apart than this in the picture,
-the mirrored crop is predicted, too. Of clear hands, hardly any differ by more than 0.14"""
+TRACKING: Final = TrackingSettings()
 
 
 @dataclass(eq=False)
@@ -92,7 +97,7 @@ class TrackedHand:
     def of(cls, hand: HandDetection, threshold: float, velocity: np.ndarray | None = None) -> TrackedHand:
         """Begin to track a hand that was found with that threshold of presence; one that a person has shown
         needs less of it."""
-        min_presence = BOX_MIN_PRESENCE if hand.shown else threshold
+        min_presence = SEARCH.box_min_presence if hand.shown else threshold
         return cls(hand, np.zeros(2) if velocity is None else velocity, min_presence)
 
     def update(self, hand: HandDetection) -> None:
@@ -102,7 +107,7 @@ class TrackedHand:
 
     def expected(self) -> np.ndarray:
         """(21, 2) pixels where its landmarks are expected in the next frame."""
-        speed, slow = float(np.linalg.norm(self.velocity)), MIN_SPEED * self.last.extent
+        speed, slow = float(np.linalg.norm(self.velocity)), TRACKING.min_speed * self.last.extent
         moving = max(0.0, 1.0 - slow / max(speed, 1e-9))
         return self.last.keypoints_2d + moving * self.velocity
 
@@ -110,12 +115,13 @@ class TrackedHand:
         """Count a failed search, and wait longer for the next one."""
         self.velocity = np.zeros(2)
         self.searches += 1
-        self.wait = min(2**self.searches - 1, MAX_OCCLUDED_WAIT if self.occluded else MAX_WAIT)
+        longest = TRACKING.max_occluded_wait if self.occluded else TRACKING.max_wait
+        self.wait = min(2**self.searches - 1, longest)
 
     @property
     def given_up(self) -> bool:
         """Whether it is not searched for any more."""
-        return self.searches >= (MAX_OCCLUDED_SEARCHES if self.occluded else MAX_SEARCHES)
+        return self.searches >= (TRACKING.max_occluded_searches if self.occluded else TRACKING.max_searches)
 
 
 class ClipFinder(Detector):
@@ -228,7 +234,7 @@ class ClipFinder(Detector):
         lost = [tracked for tracked in before if tracked not in self.tracked]
         for tracked in lost:
             tracked.occluded = any(
-                distance(tracked.last, other.last) < OCCLUDER_DISTANCE for other in self.tracked
+                distance(tracked.last, other.last) < TRACKING.occluder_distance for other in self.tracked
             )
         return lost
 
@@ -244,13 +250,13 @@ class ClipFinder(Detector):
             elif not self._full:
                 hand = lost.last
                 centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
-                crop = Crop.of_square(centre, SEARCH_SPAN * max(hand.extent, 8.0), PALM_INPUT_PX)
+                crop = Crop.of_square(centre, TRACKING.search_span * max(hand.extent, 8.0), PALM_INPUT_PX)
                 self._start_tracks(self._detect_new(rgb, [crop]), new)
                 lost.search_failed()
         self._lost = [
             t for t in self._lost if not (t.given_up or (self._is_known(t.last) and not t.occluded))
         ]
-        if (lost_one and not self._full) or index % SEARCH_INTERVAL == 0:
+        if (lost_one and not self._full) or index % TRACKING.search_interval == 0:
             height, width = rgb.shape[:2]
             found = self._detect_new(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.tracked) + len(found))
@@ -261,7 +267,7 @@ class ClipFinder(Detector):
             else:
                 self._start_tracks(self._searching.detect_all(rgb), new)
                 self._searches += 1
-                self._search_wait = min(FIRST_WAIT * 2**self._searches, MAX_WAIT)
+                self._search_wait = min(TRACKING.first_wait * 2**self._searches, TRACKING.max_wait)
         return new
 
     def _detect_new(self, rgb: np.ndarray, crops: list[Crop]) -> list[HandDetection]:
@@ -273,7 +279,7 @@ class ClipFinder(Detector):
         for hand in hands:
             if not self._full and not self._is_known(hand):
                 new.append(self._start_track(hand))
-                self._searches, self._search_wait = 0, FIRST_WAIT
+                self._searches, self._search_wait = 0, TRACKING.first_wait
 
     def _start_track(self, hand: HandDetection) -> TrackedHand:
         self.tracked.append(TrackedHand.of(hand, self._threshold))
@@ -293,7 +299,7 @@ def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> HandD
     expected = tracked.expected()
     prediction = networks.predict(rgb, crop_around(expected))
     off = np.linalg.norm(prediction.hand.keypoints_2d - expected, axis=-1).mean()
-    if prediction.presence >= tracked.min_presence and off > MAX_SHIFT * prediction.hand.extent:
+    if prediction.presence >= tracked.min_presence and off > TRACKING.max_shift * prediction.hand.extent:
         prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints))
     if prediction.presence < tracked.min_presence:
         return None
@@ -312,7 +318,7 @@ def cross_check(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Ha
         return hand
     apart = disagreement(hand.keypoints[None], hand.keypoints_2020[None])[0]
     mirrored = list(augmented_crops(hand.keypoints))[len(AUGMENTATION_TURNS)]
-    crops = [mirrored] if apart > MAX_DISAGREEMENT else []
+    crops = [mirrored] if apart > TRACKING.max_disagreement else []
     return _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
 
 
@@ -352,8 +358,8 @@ class PastFrames:
     """The last frames of a clip, as many as memory holds."""
 
     def __init__(self) -> None:
-        self._kept: deque[np.ndarray | None] = deque(maxlen=BACKTRACK_FRAMES)
-        self._max_bytes = MAX_PAST_BYTES
+        self._kept: deque[np.ndarray | None] = deque(maxlen=TRACKING.backtrack_frames)
+        self._max_bytes = TRACKING.max_past_bytes
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -379,7 +385,7 @@ class PastJpegs(PastFrames):
     def __init__(self) -> None:
         super().__init__()
         self._kept = deque()
-        self._max_bytes = 10 * MAX_PAST_BYTES
+        self._max_bytes = 10 * TRACKING.max_past_bytes
 
     def append(self, rgb: np.ndarray | None) -> None:
         """Keep (H, W, 3) uint8 RGB, compressed, or None; the first ones go."""

@@ -26,97 +26,98 @@ from handfit_core.detect.networks import (
     square_around,
 )
 
-MIN_PALM_SCORE: Final = 0.07
-"""Of palms on which the landmark network is run: far lower than what is believed"""
 
-PLAIN_MIN_PALM_SCORE: Final = 0.5
-"""In place of `MIN_PALM_SCORE` in a plain search"""
+@dataclass(frozen=True)
+class SearchSettings:
+    """Thresholds and crops of the search. Presences, scores and probabilities are 0..1, turns radians."""
 
-MIN_FIRST_PRESENCE: Final = 0.02
-"""Presence of the first prediction below which there is no second one"""
+    min_palm_score: float = 0.07
+    """Of palms on which the landmark network is run: far lower than what is believed"""
+    plain_min_palm_score: float = 0.5
+    """In place of `min_palm_score` in a plain search"""
 
-MIN_PRESENCE: Final = 0.1
-"""Presence of the last prediction below which there is no hand"""
+    max_passes: int = 3
+    """Predictions, each in the crop around the landmarks of the one before"""
+    min_first_presence: float = 0.02
+    """Presence of the first prediction below which there is no second one"""
+    min_presence: float = 0.1
+    """Presence of the last prediction below which there is no hand"""
+    converged_distance: float = 0.05
+    """Hand sizes; landmarks that a pass moves less than this need no other pass"""
+    converged_presence: float = 0.9
+    """Presence that both of these predictions must exceed"""
 
-MAX_PASSES: Final = 3
-"""Predictions, each in the crop around the landmarks of the one before"""
+    early_crops: int = 3
+    """Crops of test-time augmentation after which unlikely candidates are given up"""
+    min_early_probability: float = 0.06
+    """Probability that a candidate must have by then"""
 
-CONVERGED_DISTANCE: Final = 0.05
-"""Hand sizes; landmarks that a pass moves less than this need no other pass"""
-CONVERGED_PRESENCE: Final = 0.9
-"""Presence that both of these predictions must exceed"""
+    tile_divisors: tuple[int, ...] = (1, 2, 3)
+    """Tiles are so many times smaller than the picture, and overlap by half"""
+    min_tile_px: int = 96
+    """Side of a tile"""
+    tile_to_smallest_hand: float = 8.0
+    """Side of a tile in sizes of the smallest hand that the palm network finds in it"""
+    max_size_ratio: float = 2.5
+    """Largest to smallest hand that are expected in one picture"""
+    max_palm_search_px: int = 1152
+    """Side of the picture in which palms are searched; larger ones are downscaled. Tiles of a third need no
+    more"""
+    whole_picture_crops: tuple[tuple[float, float, bool], ...] = (
+        (1.0, 0.0, False),
+        (1.5, 0.0, False),
+        (1.5, np.pi / 2.0, False),
+        (1.5, -np.pi / 2.0, False),
+        (1.5, -np.pi / 4.0, False),
+        (1.5, np.pi / 4.0, True),
+        (2.2, 0.0, False),
+        (2.2, np.pi, False),
+    )
+    """Side in units of the picture's longer one, turn, mirrored. Hands that fill the picture need room around
+    them, and the palm network finds some directions better than others"""
 
-EARLY_CROPS: Final = 3
-MIN_EARLY_PROBABILITY: Final = 0.06
-"""After so many crops of test-time augmentation, a candidate with less probability is given up"""
+    neighbour_span: float = 8.0
+    """Hand sizes; side of the crops about a hand in which another one of its size shows best"""
+    neighbour_turns: tuple[float, ...] = (0.0, 0.75 * np.pi)
+    """Of these crops"""
+    max_neighbour_searches: int = 4
+    """Hands about which others are searched"""
 
-TILE_DIVISORS: Final = (1, 2, 3)
-"""Tiles are so many times smaller than the picture, and overlap by half"""
+    same_candidate_distance: float = 0.15
+    """Hand sizes; predictions nearer than this are of one candidate"""
+    doubtful_probability: tuple[float, float] = (0.1, 0.85)
+    """Candidates of a probability between these are verified by rotation recall and context score"""
+    probability_weights: tuple[float, float, float] = (0.95, 0.75, -1.3)
+    """Logit of a candidate's probability: weights of the logits of presence and palm score, and a constant.
+    In photos of people and in rendered pictures, at a probability of a half one hand of twenty is false"""
+    verified_weights: tuple[float, float, float] = (1.4, 0.75, -0.8)
+    """In place of `probability_weights` for a verified candidate. These and the next two were chosen on 150
+    doubtful ones of rendered pictures and photos"""
+    recall_weight: float = 2.0
+    """Of the rotation recall in a verified candidate's logit"""
+    context_weight: float = 0.3
+    """Of the logit of the context score in a verified candidate's logit"""
 
-BOX_SPANS: Final = (1.3, 1.8, 2.6)
-RECALL_SPANS: Final = BOX_SPANS[1:2]
-"""Sides of the crops about a box in which a person sees a hand, and about a doubtful candidate, in units of
-the longer side of the box"""
-ROTATIONS: Final = 12
-"""Evenly spread turns of each of these crops"""
+    rotations: int = 12
+    """Evenly spread turns of the crops about a box that a person drew, and about a doubtful candidate"""
+    recall_spans: tuple[float, ...] = (1.8,)
+    """Hand sizes; sides of the rotated crops about a candidate"""
+    context_span: float = 7.0
+    """Hand sizes; side of the crops for the context score"""
+    context_turns: tuple[float, ...] = (0.6, -0.6)
+    """Of these crops against the hand, besides one as the hand and one as the picture is"""
+    context_min_palm_score: float = 0.01
+    """Score below which a palm in them counts as not detected"""
 
-BOX_MIN_PRESENCE: Final = 0.1
-"""Presence of a hand where a person says that there is one: the network need not be sure"""
+    box_spans: tuple[float, ...] = (1.3, 1.8, 2.6)
+    """Sides of the rotated crops about a box, in units of its longer side"""
+    box_min_presence: float = 0.1
+    """Presence of a hand where a person says that there is one: the network need not be sure"""
+    box_candidates: int = 4
+    """Hands found in the most of these crops, on which test-time augmentation is run"""
 
-BOX_CANDIDATES: Final = 4
-"""Hands found from the most crops, on which test-time augmentation is run"""
 
-WHOLE_PICTURE_CROPS: Final = (
-    (1.0, 0.0, False),
-    (1.5, 0.0, False),
-    (1.5, np.pi / 2.0, False),
-    (1.5, -np.pi / 2.0, False),
-    (1.5, -np.pi / 4.0, False),
-    (1.5, np.pi / 4.0, True),
-    (2.2, 0.0, False),
-    (2.2, np.pi, False),
-)
-"""Side in units of the picture's longer one, turn in radians, mirrored. Hands that fill the picture need room
-around them, and the palm network finds some directions better than others"""
-
-MIN_TILE_PX: Final = 96
-"""Side of a tile"""
-
-TILE_TO_SMALLEST_HAND: Final = 8
-"""Side of the smallest hand that the palm network finds, as a divisor of its crop's side"""
-
-MAX_SIZE_RATIO: Final = 2.5
-"""Largest to smallest hand that are expected in one picture"""
-
-SAME_CANDIDATE_DISTANCE: Final = 0.15
-"""Hand sizes; predictions nearer than this are of one candidate"""
-
-DOUBTFUL_PROBABILITY: Final = (0.1, 0.85)
-"""Candidates of a probability between these are verified with rotated crops and with more context"""
-
-MAX_PALM_SEARCH_PX: Final = 1152
-"""Pixels a side of a picture in which palms are searched: tiles of a third need no more"""
-
-PROBABILITY_WEIGHTS: Final = (0.95, 0.75, -1.3)
-"""Logit of a candidate's probability: weights of the logits of presence and palm score, and a constant. In
-photos of people and in rendered pictures, at a probability of a half one hand of twenty is false."""
-VERIFIED_WEIGHTS: Final = (1.4, 0.75, -0.8)
-"""In place of `PROBABILITY_WEIGHTS` for a candidate that was verified. These and the two below were chosen on
-150 doubtful ones of rendered pictures and photos."""
-RECALL_WEIGHT, CONTEXT_WEIGHT = 2.0, 0.3
-"""Weights of the rotation recall and of the logit of the context score, which a verified candidate adds"""
-
-CONTEXT_SPAN: Final = 7.0
-"""Side of the crops for the context score, in hand sizes"""
-CONTEXT_TURNS: Final = (0.6, -0.6)
-"""Radians by which they are turned against the hand, besides one as the hand and one as the picture is"""
-CONTEXT_MIN_PALM_SCORE: Final = 0.01
-
-NEIGHBOUR_SPAN: Final = 8.0
-"""Side of the crops about a hand in which another one of its size shows best, in hand sizes"""
-NEIGHBOUR_TURNS: Final = (0.0, 0.75 * np.pi)
-MAX_NEIGHBOUR_SEARCHES: Final = 4
-"""Hands about which others are searched"""
+SEARCH: Final = SearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,10 +138,11 @@ class Candidate:
     def probability(self) -> float:
         """Probability that it is a hand."""
         verified = self.rotation_recall is not None
-        presence, palm_score, logit = VERIFIED_WEIGHTS if verified else PROBABILITY_WEIGHTS
+        presence, palm_score, logit = SEARCH.verified_weights if verified else SEARCH.probability_weights
         logit += presence * _logit(self.presence) + palm_score * _logit(self.palm_score)
         if self.rotation_recall is not None:
-            logit += RECALL_WEIGHT * self.rotation_recall + CONTEXT_WEIGHT * _logit(self.context_score)
+            context = SEARCH.context_weight * _logit(self.context_score)
+            logit += SEARCH.recall_weight * self.rotation_recall + context
         return float(1.0 / (1.0 + np.exp(-logit)))
 
 
@@ -148,7 +150,7 @@ def tiles(width: int, height: int, divisor: int) -> Iterator[Crop]:
     """Overlapping crops for the palm network that tile a picture of that size in pixels; their side is its
     longer one over `divisor`."""
     span = max(width, height) / divisor
-    if divisor > 1 and span < MIN_TILE_PX:
+    if divisor > 1 and span < SEARCH.min_tile_px:
         return
     columns, rows = (max(1, int(np.ceil(2.0 * (side / span - 1.0) + 1.0 - 1e-6))) for side in (width, height))
     for y in _centres(height, span, rows):
@@ -170,38 +172,40 @@ class Search:
     def __init__(self, networks: Networks, threshold: float, *, plain: bool = False) -> None:
         self._networks = networks
         self._threshold = threshold
-        self._divisors = TILE_DIVISORS[:1] if plain else TILE_DIVISORS
-        self._min_palm_score = PLAIN_MIN_PALM_SCORE if plain else MIN_PALM_SCORE
+        self._divisors = SEARCH.tile_divisors[:1] if plain else SEARCH.tile_divisors
+        self._min_palm_score = SEARCH.plain_min_palm_score if plain else SEARCH.min_palm_score
         self._crop_count = 1 if plain or networks.quality == "draft" else AUGMENTATION_CROPS
 
     def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
         """The hands of a picture, the likeliest first."""
-        block = max(1, max(rgb.shape[:2]) // MAX_PALM_SEARCH_PX)
+        longest = max(rgb.shape[:2])
+        block = max(1, longest // SEARCH.max_palm_search_px)
         small = downscale(rgb, block, block)
         height, width = small.shape[:2]
         found: list[Candidate] = []
         for divisor in self._divisors:
-            largest = max((c.hand.extent for c in found if c.probability >= self._threshold), default=0.0)
-            if largest * TILE_TO_SMALLEST_HAND * (divisor - 1) > max(rgb.shape[:2]) * MAX_SIZE_RATIO:
+            largest = max((c.hand.extent for c in found if self._accepts(c)), default=0.0)
+            # Hands so small that only these tiles show them are not expected beside the largest one.
+            if largest * SEARCH.tile_to_smallest_hand * (divisor - 1) > longest * SEARCH.max_size_ratio:
                 break
             crops = list(tiles(width, height, divisor))
             if divisor == 1 and len(self._divisors) > 1:
                 middle, side = np.array([width, height]) / 2.0, max(width, height)
                 crops = [
                     Crop.of_square(middle, span * side, PALM_INPUT_PX, turn=turn, mirrored=mirrored)
-                    for span, turn, mirrored in WHOLE_PICTURE_CROPS
+                    for span, turn, mirrored in SEARCH.whole_picture_crops
                 ]
             if crops:
                 found = self._extend(rgb, self._detect_palms(small, crops).scaled(block), found)
         if len(self._divisors) > 1:
-            sure = [c.hand for c in found if c.probability >= self._threshold]
+            sure = [c.hand for c in found if self._accepts(c)]
             neighbours = list(self._neighbour_crops(sure, max(rgb.shape)))
             if neighbours:
                 found = self._extend(rgb, self._detect_palms(rgb, neighbours), found)
         return [
             replace(candidate.hand, certainty=candidate.probability)
             for candidate in self._verify(rgb, found)
-            if candidate.probability >= self._threshold
+            if self._accepts(candidate)
         ]
 
     def detect_new(
@@ -211,7 +215,7 @@ class Search:
         one has a single prediction, as tracked hands have."""
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
         found = self._extend(rgb, self._detect_palms(rgb, crops), sure, augment_all=False)
-        return [c.hand for c in found if c.probability >= self._threshold and c not in sure]
+        return [c.hand for c in found if self._accepts(c) and c not in sure]
 
     def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
@@ -219,29 +223,29 @@ class Search:
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
         groups: list[list[Prediction]] = []
-        for prediction in self._predict_rotated(rgb, middle, side, BOX_SPANS):
+        for prediction in self._predict_rotated(rgb, middle, side, SEARCH.box_spans):
             if prediction is not None and _fits_box(prediction.hand, middle, size):
-                same = next(
-                    (g for g in groups if distance(g[0].hand, prediction.hand) < SAME_CANDIDATE_DISTANCE),
-                    None,
-                )
+                same = next((g for g in groups if _is_same(g[0].hand, prediction.hand)), None)
                 groups.append([prediction]) if same is None else same.append(prediction)
-        likely = sorted(groups, key=len, reverse=True)[:BOX_CANDIDATES]
+        likely = sorted(groups, key=len, reverse=True)[: SEARCH.box_candidates]
         augmented = [(self._augment(rgb, group[0], 0.5), len(group)) for group in likely]
         best = max(augmented, key=lambda each: each[0].presence * (1 + each[1]), default=None)
-        if best is None or best[0].presence < BOX_MIN_PRESENCE:
+        if best is None or best[0].presence < SEARCH.box_min_presence:
             return None
         return replace(best[0].hand, certainty=best[0].probability)
+
+    def _accepts(self, candidate: Candidate) -> bool:
+        return candidate.probability >= self._threshold
 
     def _verify(self, rgb: np.ndarray, found: Sequence[Candidate]) -> list[Candidate]:
         """The candidates, the likeliest first, doubtful ones with recall and context; parts of likelier hands
         are dropped."""
         kept: list[Candidate] = []
-        low, high = DOUBTFUL_PROBABILITY
+        low, high = SEARCH.doubtful_probability
         for candidate in found:
             if self._crop_count == AUGMENTATION_CROPS and low < candidate.probability < high:
                 hand = candidate.hand
-                if any(is_part_of(hand, c.hand) for c in kept if c.probability >= self._threshold):
+                if any(is_part_of(hand, c.hand) for c in kept if self._accepts(c)):
                     continue
                 context = self._context_score(rgb, hand)
                 candidate = self._with_rotation_recall(rgb, replace(candidate, context_score=context))
@@ -253,39 +257,35 @@ class Search:
         that longer side: the second hand of a pair often has a palm that no tile shows."""
         begun: list[tuple[np.ndarray, float]] = []
         for hand in hands:
-            centre, span = hand.keypoints_2d.mean(axis=0), NEIGHBOUR_SPAN * hand.extent
+            centre, span = hand.keypoints_2d.mean(axis=0), SEARCH.neighbour_span * hand.extent
             searched = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in begun)
-            inside = span < WHOLE_PICTURE_CROPS[-1][0] * longer
-            if not searched and inside and len(begun) < MAX_NEIGHBOUR_SEARCHES:
+            inside = span < SEARCH.whole_picture_crops[-1][0] * longer
+            if not searched and inside and len(begun) < SEARCH.max_neighbour_searches:
                 begun.append((centre, span))
-                for turn in NEIGHBOUR_TURNS:
+                for turn in SEARCH.neighbour_turns:
                     yield Crop.of_square(centre, span, PALM_INPUT_PX, turn=turn)
 
     def _with_rotation_recall(self, rgb: np.ndarray, candidate: Candidate) -> Candidate:
         """The candidate with its rotation recall, or with a bound of it that already rules the hand out."""
         points, count = candidate.hand.keypoints_2d, 0
         middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
-        rotated = self._predict_rotated(rgb, middle, candidate.hand.extent, RECALL_SPANS)
+        rotated = self._predict_rotated(rgb, middle, candidate.hand.extent, SEARCH.recall_spans)
         for tried, prediction in enumerate(rotated, start=1):
-            count += (
-                prediction is not None and distance(prediction.hand, candidate.hand) < SAME_CANDIDATE_DISTANCE
-            )
-            best = (count + ROTATIONS - tried) / ROTATIONS
-            if replace(candidate, rotation_recall=best).probability < self._threshold:
+            count += prediction is not None and _is_same(prediction.hand, candidate.hand)
+            best = (count + SEARCH.rotations - tried) / SEARCH.rotations
+            if not self._accepts(replace(candidate, rotation_recall=best)):
                 break
-        return replace(candidate, rotation_recall=count / ROTATIONS)
+        return replace(candidate, rotation_recall=count / SEARCH.rotations)
 
     def _context_score(self, rgb: np.ndarray, hand: HandDetection) -> float:
         """Best score of a hand's palm in crops that show much around it; 0 where it is not detected."""
         centre, _, upright = square_around(hand.keypoints)
         best = 0.0
-        turns = (0.0, upright, *(upright + more for more in CONTEXT_TURNS))
-        crops = [
-            Crop.of_square(centre, CONTEXT_SPAN * hand.extent, PALM_INPUT_PX, turn=turn) for turn in turns
-        ]
-        for palms in self._networks.map(
-            lambda n, crop: n.detect_palms(rgb, crop, CONTEXT_MIN_PALM_SCORE), crops
-        ):
+        turns = (0.0, upright, *(upright + more for more in SEARCH.context_turns))
+        span = SEARCH.context_span * hand.extent
+        crops = [Crop.of_square(centre, span, PALM_INPUT_PX, turn=turn) for turn in turns]
+        min_score = SEARCH.context_min_palm_score
+        for palms in self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, min_score), crops):
             best = max(best, *(float(palms.score[i]) for i in range(len(palms)) if palms.is_of(i, hand)), 0.0)
         return best
 
@@ -293,9 +293,9 @@ class Search:
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
     ) -> Iterator[Prediction | None]:
         """The refined predictions for crops of all rotations about a box with that middle and longer side."""
-        turns = np.arange(ROTATIONS) * (2.0 * np.pi / ROTATIONS)
+        turns = np.arange(SEARCH.rotations) * (2.0 * np.pi / SEARCH.rotations)
         crops = [Crop.of_square(middle, span * side, HAND_INPUT_PX, turn=t) for span in spans for t in turns]
-        return self._networks.map(lambda n, crop: refine(n, rgb, crop, BOX_MIN_PRESENCE), crops)
+        return self._networks.map(lambda n, crop: refine(n, rgb, crop, SEARCH.box_min_presence), crops)
 
     def _detect_palms(self, rgb: np.ndarray, crops: Sequence[Crop]) -> Palms:
         found = self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, self._min_palm_score), crops)
@@ -319,14 +319,12 @@ class Search:
                 predictions |= dict(zip(ahead, refined, strict=True))
             prediction = None if same is not None else predictions[i]
             if prediction is not None:
-                same = next(
-                    (c for c in found if distance(c.hand, prediction.hand) < SAME_CANDIDATE_DISTANCE), None
-                )
+                same = next((c for c in found if _is_same(c.hand, prediction.hand)), None)
             if same is not None and palm_score > same.palm_score:
                 found.append(replace(same, palm_score=palm_score))
             elif same is None and prediction is not None:
                 first = Candidate(prediction.hand, prediction.presence, palm_score)
-                likely = first.probability > DOUBTFUL_PROBABILITY[1]
+                likely = first.probability > SEARCH.doubtful_probability[1]
                 enough = likely and not augment_all
                 found.append(first if enough else self._augment(rgb, prediction, palm_score))
         kept: list[Candidate] = []
@@ -342,25 +340,31 @@ class Search:
         for prediction in self._networks.map(lambda n, crop: n.predict(rgb, crop), crops):
             predictions.append(prediction)
             candidate = replace(candidate, presence=float(np.mean([p.presence for p in predictions])))
-            if len(predictions) == EARLY_CROPS and candidate.probability < MIN_EARLY_PROBABILITY:
+            unlikely = candidate.probability < SEARCH.min_early_probability
+            if unlikely and len(predictions) == SEARCH.early_crops:
                 break
         return replace(candidate, hand=mean_detection([p.hand for p in predictions]))
 
 
 def refine(
-    networks: Networks, rgb: np.ndarray, crop: Crop, min_presence: float = MIN_PRESENCE
+    networks: Networks, rgb: np.ndarray, crop: Crop, min_presence: float = SEARCH.min_presence
 ) -> Prediction | None:
     """Predict in a crop and then in the crops around the landmarks found, until these stay where they are.
     None where there is no hand."""
     prediction = networks.predict(rgb, crop)
-    for _ in range(MAX_PASSES - 1):
-        if prediction.presence < MIN_FIRST_PRESENCE:
+    for _ in range(SEARCH.max_passes - 1):
+        if prediction.presence < SEARCH.min_first_presence:
             return None
         before, prediction = prediction, networks.predict(rgb, crop_around(prediction.hand.keypoints))
-        sure = min(before.presence, prediction.presence) > CONVERGED_PRESENCE
-        if sure and distance(before.hand, prediction.hand) < CONVERGED_DISTANCE:
+        sure = min(before.presence, prediction.presence) > SEARCH.converged_presence
+        if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
             break
     return prediction if prediction.presence >= min_presence else None
+
+
+def _is_same(a: HandDetection, b: HandDetection) -> bool:
+    """Whether two predictions are of one candidate."""
+    return distance(a, b) < SEARCH.same_candidate_distance
 
 
 def _fits_box(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:

@@ -11,7 +11,7 @@ from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import mean_detection
 from handfit_core.detect.networks import HAND_INPUT_PX, Networks, augmented_crops, crop_around, square_around
-from handfit_core.detect.search import MIN_PRESENCE
+from handfit_core.detect.search import SEARCH
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES, other_side
 from scripts.benchmark.shots import Shot, ShotHand
@@ -104,7 +104,7 @@ def _detection_near(
     )
     prediction = networks.predict(rgb, first)
     prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints))
-    if prediction.presence < MIN_PRESENCE:
+    if prediction.presence < SEARCH.min_presence:
         return None
     if rng.random() < 0.5:
         return prediction.hand

@@ -102,7 +102,7 @@ def test_hands_are_tracked_into_neighbouring_chunks(
     found = detect_frames(open_media(clip), CaptureOptions(processes=1))
     counts = [len(frame) for frame in found.frames]
     end = chunks.CHUNK_FRAMES
-    back = end - chunks.BACKTRACK_FRAMES
+    back = end - chunks.TRACKING.backtrack_frames
     assert counts[:back] == [0] * back
     assert counts[back:end] == [1 + (i >= 90) for i in range(back, end)]
     assert min(counts[end:]) == 1

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -168,7 +169,7 @@ def test_a_large_likely_hand_costs_little(stills: StillFinder, monkeypatch: pyte
     counts = runs_of(stills, monkeypatch)
     for number in (1, 13, 24):
         assert len(stills.find(picture(number))) == 1
-    assert counts == {"predict": 3 * 7, "detect_palms": 3 * len(search.WHOLE_PICTURE_CROPS)}
+    assert counts == {"predict": 3 * 7, "detect_palms": 3 * len(search.SEARCH.whole_picture_crops)}
 
 
 def test_the_second_hand_of_a_pair_is_searched_near_the_first(stills: Detector) -> None:
@@ -215,11 +216,11 @@ def test_a_tracked_hand_costs_one_prediction_a_frame(
     with clip_finder(networks) as finder:
         finder.find(picture(1))
         counts = runs_of(finder, monkeypatch)
-        for number in range(2, 1 + clips.SEARCH_INTERVAL):
+        for number in range(2, 1 + clips.TRACKING.search_interval):
             assert len(finder.find(picture(number))) == 1
-        assert counts == {"predict": clips.SEARCH_INTERVAL - 1, "detect_palms": 0}
-        finder.find(picture(1 + clips.SEARCH_INTERVAL))
-        assert counts == {"predict": clips.SEARCH_INTERVAL, "detect_palms": 1}
+        assert counts == {"predict": clips.TRACKING.search_interval - 1, "detect_palms": 0}
+        finder.find(picture(1 + clips.TRACKING.search_interval))
+        assert counts == {"predict": clips.TRACKING.search_interval, "detect_palms": 1}
 
 
 def two_networks(networks: Networks) -> Networks:
@@ -235,7 +236,7 @@ def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(
         finder.find(picture(1))
         finder.find(picture(2))
         ((once,),) = finder.frames[1:]
-    monkeypatch.setattr(clips, "MAX_DISAGREEMENT", 0.0)
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_disagreement=0.0))
     with clip_finder(networks) as finder:
         finder.find(picture(1))
         assert len(finder.frames) == 1
@@ -267,7 +268,7 @@ def test_a_draft_of_a_photo_has_no_augmentation(stills: Detector, monkeypatch: p
     with StillFinder(DetectorSettings(quality="draft")) as draft:
         counts = runs_of(draft, monkeypatch)
         (hand,) = draft.find(picture(1))
-    assert counts["predict"] <= search.MAX_PASSES
+    assert counts["predict"] <= search.SEARCH.max_passes
     assert hand.spread is None
     assert hand.side == sure.side
     assert distance(hand, sure) < 0.1
@@ -312,15 +313,17 @@ def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -
 
 def test_a_new_hand_is_tracked_back(networks: Networks) -> None:
     """The second one comes in after the search of the first frame, and before the next."""
-    with_both = [np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.SEARCH_INTERVAL)]
+    with_both = [
+        np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.TRACKING.search_interval)
+    ]
     frames = [rgb.copy() for rgb in with_both]
     for rgb in frames[:4]:
         rgb[:, 640:] = rgb.mean(axis=(0, 1))
     with clip_finder(networks) as finder:
-        assert [len(finder.find(rgb)) for rgb in frames] == [1] * clips.SEARCH_INTERVAL + [2]
+        assert [len(finder.find(rgb)) for rgb in frames] == [1] * clips.TRACKING.search_interval + [2]
         found = finder.frames
-        assert len(finder._past) <= clips.BACKTRACK_FRAMES
-    assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.SEARCH_INTERVAL - 3)
+        assert len(finder._past) <= clips.TRACKING.backtrack_frames
+    assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.TRACKING.search_interval - 3)
     for hands in found[4:]:
         mirrored = hands[1].keypoints_2d * [-1, 1] + [1280, 0]
         assert np.abs(mirrored - hands[0].keypoints_2d).mean() < 0.06 * hands[0].extent
@@ -339,7 +342,7 @@ def test_a_hand_behind_another_is_found_as_soon_as_that_one_has_passed(networks:
     with clip_finder(networks) as finder:
         found = [len(finder.find(rgb)) for rgb in frames]
         behind = found.index(1)
-        assert behind < clips.SEARCH_INTERVAL - 8
+        assert behind < clips.TRACKING.search_interval - 8
         assert found[behind + 2 :].index(2) < 8
         assert [len(hands) for hands in finder.frames[:behind]] == [2] * behind
 
@@ -357,7 +360,7 @@ def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pyte
 
 
 def test_past_frames_are_bounded_in_bytes(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clips, "MAX_PAST_BYTES", 3 * BLACK.nbytes)
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_past_bytes=3 * BLACK.nbytes))
     with clip_finder(networks) as finder:
         for _ in range(6):
             finder.find(BLACK)
@@ -489,7 +492,7 @@ def test_a_box_starts_a_track_both_ways(
     plain: Detector, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also farther back than hands that turn up by themselves are followed."""
-    monkeypatch.setattr(clips, "BACKTRACK_FRAMES", 4)
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, backtrack_frames=4))
     last = 20
     (expected,) = plain.find(picture(last))
     pattern = str(SAMPLE / "hand.%04d.jpg")
