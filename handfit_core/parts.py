@@ -1,7 +1,7 @@
 """Parts of a clip that were detected for themselves, on whichever machines, and are solved together.
 
-What is found in a chunk depends on its frames alone, so that the chunks of all parts are what one
-process would have found in the whole clip. docs/batch.md tells how parts are made.
+A chunk's hands depend on its frames alone, so that the chunks of all parts are what one process would have
+found in the whole clip. docs/batch.md tells how parts are made.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def chunks_in(media: Media, part: FrameRange | None) -> slice:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What was found in consecutive chunks of a clip."""
+    """Consecutive chunks of a clip."""
 
     input: list[str]
     """What was opened: absolute, one path or pattern, or the pictures of one sequence"""
@@ -94,11 +94,11 @@ class Part:
     """How many chunks of the clip lie before it"""
     chunks: list[Chunk]
     ended: bool
-    """Whether somebody has looked for more chunks, and the clip has none"""
+    """Whether the clip is known to have no chunks after these"""
 
     @classmethod
     def found(cls, media: Media, options: CaptureOptions, part: slice, chunks: list[Chunk]) -> Part:
-        """What was found where those chunks of an opened clip were looked at."""
+        """The part of an opened clip that has those chunks, detected with these options."""
         given = media.given if isinstance(media.given, list) else [str(media.given)]
         short = bool(chunks) and len(chunks[-1].numbers) < CHUNK_FRAMES
         return cls(
@@ -203,7 +203,7 @@ class Parts:
         self._where: dict[int, str] = {}
         self._chunks: dict[int, Chunk] = {}
         self._end: int | None = None
-        """How many chunks the clip has at most, as far as somebody has looked"""
+        """Chunks of the clip at most, as far as its parts tell"""
         first: Part | None = None
         for path in paths:
             part, name = Part.load(path), shown(path)

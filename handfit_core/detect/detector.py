@@ -1,6 +1,6 @@
-"""What a detector is, and those that there are.
+"""The interface of detectors, and their registry.
 
-A backend is one file with a `Detector` and a `Backend` that makes it. Those of other packages are found by
+A backend is one file with a `Detector` and a `Backend` that makes it. Backends of other packages are found by
 their entry points of the group `handfit.detectors` (see `registry`).
 """
 
@@ -28,10 +28,10 @@ class Detector:
     """Finds the hands of one run's pictures. Use it as a context manager."""
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
-        """The hands of the next picture (H, W, 3) uint8 RGB, as many as there are to be found.
+        """Detect all hands of the next picture (H, W, 3) uint8 RGB; () where there is none.
 
-        `time` in seconds rises from frame to frame of a clip. A picture without a hand has an empty tuple,
-        and so has None, a frame that could not be read.
+        `time`, seconds, rises from frame to frame of a clip. None stands for a frame that could not be read,
+        and has no hands.
         """
         raise NotImplementedError
 
@@ -49,7 +49,7 @@ class Detector:
 
     @property
     def most_seen(self) -> int:
-        """The most hands that were seen at once where there were more than are wanted; 0: nobody counted."""
+        """The most hands that were seen at once, be they more than are wanted; 0: they were not counted."""
         return 0
 
     def close(self) -> None:
@@ -64,24 +64,24 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What was found in the T frames of a source."""
+    """The hands of the T frames of a source."""
 
     numbers: list[int]
-    """(T) of the frames"""
+    """(T) frame numbers"""
     frames: list[tuple[HandDetection, ...]]
-    """(T) the hands of each; an unreadable frame has none"""
+    """(T) hands of each frame; an unreadable one has none"""
     most_seen: int = 0
-    """The most hands that were seen at once where there were more than are wanted; 0: nobody counted"""
+    """The most hands that were seen at once, be they more than are wanted; 0: they were not counted"""
     cuts: tuple[int, ...] = ()
     """Rows that begin another shot"""
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """What a detector is made for."""
+    """A detector's settings."""
 
     max_hands: int | None = 2
-    """How many hands of one picture are wanted; None: all"""
+    """Hands of one picture that are wanted; None: all"""
     video: bool = False
     """Whether the pictures are the frames of one clip, in order; else they are independent of each other"""
     threshold: float = 0.5
@@ -121,14 +121,14 @@ class ChunkedDetector(Protocol):
 
 @dataclass(frozen=True)
 class Backend:
-    """One way to find hands, and what it can do."""
+    """A way to detect hands, and its capabilities."""
 
     open: Callable[[DetectorSettings], Detector]
-    """Makes a detector, and loads what it needs only then. Raises LandmarkModelError where a model file is
+    """Makes a detector, and imports heavy packages only then. Raises LandmarkModelError where a model file is
     missing or damaged."""
     fingerprint: Callable[[DetectorSettings], str]
-    """Names the packages' versions and the models that decide what is found, so that an evaluation knows
-    which detections it may use again"""
+    """Versions and models on which the detections depend, as a string by which an evaluation knows which ones
+    it may use again"""
     clip: Callable[[Media, Any], ChunkedDetector] | None = None
     """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: the detector that
     `open` makes gets it frame after frame, in one thread; no cut to another shot is noticed, and a batch
