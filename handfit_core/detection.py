@@ -10,13 +10,13 @@ from functools import partial
 
 import numpy as np
 
+from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import same_hand
+from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.opening import open_detector
-from handfit_core.detect.regions import looked_at, shown_in
-from handfit_core.detect.sharing import shared
-from handfit_core.detect.stretches import Stretch
+from handfit_core.detect.regions import detect_frame, detect_region
+from handfit_core.detect.sharing import detect_chunks
 from handfit_core.errors import Cancelled, InputError, OptionError
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
@@ -26,8 +26,9 @@ from handfit_core.solvers import ShouldStop, never
 
 log = logging.getLogger("handfit")
 
-LookedAt = Callable[[ChunkedDetector, CaptureOptions, Callable[[int], None], ShouldStop], list[Stretch]]
-"""Has the stretches of a clip looked at, and gives those from the beginning on; as `worker.sharing.shared`"""
+ChunkSource = Callable[[ChunkedDetector, CaptureOptions, Callable[[int], None], ShouldStop], list[Chunk]]
+"""Gives the chunks of a clip from its beginning on: detects them, as `detect_chunks`, or reads them from
+files"""
 
 
 def detect_frames(
@@ -35,9 +36,9 @@ def detect_frames(
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: ShouldStop = never,
-    looked_at: LookedAt = shared,
+    chunk_source: ChunkSource = detect_chunks,
 ) -> Detected:
-    """The hands of a source's frames; detectors that look at stretches of a clip get these from `looked_at`.
+    """The hands of a source's frames. A detector that works in chunks joins those that `chunk_source` gives.
 
     `on_frame` is called with the count of frames that are done, whenever it has grown. `should_stop` is asked
     before every frame; the frames before that are returned.
@@ -51,7 +52,7 @@ def detect_frames(
         seen = _one_by_one(media, options, on_frame, should_stop, blamed)
     else:
         with blamed(), clip(media, options) as detector:
-            seen = _in_stretches(detector, looked_at(detector, options, on_frame, should_stop))
+            seen = _in_chunks(detector, chunk_source(detector, options, on_frame, should_stop))
     if not seen.numbers:
         if should_stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found")
@@ -69,11 +70,11 @@ def detect_part(
     part: slice,
     on_frame: Callable[[int], None],
     should_stop: ShouldStop,
-) -> list[Stretch]:
-    """What is found in those stretches of a clip, fewer where it ends before; `on_frame` as `detect_frames`
-    has it.
+) -> list[Chunk]:
+    """Detect those chunks of a clip, fewer where it ends before. `on_frame` is called with the count of
+    frames that are done, whenever it has grown.
 
-    Raises OptionError for what has no parts, Cancelled where it was stopped before all was looked at.
+    Raises OptionError for what has no parts, Cancelled where it was stopped before all chunks were detected.
     """
     if media.source.kind == "photo":
         raise OptionError(f"{media.source.name}: a photo has no parts; capture it")
@@ -85,14 +86,14 @@ def detect_part(
         )
     options = at_least_two(options)
     with DETECTORS.blamed(options.detector), clip(media, options) as detector:
-        stretches = shared(detector, options, on_frame, should_stop, part)
+        chunks = detect_chunks(detector, options, on_frame, should_stop, part)
     if should_stop():
         raise Cancelled(f"{media.source.name}: stopped before all frames of the part were looked at")
-    return stretches
+    return chunks
 
 
 def at_least_two(options: CaptureOptions) -> CaptureOptions:
-    """Two hands are looked for even where one is wanted, so that the surest can be chosen."""
+    """The options with two hands to detect where one is wanted, so that the surest can be chosen."""
     return replace(options, max_hands=2) if options.max_hands == 1 else options
 
 
@@ -103,7 +104,7 @@ def _one_by_one(
     should_stop: ShouldStop,
     blamed: Callable[[], contextlib.AbstractContextManager[None]],
 ) -> Detected:
-    """What a detector finds in one frame after another."""
+    """Detect one frame after another."""
     numbers: list[int] = []
     found: list[tuple[HandDetection, ...]] = []
     with contextlib.ExitStack() as opened:
@@ -114,19 +115,18 @@ def _one_by_one(
                 if should_stop():
                     break
                 with blamed():
-                    found.append(looked_at(detector, frame, options.regions, first=not numbers))
+                    found.append(detect_frame(detector, frame, options.regions, first=not numbers))
                 numbers.append(frame.number)
                 on_frame(len(numbers))
     return Detected(numbers, found, detector.most_seen)
 
 
-def _in_stretches(detector: ChunkedDetector, stretches: list[Stretch]) -> Detected:
-    """What is found in a clip, whoever looked at its stretches."""
-    frames, cuts = detector.joined(stretches)
+def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
+    frames, cuts = detector.joined(chunks)
     # At least twice, since one picture may show what only looks like a hand.
-    counts = sorted(count for stretch in stretches for count in stretch.counts)
+    counts = sorted(count for chunk in chunks for count in chunk.counts)
     return Detected(
-        numbers=[number for stretch in stretches for number in stretch.numbers],
+        numbers=[number for chunk in chunks for number in chunk.numbers],
         frames=frames,
         most_seen=counts[-min(2, len(counts))] if counts else 0,
         cuts=tuple(cuts),
@@ -134,10 +134,10 @@ def _in_stretches(detector: ChunkedDetector, stretches: list[Stretch]) -> Detect
 
 
 def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, tuple[HandDetection, ...]]:
-    """The first used frame of a source, and all its hands, the surest first: what somebody can choose from.
+    """The first used frame of a source, and all its hands, the surest first, for a person to choose from.
 
-    Hands of `regions` are among them; with `only_regions` they are all, and without regions none is looked
-    for. Raises what `capture` raises before it fits, but for NoHandFoundError: there may be none.
+    Those of `regions` come first; with `only_regions` there are no others. Raises what `capture` raises
+    before it fits, but for NoHandFoundError: there may be none.
     """
     media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
     frame = next(media.frames(), None)
@@ -148,15 +148,15 @@ def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, t
     options = replace(options, max_hands=None)
     with DETECTORS.blamed(options.detector), open_detector(options) as detector:
         found = () if options.only_regions else detector.find(frame.rgb, frame.time)
-        shown = [hand for region in options.regions for hand in shown_in(detector, frame.rgb, region)]
-        others = [hand for hand in found if not any(same_hand(hand, other) for other in shown)]
+        shown = [hand for region in options.regions for hand in detect_region(detector, frame.rgb, region)]
+        others = [hand for hand in found if not any(is_same_hand(hand, other) for other in shown)]
         (hands,) = _finite([(*shown, *others)], options.detector)
     return frame, hands
 
 
 def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:
-    """Without the hands that are no hands to anybody after the detector: one of them would take its whole
-    track with it. Raises ValueError for arrays of another shape."""
+    """Drop hands with numbers that are not finite: a single one would make its whole track useless. Raises
+    ValueError for arrays of another shape."""
     kept = [
         tuple(h for h in hands if np.isfinite(np.append((h.keypoints, h.world), h.score)).all())
         for hands in found

@@ -1,7 +1,7 @@
 """Parts of a clip that were detected for themselves, on whichever machines, and are solved together.
 
-What is found in a stretch depends on its frames alone, so that the stretches of all parts are what one
-process would have found in the whole clip. docs/batch.md tells how parts are made.
+A chunk's hands depend on its frames alone, so that the chunks of all parts are what one process would have
+found in the whole clip. docs/batch.md tells how parts are made.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.arrays import LARGEST
-from handfit_core.detect.cuts import Glance
+from handfit_core.detect.chunks import Chunk, chunks_from_arrays, chunks_to_arrays
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.opening import settings_of
-from handfit_core.detect.stretches import Stretch, stretches_from_arrays, stretches_to_arrays
-from handfit_core.detection import LookedAt, at_least_two
+from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.detection import ChunkSource, at_least_two
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import path as checked_path
 from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.files import read_file, samples, shown, why, written_whole
-from handfit_core.media.frame_range import STRETCH, FrameRange
+from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange
 from handfit_core.media.source import Media
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.take import MAX_FILE_BYTES
@@ -49,7 +49,7 @@ FREE: Final = (
     *OF_A_MACHINE,
     *("hands", "only_regions", "solver", "model", "smoothing", "hand_length", "intrinsics", "lens"),
 )
-"""Options that have no influence on what is found in a stretch, so that a clip can be solved with others"""
+"""Options that have no influence on what is found in a chunk, so that a clip can be solved with others"""
 
 _KINDS: Final = {
     **dict.fromkeys(("counts", "sides", "given", "sizes", "numbers", "seen", "cuts"), "i"),
@@ -58,11 +58,11 @@ _KINDS: Final = {
     ),
     **{"velocity": "f", "looked": "b", "glances": "u"},
 }
-"""The arrays of `stretches_to_arrays`, and NumPy's kinds of them"""
+"""The arrays of `chunks_to_arrays`, and NumPy's kinds of them"""
 
 
-def stretches_in(media: Media, part: FrameRange | None) -> slice:
-    """Which stretches of a clip belong to a part: those whose first frame lies in that range of frame numbers
+def chunks_in(media: Media, part: FrameRange | None) -> slice:
+    """Which chunks of a clip belong to a part: those whose first frame lies in that range of frame numbers
     (None: all), and, where it reaches the clip's end as far as the header tells, all that may come after.
     Raises OptionError for a range with a step."""
     if part is None:
@@ -72,7 +72,7 @@ def stretches_in(media: Media, part: FrameRange | None) -> slice:
             f"a part takes every frame of the clip that lies in it, so {part} must have no step; give the "
             "clip's with --clip-frames"
         )
-    firsts = media.numbers()[::STRETCH]
+    firsts = media.numbers()[::CHUNK_FRAMES]
     begin = 0 if part.first is None else bisect_left(firsts, part.first)
     if part.last is None or (media.expected_frames and part.last >= media.first_and_last[1]):
         return slice(begin, None)
@@ -81,7 +81,7 @@ def stretches_in(media: Media, part: FrameRange | None) -> slice:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What was found in consecutive stretches of a clip."""
+    """Consecutive chunks of a clip."""
 
     input: list[str]
     """What was opened: absolute, one path or pattern, or the pictures of one sequence"""
@@ -92,24 +92,24 @@ class Part:
     options: CaptureOptions
     """of the capture of the whole clip"""
     first: int
-    """How many stretches of the clip lie before it"""
-    stretches: list[Stretch]
+    """How many chunks of the clip lie before it"""
+    chunks: list[Chunk]
     ended: bool
-    """Whether somebody has looked for more stretches, and the clip has none"""
+    """Whether the clip is known to have no chunks after these"""
 
     @classmethod
-    def found(cls, media: Media, options: CaptureOptions, part: slice, stretches: list[Stretch]) -> Part:
-        """What was found where those stretches of an opened clip were looked at."""
+    def found(cls, media: Media, options: CaptureOptions, part: slice, chunks: list[Chunk]) -> Part:
+        """The part of an opened clip that has those chunks, detected with these options."""
         given = media.given if isinstance(media.given, list) else [str(media.given)]
-        short = bool(stretches) and len(stretches[-1].numbers) < STRETCH
+        short = bool(chunks) and len(chunks[-1].numbers) < CHUNK_FRAMES
         return cls(
             [str(Path(name).expanduser().absolute()) for name in given],
             fingerprint(media),
             made_by(options),
             options,
             part.start,
-            stretches,
-            ended=short or part.stop is None or len(stretches) < part.stop - part.start,
+            chunks,
+            ended=short or part.stop is None or len(chunks) < part.stop - part.start,
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -124,7 +124,7 @@ class Part:
             "first": self.first,
             "ended": self.ended,
         }
-        arrays: dict[str, Any] = stretches_to_arrays(self.stretches)
+        arrays: dict[str, Any] = chunks_to_arrays(self.chunks)
         arrays["header"] = np.array(json.dumps(header, ensure_ascii=False))
         with written_whole(path, Part.load) as beside, beside.open("wb") as stream:
             np.savez_compressed(stream, **arrays)
@@ -158,7 +158,7 @@ class Part:
                 text("made_by", header.get("made_by"), 1000),
                 options,
                 whole("first", header.get("first"), 0),
-                stretches_from_arrays(arrays, options.threshold),
+                chunks_from_arrays(arrays, options.threshold),
                 header.get("ended") is True,
             )
         except InputError:
@@ -197,23 +197,23 @@ def made_by(options: CaptureOptions) -> str:
 
 
 class Parts:
-    """The parts of one clip, in any order; a stretch that is in several counts once."""
+    """The parts of one clip, in any order; a chunk that is in several counts once."""
 
     def __init__(self, paths: Sequence[str | os.PathLike[str]]) -> None:
         """Read them. Raises InputError for parts that do not belong together."""
         self._where: dict[int, str] = {}
-        self._stretches: dict[int, Stretch] = {}
+        self._chunks: dict[int, Chunk] = {}
         self._end: int | None = None
-        """How many stretches the clip has at most, as far as somebody has looked"""
+        """Chunks of the clip at most, as far as its parts tell"""
         first: Part | None = None
         for path in paths:
             part, name = Part.load(path), shown(path)
             first = first or part
             self._check_alike(shown(paths[0]), first, name, part)
-            for index, stretch in enumerate(part.stretches, part.first):
-                self._add(index, stretch, name)
+            for index, chunk in enumerate(part.chunks, part.first):
+                self._add(index, chunk, name)
             if part.ended:
-                end = part.first + len(part.stretches)
+                end = part.first + len(part.chunks)
                 self._end = end if self._end is None else min(end, self._end)
         if first is None:
             raise InputError("no part was given; name the .npz files that detect wrote")
@@ -239,18 +239,18 @@ class Parts:
                 "with the other's"
             )
 
-    def _add(self, index: int, stretch: Stretch, name: str) -> None:
-        if index in self._stretches:
-            one, other = (stretches_to_arrays([each]) for each in (self._stretches[index], stretch))
+    def _add(self, index: int, chunk: Chunk, name: str) -> None:
+        if index in self._chunks:
+            one, other = (chunks_to_arrays([each]) for each in (self._chunks[index], chunk))
             if any(one[key].tobytes() != other[key].tobytes() for key in one):
                 raise InputError(
-                    f"frames {stretch.numbers[0]} to {stretch.numbers[-1]} are in {self._where[index]} and, "
+                    f"frames {chunk.numbers[0]} to {chunk.numbers[-1]} are in {self._where[index]} and, "
                     f"with other hands, in {name}; leave one of the two out"
                 )
-        self._stretches[index], self._where[index] = stretch, name
+        self._chunks[index], self._where[index] = chunk, name
 
-    def of(self, media: Media, options: CaptureOptions) -> LookedAt:
-        """What gives the whole clip's stretches to `detection.detect_frames`, once. Raises InputError unless
+    def of(self, media: Media, options: CaptureOptions) -> ChunkSource:
+        """What gives the whole clip's chunks to `detection.detect_frames`, once. Raises InputError unless
         all are there, are this input's, and were found with these options and this version."""
         if fingerprint(media) != self._fingerprint:
             raise InputError(
@@ -268,26 +268,26 @@ class Parts:
                 "version, or detect the clip's parts again"
             )
         count = self._checked_count(media)
-        glance = Glance.at(np.broadcast_to(np.uint8(0), (media.height, media.width, 3))).pixels.shape
+        thumbnail = Thumbnail.of(np.broadcast_to(np.uint8(0), (media.height, media.width, 3))).pixels.shape
         for index in range(count):
-            stretch = self._stretches[index]
-            fits = stretch.numbers == list(media.numbers(index * STRETCH, len(stretch.numbers)))
-            looks = [look.pixels.shape for look in (stretch.first, stretch.last) if look is not None]
-            if not fits or any(look != glance for look in looks):
+            chunk = self._chunks[index]
+            fits = chunk.numbers == list(media.numbers(index * CHUNK_FRAMES, len(chunk.numbers)))
+            shapes = [each.pixels.shape for each in (chunk.first, chunk.last) if each is not None]
+            if not fits or any(shape != thumbnail for shape in shapes):
                 raise InputError(f"{self._where[index]}: the part is damaged; detect it again")
 
-        def looked_at(_: Any, __: CaptureOptions, on_frame: Any, ___: Any) -> list[Stretch]:
-            stretches = [self._stretches.pop(index) for index in range(count)]
-            on_frame(sum(len(stretch.numbers) for stretch in stretches))
-            return stretches
+        def chunk_source(_: Any, __: CaptureOptions, on_frame: Any, ___: Any) -> list[Chunk]:
+            chunks = [self._chunks.pop(index) for index in range(count)]
+            on_frame(sum(len(chunk.numbers) for chunk in chunks))
+            return chunks
 
-        return looked_at
+        return chunk_source
 
     def _checked_count(self, media: Media) -> int:
-        """How many stretches the clip has. Raises InputError where some are missing."""
-        count = max(self._stretches, default=-1) + 1
+        """How many chunks the clip has. Raises InputError where some are missing."""
+        count = max(self._chunks, default=-1) + 1
         end = count if self._end is None else max(self._end, count)
-        missing = [index for index in range(end) if index not in self._stretches]
+        missing = [index for index in range(end) if index not in self._chunks]
         if missing:
             # A run of neighbours is as far from its place in the list everywhere.
             runs = [
@@ -303,7 +303,7 @@ class Parts:
                 f"the parts end before the clip does; detect what is left, too, with --frames "
                 f"{_number(media, count)}-"
             )
-        if any(len(self._stretches[index].numbers) != STRETCH for index in range(count - 1)):
+        if any(len(self._chunks[index].numbers) != CHUNK_FRAMES for index in range(count - 1)):
             raise InputError(
                 "the clip has grown between the detection of its parts; detect all of them again"
             )
@@ -315,7 +315,7 @@ def _differing(a: CaptureOptions, b: CaptureOptions, but: Sequence[str]) -> str:
     return ", ".join(name for name in OPTIONS if name not in but and getattr(a, name) != getattr(b, name))
 
 
-def _number(media: Media, stretch: int) -> int:
-    """The number of the first frame of a stretch, or of what would come after the last one."""
-    numbers = media.numbers(stretch * STRETCH, 1)
+def _number(media: Media, chunk: int) -> int:
+    """The number of the first frame of a chunk, or of what would come after the last one."""
+    numbers = media.numbers(chunk * CHUNK_FRAMES, 1)
     return numbers[0] if numbers else media.first_and_last[1] + 1

@@ -22,11 +22,11 @@ from handfit_core.fitting import fit_hands
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
-from handfit_core.media.frame_range import STRETCH, FrameRange
+from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange
 from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CaptureOptions
-from handfit_core.parts import Part, Parts, stretches_in
+from handfit_core.parts import Part, Parts, chunks_in
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import Take
@@ -183,7 +183,7 @@ def detect_to_file(
 ) -> dict[str, Any]:
     """Find the hands in a part of a clip and write it for `Parts`; returns a report of it, fit for JSON.
 
-    `part` is a range of frame numbers, of which each stretch belongs to the part whose first frame lies in it
+    `part` is a range of frame numbers, of which each chunk belongs to the part in which its first frame lies
     (None: all), and `options` those of the capture of the whole clip, its `frames` included.
 
     Raises what `capture` raises before it fits, but for NoHandFoundError, and OutputError.
@@ -191,7 +191,7 @@ def detect_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
-    rows = stretches_in(media, part)
+    rows = chunks_in(media, part)
     expected = expected_frames(media, rows)
     report = progress or (lambda _: None)
 
@@ -200,9 +200,11 @@ def detect_to_file(
 
     found = detect_part(media, options, rows, on_frame, should_stop or never)
     path = Part.found(media, options, rows, found).save(output)
-    numbers = [number for stretch in found for number in stretch.numbers]
+    numbers = [number for chunk in found for number in chunk.numbers]
     if not numbers:
-        log.warning("no stretch of %d frames begins in frames %s: this part is empty", STRETCH, part or "-")
+        log.warning(
+            "no stretch of %d frames begins in frames %s: this part is empty", CHUNK_FRAMES, part or "-"
+        )
     return {
         "output": str(path),
         "frames": len(numbers),

@@ -102,7 +102,7 @@ class Pictures:
     known: Intrinsics | None
     options: CaptureOptions
     parts: Parts | None = None
-    """Stretches of the clip that were looked at before"""
+    """Chunks of the clip in which hands were found before"""
     recording: None = None
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:

@@ -32,7 +32,7 @@ sys.path.insert(0, str(ROOT))
 
 from handfit_core import capture
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import overlapped
+from handfit_core.detect.matching import overlapped
 from handfit_core.errors import NoHandFoundError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
 from handfit_core.geometry.camera import Intrinsics

@@ -1,6 +1,6 @@
-"""What a detector is, and those that there are.
+"""The interface of detectors, and their registry.
 
-A backend is one file with a `Detector` and a `Backend` that makes it. Those of other packages are found by
+A backend is one file with a `Detector` and a `Backend` that makes it. Backends of other packages are found by
 their entry points of the group `handfit.detectors` (see `registry`).
 """
 
@@ -20,35 +20,36 @@ from handfit_core.registry import Registry
 from handfit_core.skeleton import Side
 
 Quality = Literal["draft", "standard", "best"]
-"""How closely hands are looked at. `draft`: by the fastest landmark network alone, once. `standard`: by two.
-`best`: also in clips from several turns, and mirrored."""
+"""Effort for each hand. `draft`: one prediction of the fastest landmark network. `standard`: two networks,
+and test-time augmentation in stills. `best`: test-time augmentation in every frame of a clip, too."""
 
 
 class Detector:
     """Finds the hands of one run's pictures. Use it as a context manager."""
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
-        """The hands of the next picture (H, W, 3) uint8 RGB, as many as there are to be found.
+        """Detect all hands of the next picture (H, W, 3) uint8 RGB; () where there is none.
 
-        `time` in seconds rises from frame to frame of a clip. A picture without a hand has an empty tuple,
-        and so has None, a frame that could not be read.
+        `time`, seconds, rises from frame to frame of a clip. None stands for a frame that could not be read,
+        and has no hands.
         """
         raise NotImplementedError
 
-    def look_in(
+    def detect_in_box(
         self,
         rgb: np.ndarray,  # noqa: ARG002
         box: Sequence[float],  # noqa: ARG002
         side: Side | None = None,  # noqa: ARG002
     ) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
-        given last: the one about whose points the box is drawn, or what is found by looking there. `side` is
-        the person's word. In a clip it is followed from there, both ways. None: nothing is found there."""
+        given last: the one about whose keypoints the box is drawn, or what is detected there. `side` is the
+        side that the person names. In a clip the hand is tracked from there, both ways. None: there is
+        none."""
         raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
     @property
     def most_seen(self) -> int:
-        """The most hands that were seen at once where there were more than are wanted; 0: nobody counted."""
+        """The most hands that were seen at once, be they more than are wanted; 0: they were not counted."""
         return 0
 
     def close(self) -> None:
@@ -63,39 +64,38 @@ class Detector:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What was found in the T frames of a source."""
+    """The hands of the T frames of a source."""
 
     numbers: list[int]
-    """(T) of the frames"""
+    """(T) frame numbers"""
     frames: list[tuple[HandDetection, ...]]
-    """(T) the hands of each; an unreadable frame has none"""
+    """(T) hands of each frame; an unreadable one has none"""
     most_seen: int = 0
-    """The most hands that were seen at once where there were more than are wanted; 0: nobody counted"""
+    """The most hands that were seen at once, be they more than are wanted; 0: they were not counted"""
     cuts: tuple[int, ...] = ()
     """Rows that begin another shot"""
 
 
 @dataclass(frozen=True)
 class DetectorSettings:
-    """What a detector is made for."""
+    """A detector's settings."""
 
     max_hands: int | None = 2
-    """How many hands of one picture are wanted; None: all"""
+    """Hands of one picture that are wanted; None: all"""
     video: bool = False
-    """Whether the pictures are the frames of one clip, in order; else they have nothing to do with each
-    other"""
+    """Whether the pictures are the frames of one clip, in order; else they are independent of each other"""
     threshold: float = 0.5
-    """How sure a hand must be, 0..1"""
+    """Probability that a hand must have, 0..1"""
     landmark_model: str | os.PathLike[str] | None = None
     """A model file in place of the backend's own"""
     quality: Quality = "standard"
-    first_word: bool = False
-    """Whether one look at the whole picture is enough: faster, and finds less"""
+    plain: bool = False
+    """Whether to search the whole picture only, with one prediction for each hand: faster, and finds less"""
 
 
 class ChunkedDetector(Protocol):
     """Finds the hands of one clip in chunks of 96 frames. Use it as a context manager; ours is
-    `stretches.ClipDetector`, which also makes and joins the `stretches.Stretch` of a chunk."""
+    `chunks.ClipDetector`, which makes and joins `chunks.Chunk`s."""
 
     media: Media
 
@@ -107,34 +107,35 @@ class ChunkedDetector(Protocol):
         """Give memory, threads and the file back."""
 
     def single_threaded(self) -> None:
-        """Leave the other cores to those that look at other stretches."""
+        """Use one thread, since other threads detect other chunks."""
 
-    def stretch(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Any:
-        """The `Stretch` after `index` others, of its own frames alone. `on_frame` is called with the count of
-        its frames so far; `should_stop` is asked before each, and what was found by then is returned."""
+    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Any:
+        """Detect the hands of the chunk with that index, counted from 0, from its own frames alone.
+        `on_frame` is called with the count of its frames so far; `should_stop` is asked before each, and ends
+        the chunk there."""
 
-    def joined(self, stretches: Sequence[Any], /) -> tuple[list[tuple[HandDetection, ...]], list[int]]:
+    def joined(self, chunks: Sequence[Any], /) -> tuple[list[tuple[HandDetection, ...]], list[int]]:
         """The hands of all frames, and the rows that begin another shot."""
         ...
 
 
 @dataclass(frozen=True)
 class Backend:
-    """One way to find hands, and what it can do."""
+    """A way to detect hands, and its capabilities."""
 
     open: Callable[[DetectorSettings], Detector]
-    """Makes a detector, and loads what it needs only then. Raises LandmarkModelError where a model file is
+    """Makes a detector, and imports heavy packages only then. Raises LandmarkModelError where a model file is
     missing or damaged."""
     fingerprint: Callable[[DetectorSettings], str]
-    """Names the packages' versions and the models that decide what is found, so that an evaluation knows
-    which detections it may use again"""
+    """Versions and models on which the detections depend, as a string by which an evaluation knows which ones
+    it may use again"""
     clip: Callable[[Media, Any], ChunkedDetector] | None = None
-    """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: what `open` makes
-    looks at it frame after frame, in one thread; no cut to another shot is noticed, and a batch cannot
-    `--split` it"""
+    """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: the detector that
+    `open` makes gets it frame after frame, in one thread; no cut to another shot is noticed, and a batch
+    cannot `--split` it"""
     calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
-    """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings:
-    that was measured with MediaPipe's networks. Of other keypoints it is not known, however they look"""
+    """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings.
+    That was measured with MediaPipe's networks, and is not known for other keypoints"""
 
 
 DETECTORS: Final = Registry(

@@ -1,11 +1,11 @@
-"""The default detector: MediaPipe's networks, shown what we choose."""
+"""The default detector: MediaPipe's networks without its graph."""
 
 from __future__ import annotations
 
+from handfit_core.detect.chunks import ClipDetector
 from handfit_core.detect.detector import Backend
 from handfit_core.detect.landmark_model import fingerprint, is_calibrated
 from handfit_core.detect.stills import StillFinder
-from handfit_core.detect.stretches import ClipDetector
 
 DIRECT = Backend(
     open=StillFinder,

@@ -1,7 +1,7 @@
-"""Which of two hands each detection is of, decided over a whole clip at once.
+"""Identity assignment: which of two hands each detection is of, decided over a whole clip at once.
 
 Hands meet, hide each other and part, and a small fast hand is soon where the other one was: frame by frame,
-a track jumps. So the detections are shared between the hands in the way that is likeliest over all frames
+a track jumps. So the detections are assigned to the hands in the way that is likeliest over all frames
 together, by how each hand then moves and by the sides that its detections name: Viterbi's algorithm, in which
 a state is the last detection of either hand.
 """
@@ -17,103 +17,105 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import Crowd
+from handfit_core.detect.matching import HandArrays
 from handfit_core.skeleton import SIDES
 
 SIDE_WEIGHT: Final = 0.25
-"""What a detection's word for a side counts: those of neighbouring frames are wrong together"""
+"""Weight of a detection's side: those of neighbouring frames are wrong together"""
 
-SUREST: Final = 0.95
-"""No detection, and no hand's share of detections of one side, counts as surer of a side than this"""
+MAX_SIDE_PROBABILITY: Final = 0.95
+"""To which the side's probability of a detection, and a hand's share of detections of one side, are
+clipped"""
 
-FARTHEST: Final = 3.0
-"""Hand sizes from frame to frame, from which on all movements are as unlikely"""
+MAX_MOTION: Final = 3.0
+"""Hand sizes from frame to frame beyond which all motions are equally unlikely"""
 
-BEGINNING: Final = 1.0
-"""The cost of beginning another hand, as that of a movement by so many hand sizes"""
+START_MOTION: Final = 1.0
+"""Hand sizes of motion that the start of another hand is as unlikely as"""
 
-LEAST_MOTION: Final = 0.1
-"""Hand sizes a frame; what hands usually move is the clip's median, and no less"""
+MIN_TYPICAL_MOTION: Final = 0.1
+"""Hand sizes a frame; the typical motion is the clip's median, and no less"""
 
-LEAST_CHANGE: Final = 0.05
-"""The same of how much their points move about their middle: a left hand is never the shape of a right one"""
+MIN_TYPICAL_DEFORMATION: Final = 0.05
+"""Hand sizes a frame; the typical motion of a hand's points about their mean is the clip's median, and no
+less. A left hand is never the shape of a right one"""
 
-GAP_MOTION: Final = 0.5
-"""What each frame in which a hand was not seen adds to how far it may have moved, as a share of that"""
+GAP_GROWTH: Final = 0.5
+"""What each frame without a detection adds to how far a hand may have moved, as a share of that"""
 
-LOST: Final = 0.15
-"""To be lost for frames and found again is as unlikely as a movement by so many hand sizes"""
+GAP_MOTION: Final = 0.15
+"""Hand sizes of motion that a gap in a hand's detections is as unlikely as"""
 
-FORESIGHT: Final = 3
+VELOCITY_FRAMES: Final = 3
 """Frames for which a hand may keep its velocity"""
 
-MOST_STATES: Final = 12
-"""The likeliest, which are gone on with"""
+MAX_STATES: Final = 12
+"""States that are kept from frame to frame, the likeliest"""
 
-MOST_WORSE: Final = 40.0
-"""What is less likely than the likeliest state by a factor of exp(40) is given up"""
+MAX_WORSE: Final = 40.0
+"""Negative log-likelihood by which a state may be worse than the likeliest one"""
 
-UNLIKE: Final = 0.2
-"""Hands whose shares of detections that are named left differ by less may be of one side, and sides tell
-nothing"""
+MIN_SIDE_DIFFERENCE: Final = 0.2
+"""Two hands whose shares of detections that are named left differ by less may be of one side, so that sides
+tell nothing"""
 
-STRAYS: Final = 0.2
-"""Share of the frames with two hands or more that may have three, as if a face were taken for one"""
+MAX_THIRD_SHARE: Final = 0.2
+"""Of the frames with two hands or more, the share that may have three, as if a face were taken for one"""
 
-ROUNDS: Final = 3
-"""How often the hands' sides are learned anew from what was decided"""
+MAX_ROUNDS: Final = 3
+"""Rounds of assigning detections and estimating the hands' sides from the assignment"""
 
-MOST_TRACKS: Final = 32
-"""The surest of a clip are looked at: most clips have two or four, and a crowd's would take long"""
+MAX_TRACKS: Final = 32
+"""The surest tracks are assigned anew: most clips have two or four, and a crowd's would take long"""
 
-REACH: Final = 3.0
-"""Tracks come near each other where they are no more hand sizes apart than this"""
+NEAR_DISTANCE: Final = 3.0
+"""Hand sizes; tracks come near each other where they are no farther apart than this"""
 
-SOON: Final = 12
-"""and no more frames"""
+NEAR_FRAMES: Final = 12
+"""within so many frames"""
 
-PARTNERS: Final = 3
-"""So often each track is told apart from another one: as often as two people have other hands"""
+MAX_PARTNERS: Final = 3
+"""Other tracks from which each one is separated, one after another: as many as two people have other hands"""
 
 Track = Mapping[int, HandDetection]
-"""A detection of each frame, in the order of frames"""
+"""Detections by frame, in the order of frames"""
 
 
-def told_apart(tracks: Sequence[Track]) -> list[Track]:
-    """Detections, rearranged into tracks that stay on their hands where two of these come near each other.
-    A hand that was lost for a moment is one track again. tracks: the surest first.
+def separate_hands(tracks: Sequence[Track]) -> list[Track]:
+    """Rearrange detections into tracks that stay on their hands where two of these come near each other. A
+    hand that was lost for a moment is one track again. `tracks`: the surest first.
 
-    What a person has said of sides is never contradicted: no track has detections of two given sides, where
-    another one is near that they may be of.
+    The sides that a person has given are kept: no track has detections of two given sides, where another one
+    is near that they may be of.
     """
-    surest: list[Track] = list(tracks[:MOST_TRACKS])
+    surest: list[Track] = list(tracks[:MAX_TRACKS])
     apart: set[tuple[int, int]] = set()
-    for _ in range(PARTNERS):
-        groups, surest = _pairs(surest, apart), []
+    for _ in range(MAX_PARTNERS):
+        groups, surest = _near_groups(surest, apart), []
         apart = set()
         for group in groups:
             if len(group) > 1:
-                group = _of_two(group)
+                group = _assign_two(group)
                 apart.add((len(surest), len(surest) + 1))
             surest += group
         if not apart:
             break
-    return [*surest, *tracks[MOST_TRACKS:]]
+    return [*surest, *tracks[MAX_TRACKS:]]
 
 
-def _pairs(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Track]]:
-    """The tracks in groups, in few frames of which there are more than two hands: those that are near each
-    other most often, unless they have just been told `apart`, and their fragments."""
-    crowds = [Crowd.of(list(track.values())) for track in tracks]
+def _near_groups(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Track]]:
+    """Group tracks that are near each other most often, with their fragments, unless they are among the pairs
+    that were just set `apart`. Few frames of a group have more than two hands."""
+    arrays = [HandArrays.of(list(track.values())) for track in tracks]
     frames = [np.array(list(track)) for track in tracks]
     near: list[tuple[int, int, int]] = []
     for one, other in combinations(range(len(tracks)), 2):
         after = np.searchsorted(frames[other], frames[one])
-        theirs = np.stack([after - 1, after]).clip(0, len(frames[other]) - 1)
-        soon = np.abs(frames[other][theirs] - frames[one]) <= SOON
-        far = crowds[one].distances(np.nonzero(soon)[1], crowds[other], theirs[soon], REACH)
+        other_rows = np.stack([after - 1, after]).clip(0, len(frames[other]) - 1)
+        soon = np.abs(frames[other][other_rows] - frames[one]) <= NEAR_FRAMES
+        distances = arrays[one].distances(np.nonzero(soon)[1], arrays[other], other_rows[soon], NEAR_DISTANCE)
         if (one, other) not in apart:
-            near.append((int(np.isfinite(far).sum()), one, other))
+            near.append((int(np.isfinite(distances).sum()), one, other))
     groups, of = [[track] for track in tracks], list(range(len(tracks)))
     counts = [Counter(track.keys()) for track in tracks]
     for meetings, *both in sorted(near, key=lambda pair: -pair[0]):
@@ -121,7 +123,7 @@ def _pairs(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Tr
         if not meetings or one == other:
             continue
         many = np.bincount(list((counts[one] + counts[other]).values()), minlength=4)
-        if len(many) == 4 and many[3] <= STRAYS * many[2:].sum():
+        if len(many) == 4 and many[3] <= MAX_THIRD_SHARE * many[2:].sum():
             groups[one] += groups[other]
             counts[one] += counts[other]
             groups[other] = []
@@ -129,48 +131,50 @@ def _pairs(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Tr
     return [group for group in groups if group]
 
 
-def _of_two(tracks: Sequence[Track]) -> list[Track]:
-    """Detections, rearranged into tracks of two hands, and of what is left in frames that have three."""
+def _assign_two(tracks: Sequence[Track]) -> list[Track]:
+    """Rearrange a group's detections into tracks of two hands, and of what is left in frames that have
+    three."""
     hands = sorted(
         ((frame, number, hand) for number, track in enumerate(tracks) for frame, hand in track.items()),
         key=lambda each: each[:2],
     )
-    seen = _Seen.of([(frame, hand) for frame, _, hand in hands])
+    seen = _Detections.of([(frame, hand) for frame, _, hand in hands])
     both = np.array([np.sort(seen.left[rows]) for rows in seen.rows if len(rows) == 2]).reshape(-1, 2)
-    rates = both.mean(axis=0) if len(both) else np.array([1.0 - SUREST, SUREST])
+    rates = both.mean(axis=0) if len(both) else np.array([1.0 - MAX_SIDE_PROBABILITY, MAX_SIDE_PROBABILITY])
     owners = np.zeros(0, dtype=int)
-    for _ in range(ROUNDS):
-        if rates[1] - rates[0] < UNLIKE:
+    for _ in range(MAX_ROUNDS):
+        if rates[1] - rates[0] < MIN_SIDE_DIFFERENCE:
             rates[:] = rates.mean()
         before, owners = owners, seen.owners(rates)
         if np.array_equal(before, owners):
             break
         rates = np.array([seen.left[owners == i].mean() if i in owners else 0.5 for i in (0, 1)])
-    told: dict[int, dict[int, HandDetection]] = {}
+    assigned: dict[int, dict[int, HandDetection]] = {}
     for (frame, number, hand), owner in zip(hands, owners.tolist(), strict=True):
-        told.setdefault(owner if owner >= 0 else -1 - number, {})[frame] = hand
-    return list(told.values())
+        assigned.setdefault(owner if owner >= 0 else -1 - number, {})[frame] = hand
+    return list(assigned.values())
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Detections:
     """N detections as arrays."""
 
     rows: list[list[int]]
-    """of each frame"""
+    """Indices of the detections of each frame that has some"""
     frame: list[int]
+    """(N)"""
     points: np.ndarray
     """(N, 21) complex: x + iy, pixels"""
     size: list[float]
-    """pixels"""
+    """(N) pixels"""
     left: np.ndarray
-    """(N,) how sure it is that it is a left hand"""
-    given: np.ndarray
-    """(N, 2) bool: whether it cannot be of the first hand, or of the second, since a person has told them
-    apart"""
+    """(N,) probability of a left hand"""
+    excluded: np.ndarray
+    """(N, 2) bool: whether it cannot be of the first hand, or of the second, by the sides that a person has
+    given to both"""
 
     @classmethod
-    def of(cls, hands: Sequence[tuple[int, HandDetection]]) -> _Seen:
+    def of(cls, hands: Sequence[tuple[int, HandDetection]]) -> _Detections:
         """Detections and their frames, in order."""
         frame = [frame for frame, _ in hands]
         given = np.array([[hand.given_side == side for side in SIDES] for _, hand in hands])
@@ -179,25 +183,26 @@ class _Seen:
             frame,
             np.array([hand.keypoints_2d @ [1.0, 1.0j] for _, hand in hands]),
             [max(hand.extent, 1e-9) for _, hand in hands],
-            np.clip([_left(hand) for _, hand in hands], 1.0 - SUREST, SUREST),
+            np.clip([_left(hand) for _, hand in hands], 1.0 - MAX_SIDE_PROBABILITY, MAX_SIDE_PROBABILITY),
             given & given.any(axis=0).all(),
         )
 
     def step(self, last: int, now: int, velocity: complex) -> tuple[float, float, complex]:
-        """By how many hand sizes a hand moved otherwise than expected, where `now` follows `last`; how much
-        its points moved about their middle, in the same units; its velocity then, pixels a frame."""
+        """Motion, deformation and velocity of a hand whose detection `last` is followed by `now`, with
+        `velocity` before: hand sizes that it moved otherwise than expected; hand sizes that its points moved
+        about their mean; pixels a frame, complex."""
         gap, size = self.frame[now] - self.frame[last], max(self.size[last], self.size[now])
         moved = self.points[now] - self.points[last]
-        middle = complex(moved.mean())
-        off = min(abs(middle), abs(middle - velocity * min(gap, FORESIGHT)))
-        longer = 1.0 + GAP_MOTION * (gap - 1)
-        far = min(off / size, FARTHEST) / longer + LOST * (gap > 1)
-        changed = float(np.abs(moved - middle).mean()) / size / longer
-        return far, changed, middle / gap if gap <= FORESIGHT else 0j
+        shift = complex(moved.mean())
+        off = min(abs(shift), abs(shift - velocity * min(gap, VELOCITY_FRAMES)))
+        longer = 1.0 + GAP_GROWTH * (gap - 1)
+        motion = min(off / size, MAX_MOTION) / longer + GAP_MOTION * (gap > 1)
+        deformation = float(np.abs(moved - shift).mean()) / size / longer
+        return motion, deformation, shift / gap if gap <= VELOCITY_FRAMES else 0j
 
     @property
-    def usual(self) -> tuple[float, float]:
-        """Hand sizes that hands usually move and change from one frame to the next."""
+    def typical(self) -> tuple[float, float]:
+        """Typical motion and deformation from one frame to the next, hand sizes."""
         steps = [
             min((self.step(last, row, 0j)[:2] for last in before), key=sum)
             for before, rows in pairwise(self.rows)
@@ -205,16 +210,16 @@ class _Seen:
             if self.frame[row] - self.frame[before[0]] == 1
         ]
         motion, change = np.median(steps, axis=0) if steps else (0.0, 0.0)
-        return max(LEAST_MOTION, float(motion)), max(LEAST_CHANGE, float(change))
+        return max(MIN_TYPICAL_MOTION, float(motion)), max(MIN_TYPICAL_DEFORMATION, float(change))
 
     def owners(self, rates: np.ndarray) -> np.ndarray:
-        """(N,) 0 or 1: whose each detection most likely is, where `rates` (2,) are the shares of the hands'
-        detections that are named left; -1: of neither, since both have a likelier one in that frame."""
-        rates, left = np.clip(rates, 1.0 - SUREST, SUREST), self.left[:, None]
-        words = -SIDE_WEIGHT * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
+        """(N,) the hand of each detection, 0 or 1, on the likeliest path; -1: of neither, since both have a
+        likelier one in that frame. `rates` (2,): shares of the hands' detections that are named left."""
+        rates, left = np.clip(rates, 1.0 - MAX_SIDE_PROBABILITY, MAX_SIDE_PROBABILITY), self.left[:, None]
+        side_costs = -SIDE_WEIGHT * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
         # The first hand is the one that is named right more often.
-        words = (words + 1000.0 * self.given).tolist()
-        motion, change = self.usual
+        side_costs = (side_costs + 1000.0 * self.excluded).tolist()
+        typical_motion, typical_deformation = self.typical
         states: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]]
         states = {(-1, -1): (0.0, (0j, 0j), None)}
         for rows in self.rows:
@@ -226,16 +231,21 @@ class _Seen:
                     for hand, row in enumerate(choice):
                         if row < 0:
                             continue
-                        far, changed = BEGINNING, 0.0
+                        motion, deformation = START_MOTION, 0.0
                         if lasts[hand] >= 0:
-                            far, changed, moving[hand] = self.step(lasts[hand], row, velocities[hand])
-                        total += words[row][hand] + far / motion + changed / change
+                            step = self.step(lasts[hand], row, velocities[hand])
+                            motion, deformation, moving[hand] = step
+                        total += (
+                            side_costs[row][hand]
+                            + motion / typical_motion
+                            + deformation / typical_deformation
+                        )
                         now[hand] = row
                     key = now[0], now[1]
                     if key not in after or total < after[key][0]:
                         after[key] = total, (moving[0], moving[1]), (past, choice)
-            best = sorted(after.items(), key=lambda state: state[1][0])[:MOST_STATES]
-            states = {key: state for key, state in best if state[0] <= best[0][1][0] + MOST_WORSE}
+            best = sorted(after.items(), key=lambda state: state[1][0])[:MAX_STATES]
+            states = {key: state for key, state in best if state[0] <= best[0][1][0] + MAX_WORSE}
         _, _, past = next(iter(states.values()))
         owners = np.full(len(self.left), -1)
         while past is not None:

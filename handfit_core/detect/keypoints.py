@@ -1,4 +1,4 @@
-"""What a detector finds, as frozen dataclasses."""
+"""Hand detections and tracks, as frozen dataclasses and as arrays."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
 MOST_IN_FRAME: Final = 4000
-"""hands of one picture, as of 2 000 people: more are not told apart, nor followed"""
+"""Hands of one picture, as of 2 000 people; pictures with more are refused"""
 
-
-SURE_OF_SIDE: Final = 0.9
-"""score of a detection from which on its side stands: of 667 real hands, the landmark network named the wrong
-side of four, against a detector that was right and surer than this"""
+SURE_SIDE_SCORE: Final = 0.9
+"""Score of a detection from which on the correction network does not overrule its side. Of 667 real hands
+that network named the wrong side of four, against a detector that was right and had more than this score"""
 
 
 def check_crowd(frames: np.ndarray) -> None:
@@ -33,30 +32,30 @@ def check_crowd(frames: np.ndarray) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Landmarked(Batch):
-    """What is seen of N hands, without a camera: pixels."""
+    """Corrected landmarks of N hands with their expected errors, in pixels of the picture."""
 
     pixels: np.ndarray
     """(N, 21, 2)"""
     pixel_sigma: np.ndarray
-    """(N, 21, 2) expected errors"""
+    """(N, 21, 2) expected errors of `pixels`"""
     depth: np.ndarray
-    """(N, 21) along the line of sight about its mean"""
+    """(N, 21) along the line of sight, about the hand's mean"""
     depth_sigma: np.ndarray
-    """(N, 21)"""
+    """(N, 21) expected errors of `depth`"""
     pinned: np.ndarray | None = None
-    """(N, 21) bool: pixels that are true, put there by a person: their cost grows with the square, so that no
+    """(N, 21) bool: points that a person has put in place. Their cost grows with the square, so that no
     number of other landmarks can outvote them. None: there are none"""
 
     @classmethod
     def of_table(cls, table: np.ndarray) -> Landmarked:
-        """The inverse of `table`."""
+        """Landmarks of a `table` (N, 21, 6)."""
         pixels, sigma, depth = (np.ascontiguousarray(table[..., i : i + 2]) for i in (0, 2, 4))
         return cls(pixels, sigma, *(np.ascontiguousarray(depth[..., i]) for i in (0, 1)))
 
     @property
     def table(self) -> np.ndarray:
-        """(N, 21, 6) all but what a person says: pixels, their expected errors, depth and its expected
-        error."""
+        """(N, 21, 6) pixels x and y, their expected errors, depth and its expected error; without
+        `pinned`."""
         depth = np.stack([self.depth, self.depth_sigma], axis=-1)
         return np.concatenate([self.pixels, self.pixel_sigma, depth], axis=-1)
 
@@ -75,42 +74,42 @@ class HandDetection:
     world: np.ndarray
     """(21, 3) world landmarks: metres about the hand's centre, axes as the camera frame's"""
     keypoints_2020: np.ndarray | None = None
-    """(21, 3) what the landmark network of December 2020 sees, as `keypoints`; None: it was not asked"""
+    """(21, 3) pixels, as `keypoints`, of the landmark network of December 2020; None: it was not run"""
     spread: np.ndarray | None = None
-    """(21, 3) standard deviation in pixels (x, y, z) of the looks that `keypoints` averages; None after
-    a single look"""
+    """(21, 3) standard deviation in pixels (x, y, z) of the predictions that `keypoints` averages; None of a
+    single prediction"""
     overlapped: np.ndarray | None = None
-    """(21,) bool: points to be believed less. They lie where another hand is, and may be that one's; or
-    another program did not find them, so that they are guessed, or doubts them. None: none are"""
+    """(21,) bool: points that are believed less. They lie on another hand, and may be that one's; or another
+    program doubts them, or did not find them, so that they are guessed. None: there are none"""
     shown: bool = False
     """Whether a person has said that it is there"""
     given_side: Side | None = None
-    """Which hand it is, where a person has said so"""
+    """The side that a person has given"""
     certainty: float | None = None
-    """How sure it is that this is a hand, of whatever side, 0..1; None: the detector does not tell"""
+    """Probability that this is a hand, of whatever side; None: the detector does not tell"""
     right_side: float | None = None
-    """Probability that `side` is the true one, as the landmark network judges; None: it was not asked"""
+    """Probability that `side` is the true one, by the correction network; None: it was not run"""
     distance: float | None = None
-    """Metres along the line of sight to the middle of its points, where these are known in space and
+    """Metres along the line of sight to the mean of its points, where these are known in space and
     `corrected` has their depth about that; None: a picture does not tell"""
     corrected: tuple[Side, np.ndarray] | None = None
-    """What the landmark network said of this detection, taken for a hand of that side, when it was asked for
-    the side: a row of `Landmarked.table`. Solvers that want the detector's own word take `keypoints`"""
+    """The correction network's landmarks for this detection taken for a hand of that side, as a row (21, 6)
+    of `Landmarked.table`. Solvers that want the detector's own take `keypoints`"""
 
     @property
     def likely_side(self) -> Side:
-        """`side`, or the other one where that is likelier."""
-        return self.side if self._sure_of_side >= 0.5 else other_side(self.side)
+        """The likelier side, by the detector and the correction network."""
+        return self.side if self._side_probability >= 0.5 else other_side(self.side)
 
     @property
-    def _sure_of_side(self) -> float:
-        """Probability that `side` is the true one; a sure detector is not overruled."""
-        return 1.0 if self.right_side is None or self.score >= SURE_OF_SIDE else self.right_side
+    def _side_probability(self) -> float:
+        """Probability that `side` is the true one, 1 where the detector is sure."""
+        return 1.0 if self.right_side is None or self.score >= SURE_SIDE_SCORE else self.right_side
 
     def side_votes(self) -> dict[Side, float]:
-        """The score, shared between the sides as likely as they are."""
-        sure = self._sure_of_side
-        return {self.side: self.score * sure, other_side(self.side): self.score * (1.0 - sure)}
+        """The score, shared between the sides by their probabilities."""
+        named = self._side_probability
+        return {self.side: self.score * named, other_side(self.side): self.score * (1.0 - named)}
 
     @property
     def keypoints_2d(self) -> np.ndarray:
@@ -124,8 +123,8 @@ class HandDetection:
 
 
 def largest_extent(hands: Iterable[HandDetection]) -> float:
-    """Pixels that the largest of these hands has, but for one in twenty: outliers, and a hand that reaches
-    for the lens; 0 where there is none."""
+    """95th percentile of the hands' extents, pixels, which leaves out false detections and a hand that
+    reaches for the lens; 0 where there is no hand."""
     extents = [hand.extent for hand in hands]
     return float(np.percentile(extents, 95.0)) if extents else 0.0
 
@@ -140,11 +139,11 @@ _COLUMNS: Final[dict[str, tuple[int, ...]]] = {
     "keypoints_2020": (NUM_KEYPOINTS, 3),
     "spread": (NUM_KEYPOINTS, 3),
 }
-"""Fields of a detection that are kept, and their shapes; NaN stands for None"""
+"""Fields of a detection that become arrays, and their shapes; NaN stands for None"""
 
 
 def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.ndarray]:
-    """The hands of T frames as arrays: `counts` (T,) per frame, and a row per hand of the others."""
+    """The H hands of T frames as arrays: `counts` (T,) hands of each frame, all others (H, ...)."""
     hands = [hand for frame in frames for hand in frame]
 
     def column(name: str, shape: tuple[int, ...]) -> np.ndarray:
@@ -161,8 +160,8 @@ def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.n
 
 
 def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetection, ...]]:
-    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where they
-    do not fit."""
+    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
+    arrays do not fit together."""
     hands = []
     for name, shape in _COLUMNS.items():
         if arrays[name].shape != (len(arrays["sides"]), *shape):
@@ -175,7 +174,7 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
         known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
         hands.append(HandDetection(SIDES[side], **known))
     counts = arrays["counts"]
-    # Each first, so that their sum does not overflow.
+    # Each count is checked first, so that their sum does not overflow.
     if np.any((counts < 0) | (counts > len(hands))) or counts.sum() != len(hands):
         raise ValueError(f"{len(hands)} hands are not as many as its frames count")
     check_crowd(np.repeat(np.arange(len(counts)), counts))
@@ -183,18 +182,21 @@ def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetect
 
 
 class SideBySide(Sequence[HandDetection | None]):
-    """The detections of one hand in T frames with little memory, all of which can be used again: their arrays
-    are rows of common ones, and each detection is put together when somebody asks for it."""
+    """The detections of one hand in T frames, stored column-wise to save memory: a detection is put together
+    when it is asked for."""
 
     def __init__(self, detections: Sequence[HandDetection | None]) -> None:
         found = [d for d in detections if d is not None]
-        nothing, unasked = np.zeros(0), np.zeros((NUM_KEYPOINTS, 6))
-        nowhere = np.full((NUM_KEYPOINTS, 3), np.nan)
+        nothing, no_table = np.zeros(0), np.zeros((NUM_KEYPOINTS, 6))
+        no_points = np.full((NUM_KEYPOINTS, 3), np.nan)
         self._keypoints = np.array([d.keypoints for d in found])
         self._world = np.array([d.world for d in found])
-        asked = [nowhere if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
-        self._keypoints_2020 = np.array(asked) if any(d.keypoints_2020 is not None for d in found) else None
-        self._said: np.ndarray | None = np.array([d.corrected[1] if d.corrected else unasked for d in found])
+        keypoints_2020 = [no_points if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
+        has_2020 = any(d.keypoints_2020 is not None for d in found)
+        self._keypoints_2020 = np.array(keypoints_2020) if has_2020 else None
+        self._corrected: np.ndarray | None = np.array(
+            [d.corrected[1] if d.corrected else no_table for d in found]
+        )
         self._others = [
             replace(
                 d,
@@ -212,8 +214,9 @@ class SideBySide(Sequence[HandDetection | None]):
         return len(self._rows)
 
     def forget_corrections(self) -> None:
-        """Give back half of the memory: what the network has said, for which it has to be asked again."""
-        self._said = None
+        """Free half of the memory by dropping `corrected`, for which the correction network has to run
+        again."""
+        self._corrected = None
 
     @overload
     def __getitem__(self, index: int) -> HandDetection | None: ...
@@ -227,9 +230,9 @@ class SideBySide(Sequence[HandDetection | None]):
         if (row := self._rows[index]) < 0:
             return None
         other = self._others[row]
-        said = None
-        if other.corrected is not None and self._said is not None:
-            said = other.corrected[0], self._said[row]
+        corrected = None
+        if other.corrected is not None and self._corrected is not None:
+            corrected = other.corrected[0], self._corrected[row]
         second = None
         if other.keypoints_2020 is not None and self._keypoints_2020 is not None:
             second = self._keypoints_2020[row]
@@ -238,7 +241,7 @@ class SideBySide(Sequence[HandDetection | None]):
             keypoints=self._keypoints[row],
             world=self._world[row],
             keypoints_2020=second,
-            corrected=said,
+            corrected=corrected,
         )
 
 

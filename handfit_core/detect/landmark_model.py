@@ -4,7 +4,7 @@ Google serves `hand_landmarker.task` from a bucket that not every machine reache
 networks lie in an older MediaPipe wheel on the package index (Apache-2.0); a zip that stores them
 uncompressed, aligned to 4 bytes, is a working task file.
 
-The landmark network of December 2020 tells depth better. It lies in MediaPipe's npm package of then
+The landmark network of December 2020 has a better depth. It lies in MediaPipe's npm package of that month
 (Apache-2.0), and everything works without it, too.
 """
 
@@ -43,22 +43,22 @@ _CALIBRATED = (
     "1b14e9422c6ad006cde6581a46c8b90dd573c07ab7f3934b5589e7cea3f89a54",
     "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
 )
-"""SHA-256 of the entries that likely errors were measured with"""
+"""SHA-256 of the entries with which the expected errors were calibrated"""
 VARIABLE = "HANDFIT_LANDMARK_MODEL"
-"""Names the file where no option does"""
+"""Environment variable with the file's path, used where no option gives it"""
 
 FILE_NAME_2020 = "hand_landmarks_2020.tflite"
 SHA256_2020 = "6d47ecb3139c41326d8c3dba3d60f1faedc3d3ac42658972eeb4d334f9405518"
 VARIABLE_2020 = "HANDFIT_LANDMARKS_2020"
-"""Names another place of that file, or is `none` to go without"""
+"""Environment variable with another path of that file, or `none` to go without"""
 
 NPM_PACKAGE = "@mediapipe/hands"
 NPM_VERSION = "0.1.1606863095"
 _MEMBER_2020 = "package/hands_solution_packed_assets.data"
 _BYTES_2020 = range(3877899, 7670519)
 _BYTES_2020_SHA256 = "276abb7cb09c386247ba5b6fc1aa1ebba574a239777c000d5ffb06db997d6ffa"
-_MOST_2020 = 100_000_000
-"""Bytes that are read of a file said to be that network"""
+_MAX_BYTES_2020 = 100_000_000
+"""Limit of what is read of a file that should be that network"""
 _OUTPUTS_2020 = ("landmarks", "presence", "handedness")
 
 _ALIGNMENT = 4
@@ -88,17 +88,17 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
 
 
 def fingerprint(explicit: str | os.PathLike[str] | None = None) -> str:
-    """Names the model files and the MediaPipe that runs them. Raises LandmarkModelError."""
+    """Hashes of the model files and the version of MediaPipe that runs them. Raises LandmarkModelError."""
     model = hashlib.sha256(landmark_model_path(explicit).read_bytes()).hexdigest()
     second = f"|landmarks of 2020 {SHA256_2020}" if landmarks_2020_path() else ""
     return f"{model}{second}|mediapipe {version('mediapipe')}"
 
 
 def landmarks_2020_path() -> Path | None:
-    """The landmark network of December 2020, whole; None to go without it.
+    """The checked file of the landmark network of December 2020; None to go without it.
 
     The first that is given or exists of: `$HANDFIT_LANDMARKS_2020`; the file bundled with this package; the
-    one in the cache folder. One that is damaged, of another version or named in vain is a warning, and None.
+    one in the cache folder. A file that is missing, damaged or of another version is a warning, and None.
     """
     named = os.environ.get(VARIABLE_2020)
     if named == "none":
@@ -111,9 +111,9 @@ def landmarks_2020_path() -> Path | None:
 
 @lru_cache
 def _is_landmarks_2020(path: Path) -> bool:
-    """Whether it is that file. Warns where it is not, once."""
+    """Whether a file is the landmark network of December 2020. Warns once where it is not."""
     try:
-        found = hashlib.sha256(read_file(path, _MOST_2020)).hexdigest()
+        found = hashlib.sha256(read_file(path, _MAX_BYTES_2020)).hexdigest()
     except OSError as error:
         what = f"it cannot be read ({error.strerror})"
     else:
@@ -129,8 +129,8 @@ def _is_landmarks_2020(path: Path) -> bool:
 
 
 def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
-    """Whether the model file to use holds those networks that likely errors were measured with, wherever it
-    lies and whoever zipped it. Raises LandmarkModelError where there is none."""
+    """Whether the model file to use holds the networks with which the expected errors were calibrated,
+    wherever it lies and whoever zipped it. Raises LandmarkModelError where there is none."""
     try:
         with zipfile.ZipFile(landmark_model_path(explicit)) as task:
             return all(
@@ -138,7 +138,7 @@ def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
                 for (name, _), known in zip(_ENTRIES, _CALIBRATED, strict=True)
             )
     except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError):
-        return False  # who loads it says what is wrong
+        return False  # Loading it will raise with the reason.
 
 
 def cached_path() -> Path:
@@ -152,7 +152,7 @@ def cached_path_2020() -> Path:
 
 
 def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
-    """Make the task file from the pinned MediaPipe wheel; the same wheel gives the same bytes.
+    """Make the task file from the pinned MediaPipe wheel; equal wheels give equal bytes.
 
     Raises LandmarkModelError when the wheel is not the pinned one, OutputError when `destination`
     cannot be written.
@@ -187,7 +187,7 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
 
 def assemble_2020(package: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
     """Make the landmark network of December 2020 from MediaPipe's npm package, a .tgz, with the metadata by
-    which MediaPipe runs it; the same package gives the same bytes.
+    which MediaPipe runs it; equal packages give equal bytes.
 
     Raises LandmarkModelError when the package is not the pinned one, OutputError when `destination` cannot be
     written.

@@ -13,11 +13,11 @@ from handfit_core.detect.landmark_model import fingerprint, is_calibrated, landm
 from handfit_core.errors import LandmarkModelError
 from handfit_core.skeleton import Side
 
-MOST_HANDS = 10
+MAX_HANDS = 10
 """Where all hands are wanted: the graph has a fixed number of places for them, each of which costs"""
 
-MAX_SIDE = 1920
-"""Longer pictures are shrunk to this before detection: the networks see at most 224 pixels a side."""
+MAX_SIDE_PX = 1920
+"""Larger pictures are downscaled to this side: the networks' inputs have at most 224 pixels a side"""
 
 
 class MediaPipeHands(Detector):
@@ -43,7 +43,7 @@ class MediaPipeHands(Detector):
             # The bytes and not the path: MediaPipe on Windows fails on paths that are not ASCII.
             base_options=mp.tasks.BaseOptions(model_asset_buffer=path.read_bytes()),
             running_mode=vision.RunningMode.VIDEO if video else vision.RunningMode.IMAGE,
-            num_hands=settings.max_hands or MOST_HANDS,
+            num_hands=settings.max_hands or MAX_HANDS,
             min_hand_detection_confidence=threshold,
             min_hand_presence_confidence=threshold,
             min_tracking_confidence=threshold,
@@ -61,11 +61,11 @@ class MediaPipeHands(Detector):
         self._landmarker.close()
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
-        """As `Detector.find`; `time` is for video only."""
+        """The hands of a picture (see `Detector`); `time` is used for video only."""
         if rgb is None:
             return ()
         height, width = rgb.shape[:2]
-        image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=_shrunk(rgb))
+        image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=_downscaled(rgb))
         if self._video:
             # Times must rise strictly, in whole milliseconds.
             self._last_ms = max(self._last_ms + 1, round(time * 1000))
@@ -80,13 +80,13 @@ class MediaPipeHands(Detector):
         )
 
 
-def _shrunk(rgb: np.ndarray) -> np.ndarray:
+def _downscaled(rgb: np.ndarray) -> np.ndarray:
     longer = max(rgb.shape[:2])
-    if longer <= MAX_SIDE:
+    if longer <= MAX_SIDE_PX:
         return np.ascontiguousarray(rgb)
     import cv2
 
-    height, width = (max(1, round(side * MAX_SIDE / longer)) for side in rgb.shape[:2])
+    height, width = (max(1, round(side * MAX_SIDE_PX / longer)) for side in rgb.shape[:2])
     return cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -104,8 +104,8 @@ def _first_line(error: BaseException) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
-# The calibration holds for single looks of the same networks: of 194 real hands, errors of 7.2 mm are
-# expected on average, and 7.2 mm are true.
+# The calibration holds for single predictions of the same networks: for 194 real hands, the mean expected
+# error is 7.2 mm, and so is the mean true error.
 MEDIAPIPE = Backend(
     open=MediaPipeHands,
     fingerprint=lambda settings: fingerprint(settings.landmark_model),

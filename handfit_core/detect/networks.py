@@ -1,4 +1,4 @@
-"""MediaPipe's palm and landmark networks, run directly on any view of a picture.
+"""MediaPipe's palm and landmark networks, run directly on any crop of a picture.
 
 Palm and landmark network lie in the landmark model file; a landmark network of December 2020, whose depth is
 better and which is faster, in a file of its own that may be absent. MediaPipe's own graph shows them crops of
@@ -24,49 +24,51 @@ from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
+from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import landmark_model_path, landmarks_2020_path
-from handfit_core.detect.looks import View
 from handfit_core.errors import LandmarkModelError
 from handfit_core.machine import usable_cores
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
 
-PALM_SIZE: Final = 192
-"""Pixels a side of what the palm network sees"""
-HAND_SIZE: Final = 224
-"""Pixels a side of what the landmark network sees"""
+PALM_INPUT_PX: Final = 192
+"""Pixels a side of the palm network's input"""
+HAND_INPUT_PX: Final = 224
+"""Pixels a side of the landmark network's input"""
 DEPTH_SCALE: Final = 0.4
 """The landmark network's depth, in units of what it gives for x and y"""
 
-SAME_PALM: Final = 0.35
-"""Palms of about one size nearer than this, in sides of their boxes, are one"""
-THE_PALM: Final = 0.2
-"""A palm's points are that near to the landmarks of its hand, in sides of its box"""
-_OF_PALM: Final = [0, 5, 9, 13, 17, 1, 2]
+SAME_PALM_DISTANCE: Final = 0.35
+"""Sides of their boxes; palms of about one size whose centres are nearer than this are one"""
+PALM_OF_HAND_DISTANCE: Final = 0.2
+"""Sides of its box; a palm's points are on average nearer than this to the landmarks of its hand"""
+_PALM_LANDMARKS: Final = [0, 5, 9, 13, 17, 1, 2]
 """The landmarks that are a palm's points"""
-OF_PALM: Final = 2.6
-"""Side of a hand's crop in sides of its palm's box"""
-BEYOND_PALM: Final = 0.5
-"""By so many sides of the box a crop's middle lies towards the fingers"""
-OF_HAND: Final = 2.0
-"""Side of a hand's crop in sides of the box of its landmarks, but for fingertips"""
-BEYOND_HAND: Final = 0.1
-_BOXED: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
-"""Landmarks that the box of a hand is about"""
+PALM_CROP_SPAN: Final = 2.6
+"""Side of the hand's crop, in sides of its palm's box"""
+PALM_CROP_SHIFT: Final = 0.5
+"""Sides of the palm's box by which the crop's centre lies towards the fingers"""
+HAND_CROP_SPAN: Final = 2.0
+"""Side of the hand's crop, in sides of the box of its landmarks, fingertips left out"""
+HAND_CROP_SHIFT: Final = 0.1
+"""Heights of that box by which the crop's centre lies towards the fingers"""
+_BOX_LANDMARKS: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
+"""The landmarks in that box: all but the outer ones of the fingers"""
 
-TURNS: Final = (0.0, 0.35, -0.35)
-"""Radians by which the averaged looks are turned; the picture and its mirror image are looked at"""
-ALL_LOOKS: Final = 2 * len(TURNS)
+AUGMENTATION_TURNS: Final = (0.0, 0.35, -0.35)
+"""Radians by which the crops of test-time augmentation are turned; the picture and its mirror image have
+each"""
+AUGMENTATION_CROPS: Final = 2 * len(AUGMENTATION_TURNS)
 
 MEAN_BONE: Final = 0.0385
-"""metres, the mean of the 20 bones between an average hand's keypoints"""
+"""Metres; mean length of the 20 bones between an average hand's keypoints"""
 
-SURER_2020: Final = 2.5
-"""The landmark network of December 2020 is surer that there is a hand than the present one: by so much in the
-logit of the presence, of the hands and of what are none in twenty photos of people"""
+PRESENCE_BIAS_2020: Final = 2.5
+"""Logit by which the landmark network of December 2020 gives a higher presence than the present one, for the
+hands in twenty photos of people and for what are none"""
 
-MOST_THREADS: Final = 4
+MAX_THREADS: Final = 4
 """Each has networks of its own: some 30 MB"""
 
 Item = TypeVar("Item")
@@ -75,14 +77,14 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class Palms:
-    """N palms in pixels of the picture, the surest first."""
+    """N palms in pixels of the picture, by falling score."""
 
     score: np.ndarray
     """(N,) 0..1"""
     centre: np.ndarray
     """(N, 2) of their boxes"""
     side: np.ndarray
-    """(N,) of their boxes, the longer one"""
+    """(N,) longer sides of their boxes"""
     points: np.ndarray
     """(N, 7, 2): wrist, knuckles of index, middle, ring and little, thumb's two"""
 
@@ -90,8 +92,8 @@ class Palms:
         return len(self.score)
 
     @classmethod
-    def of(cls, parts: Sequence[Palms]) -> Palms:
-        """All palms of several views, the surest first, each once."""
+    def suppressed(cls, parts: Sequence[Palms]) -> Palms:
+        """Non-maximum suppression: the palms of several crops, each once, with its best score."""
         whole = [np.concatenate([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__]
         order = np.argsort(-whole[0], kind="stable")
         score, centre, side, points = (array[order] for array in whole)
@@ -99,64 +101,65 @@ class Palms:
         for i in range(len(score)):
             apart = np.linalg.norm(centre[kept] - centre[i], axis=-1) / np.maximum(side[kept], side[i])
             size = side[kept] / side[i]
-            if not ((apart < SAME_PALM) & (size > 0.6) & (size < 1.0 / 0.6)).any():
+            if not ((apart < SAME_PALM_DISTANCE) & (size > 0.6) & (size < 1.0 / 0.6)).any():
                 kept.append(i)
         return cls(score[kept], centre[kept], side[kept], points[kept])
 
-    def times(self, factor: float) -> Palms:
-        """The same in a picture so many times as large."""
+    def scaled(self, factor: float) -> Palms:
+        """Palms in a picture that is larger by this factor."""
         return Palms(self.score, self.centre * factor, self.side * factor, self.points * factor)
 
     def is_of(self, index: int, hand: HandDetection) -> bool:
-        """Whether that palm is a hand's."""
-        off = self.points[index] - hand.keypoints_2d[_OF_PALM]
-        return float(np.linalg.norm(off, axis=-1).mean()) < THE_PALM * float(self.side[index])
+        """Whether that palm is the hand's."""
+        off = self.points[index] - hand.keypoints_2d[_PALM_LANDMARKS]
+        return float(np.linalg.norm(off, axis=-1).mean()) < PALM_OF_HAND_DISTANCE * float(self.side[index])
 
-    def view(self, index: int) -> View:
+    def crop(self, index: int) -> Crop:
         """The crop in which the landmark network looks for that palm's hand."""
         points, side = self.points[index], float(self.side[index])
         up = _unit(points[2] - points[0])
-        centre = self.centre[index] + BEYOND_PALM * side * up
-        return View.of_square(centre, OF_PALM * side, HAND_SIZE, turn=_upright(up))
+        centre = self.centre[index] + PALM_CROP_SHIFT * side * up
+        return Crop.of_square(centre, PALM_CROP_SPAN * side, HAND_INPUT_PX, turn=_upright(up))
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What the landmark network makes of one crop."""
+class Prediction:
+    """The landmark network's output for one crop."""
 
     presence: float
-    """How likely it shows a hand, 0..1"""
+    """Probability that the crop shows a hand"""
     hand: HandDetection
     """In pixels of the picture; its score is that of the side"""
 
 
-def view_of(keypoints: np.ndarray) -> View:
+def crop_around(keypoints: np.ndarray) -> Crop:
     """The crop in which the landmark network finds landmarks (21, 2 or more) again."""
-    points = keypoints[_BOXED, :2]
+    points = keypoints[_BOX_LANDMARKS, :2]
     knuckles = (keypoints[5, :2] + keypoints[13, :2]) / 2.0
     up = _unit((knuckles + keypoints[9, :2]) / 2.0 - keypoints[0, :2])
     across = np.array([-up[1], up[0]])
     along = np.stack([points @ across, points @ up])
     low, high = along.min(axis=1), along.max(axis=1)
     middle, side = (low + high) / 2.0, float((high - low).max())
-    middle[1] += BEYOND_HAND * (high - low)[1]
+    middle[1] += HAND_CROP_SHIFT * (high - low)[1]
     centre = middle[0] * across + middle[1] * up
-    return View.of_square(centre, OF_HAND * max(side, 1.0), HAND_SIZE, turn=_upright(up))
+    return Crop.of_square(centre, HAND_CROP_SPAN * max(side, 1.0), HAND_INPUT_PX, turn=_upright(up))
 
 
-def crop_of(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Centre (2,), side and turn of the crop about landmarks (21, 2 or more)."""
-    upright = view_of(keypoints)
-    centre = np.linalg.inv(upright.linear) @ (HAND_SIZE / 2.0 - upright.offset)
-    return centre, HAND_SIZE / upright.scale, float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+def square_around(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Centre (2,) and side in pixels, and turn in radians, of the crop around landmarks (21, 2 or more)."""
+    upright = crop_around(keypoints)
+    centre = np.linalg.inv(upright.linear) @ (HAND_INPUT_PX / 2.0 - upright.offset)
+    turn = float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
+    return centre, HAND_INPUT_PX / upright.scale, turn
 
 
-def around(keypoints: np.ndarray) -> Iterator[View]:
-    """The crop about landmarks (21, 2 or more), turned to and fro, and mirrored."""
-    centre, span, turn = crop_of(keypoints)
-    for mirrored, upwards in ((False, turn), (True, -turn)):
-        for more in TURNS:
-            yield View.of_square(centre, span, HAND_SIZE, turn=upwards + more, mirrored=mirrored)
+def augmented_crops(keypoints: np.ndarray) -> Iterator[Crop]:
+    """The crops of test-time augmentation around landmarks (21, 2 or more): three turns, then mirrored."""
+    centre, span, turn = square_around(keypoints)
+    for mirrored, upright in ((False, turn), (True, -turn)):
+        for more in AUGMENTATION_TURNS:
+            yield Crop.of_square(centre, span, HAND_INPUT_PX, turn=upright + more, mirrored=mirrored)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
@@ -172,7 +175,7 @@ def _upright(up: np.ndarray) -> float:
 class Networks:
     """The palm network and the landmark networks. Use as a context manager.
 
-    Of quality `draft`, the landmark network of December 2020 stands in for the present one, where it is
+    With quality `draft`, the landmark network of December 2020 replaces the present one where its file is
     there. Raises LandmarkModelError when the landmark model file is missing or damaged.
     """
 
@@ -181,28 +184,28 @@ class Networks:
     ) -> None:
         path = landmark_model_path(landmark_model)
         self.quality: Quality = quality
-        self.threads = min(usable_threads(), MOST_THREADS)
-        """How many run the networks where several views of a picture are to be looked at"""
+        self.threads = min(usable_threads(), MAX_THREADS)
+        """How many run the networks on several crops of a picture"""
         self._landmark_model = landmark_model
         self._pool: ThreadPoolExecutor | None = None
-        self._beside: ThreadPoolExecutor | None = None
-        """Runs the landmark network of December 2020 while the present one looks at the next frame"""
+        self._background: ThreadPoolExecutor | None = None
+        """Runs the landmark network of December 2020 on a frame while the present one runs on the next"""
         self._idle: SimpleQueue[Networks | None] = SimpleQueue()
-        """What threads run; None: networks that are not loaded yet"""
+        """Networks for the pool's threads; None: such as are not loaded yet"""
         # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
         os.environ.setdefault("GLOG_minloglevel", "2")
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
         import mediapipe as mp
 
-        _forget_tracebacks()
+        _drop_import_tracebacks()
         self._mp = mp
         self._open = ExitStack()
         try:
             with zipfile.ZipFile(path) as task:
-                self._palms = self._opened(task.read("hand_detector.tflite"))
-                self._hand = self._opened(task.read("hand_landmarks_detector.tflite"))
+                self._palms = self._load(task.read("hand_detector.tflite"))
+                self._hand = self._load(task.read("hand_landmarks_detector.tflite"))
             second = landmarks_2020_path()
-            self._hand_2020 = None if second is None else self._opened(second.read_bytes())
+            self._hand_2020 = None if second is None else self._load(second.read_bytes())
         except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError) as error:
             self._open.close()
             raise LandmarkModelError(
@@ -218,134 +221,135 @@ class Networks:
 
     def close(self) -> None:
         """Give MediaPipe's threads and memory back."""
-        for pool in (self._pool, self._beside):
+        for pool in (self._pool, self._background):
             if pool is not None:
                 pool.shutdown(cancel_futures=True)
-        self._pool = self._beside = None
+        self._pool = self._background = None
         while not self._idle.empty():
             if (other := self._idle.get()) not in (None, self):
                 other.close()
         self._open.close()
 
-    def each(
-        self, do: Callable[[Networks, Item], Result], items: Sequence[Item]
+    def map(
+        self, function: Callable[[Networks, Item], Result], items: Sequence[Item]
     ) -> Generator[Result, None, None]:
-        """What comes of doing something with each item, in their order. `do` gets the networks to do it with:
-        these, or those of another thread. The results are the same with any number of threads, since a
-        network's answer hangs on its view alone. Whoever asks for no more has the rest left undone."""
+        """Yield function(networks, item) for each item, in order, from up to `threads` threads, each with
+        networks of its own. A network's output depends on its crop alone, so the number of threads changes no
+        result. Closing the generator cancels what has not begun."""
         if self.threads < 2 or len(items) < 2:
-            yield from (do(self, item) for item in items)
+            yield from (function(self, item) for item in items)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads, "handfit-networks")
             for networks in (self, *[None] * (self.threads - 1)):
                 self._idle.put(networks)
-        left = iter(items)
-        begun = deque(self._pool.submit(self._lent, do, item) for item in islice(left, 2 * self.threads))
+        waiting = iter(items)
+        futures = deque(
+            self._pool.submit(self._call, function, item) for item in islice(waiting, 2 * self.threads)
+        )
         try:
-            while begun:
-                yield begun.popleft().result()
-                begun.extend(self._pool.submit(self._lent, do, item) for item in islice(left, 1))
+            while futures:
+                yield futures.popleft().result()
+                futures.extend(self._pool.submit(self._call, function, item) for item in islice(waiting, 1))
         finally:
-            for future in begun:
+            for future in futures:
                 future.cancel()
 
-    def _lent(self, do: Callable[[Networks, Item], Result], item: Item) -> Result:
-        """Do something with networks that nobody else uses."""
+    def _call(self, function: Callable[[Networks, Item], Result], item: Item) -> Result:
+        """Call a function with networks that no other thread uses."""
         networks = self._idle.get() or Networks(self._landmark_model, quality=self.quality)
         try:
-            return do(networks, item)
+            return function(networks, item)
         finally:
             self._idle.put(networks)
 
-    def _opened(self, network: bytes) -> Any:
+    def _load(self, network: bytes) -> Any:
         vision, base = self._mp.tasks.vision, self._mp.tasks.BaseOptions(model_asset_buffer=network)
         options = vision.ImageEmbedderOptions(base)
         return self._open.enter_context(vision.ImageEmbedder.create_from_options(options))
 
     @property
     def is_draft(self) -> bool:
-        """Whether the landmark network of December 2020 looks alone."""
+        """Whether the landmark network of December 2020 replaces the present one."""
         return self.quality == "draft" and self._hand_2020 is not None
 
     def _run(self, network: Any, rgb: np.ndarray) -> Sequence[np.ndarray]:
         image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=rgb)
         return [output.embedding for output in network.embed(image).embeddings]
 
-    def palms(self, rgb: np.ndarray, view: View, threshold: float) -> Palms:
-        """The palms of a picture (H, W, 3) uint8 RGB that `view`, `PALM_SIZE` wide, shows; some more than
-        once."""
-        boxes, logits = self._run(self._palms, view.render(rgb))
-        sure = np.flatnonzero(logits >= np.log(threshold / (1.0 - threshold)))
-        sure = sure[np.argsort(-logits[sure], kind="stable")]
-        numbers = boxes.reshape(-1, 9, 2)[sure]
-        numbers[:, 0] += PALM_SIZE * _anchors()[sure]
-        numbers[:, 2:] += PALM_SIZE * _anchors()[sure][:, None]
-        back = np.linalg.inv(view.linear)
+    def detect_palms(self, rgb: np.ndarray, crop: Crop, min_score: float) -> Palms:
+        """The palms in a crop, `PALM_INPUT_PX` wide, of a picture (H, W, 3) uint8 RGB, before non-maximum
+        suppression."""
+        boxes, logits = self._run(self._palms, crop.render(rgb))
+        chosen = np.flatnonzero(logits >= np.log(min_score / (1.0 - min_score)))
+        chosen = chosen[np.argsort(-logits[chosen], kind="stable")]
+        numbers = boxes.reshape(-1, 9, 2)[chosen]
+        numbers[:, 0] += PALM_INPUT_PX * _anchors()[chosen]
+        numbers[:, 2:] += PALM_INPUT_PX * _anchors()[chosen][:, None]
+        inverse = np.linalg.inv(crop.linear)
         return Palms(
-            score=1.0 / (1.0 + np.exp(-logits[sure])),
-            centre=(numbers[:, 0] - view.offset) @ back.T,
-            side=numbers[:, 1].max(axis=1) / view.scale,
-            points=(numbers[:, 2:] - view.offset) @ back.T,
+            score=1.0 / (1.0 + np.exp(-logits[chosen])),
+            centre=(numbers[:, 0] - crop.offset) @ inverse.T,
+            side=numbers[:, 1].max(axis=1) / crop.scale,
+            points=(numbers[:, 2:] - crop.offset) @ inverse.T,
         )
 
-    def look(self, rgb: np.ndarray, view: View) -> Look:
-        """What the landmark network makes of a view, `HAND_SIZE` wide, of a picture (H, W, 3) uint8 RGB."""
-        crop = view.render(rgb)
+    def predict(self, rgb: np.ndarray, crop: Crop) -> Prediction:
+        """Run the landmark network on a crop, `HAND_INPUT_PX` wide, of a picture (H, W, 3) uint8 RGB."""
+        pixels = crop.render(rgb)
         if self.is_draft:
-            return self._draft(crop, view)
-        landmarks, presence, handedness, world = self._run(self._hand, crop)
+            return self._predict_2020(pixels, crop)
+        landmarks, presence, handedness, world = self._run(self._hand, pixels)
         right = float(handedness[0])
-        found = HandDetection(
+        hand = HandDetection(
             side="right" if right >= 0.5 else "left",
             score=max(right, 1.0 - right),
             keypoints=_with_depth(landmarks),
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
         )
-        return Look(float(presence[0]), view.to_picture(found))
+        return Prediction(float(presence[0]), crop.to_picture(hand))
 
-    def seen_twice(self, rgb: np.ndarray, hand: HandDetection) -> HandDetection:
-        """A hand of a picture (H, W, 3) uint8 RGB with what the landmark network of December 2020 sees of it,
-        where that is there and has not been asked."""
+    def with_keypoints_2020(self, rgb: np.ndarray, hand: HandDetection) -> HandDetection:
+        """Add to a hand of a picture (H, W, 3) uint8 RGB the keypoints of the landmark network of December
+        2020, where that network is there and the hand has none yet."""
         if self._hand_2020 is None or hand.keypoints_2020 is not None:
             return hand
-        view = view_of(hand.keypoints)
-        points = _with_depth(self._run(self._hand_2020, view.render(rgb))[0])
-        return replace(hand, keypoints_2020=view.points_to_picture(points))
+        crop = crop_around(hand.keypoints)
+        points = _with_depth(self._run(self._hand_2020, crop.render(rgb))[0])
+        return replace(hand, keypoints_2020=crop.points_to_picture(points))
 
-    def beside(self, do: Callable[[], Result]) -> Future[Result]:
-        """What comes of doing something in a thread of its own, one thing after another; at once where the
-        networks have one thread."""
+    def submit(self, function: Callable[[], Result]) -> Future[Result]:
+        """Call a function in a background thread, one call after another; at once where `threads` is 1."""
         if self.threads < 2:
             done: Future[Result] = Future()
-            done.set_result(do())
+            done.set_result(function())
             return done
-        self._beside = self._beside or ThreadPoolExecutor(1, "handfit-beside")
-        return self._beside.submit(do)
+        self._background = self._background or ThreadPoolExecutor(1, "handfit-background")
+        return self._background.submit(function)
 
-    def _draft(self, crop: np.ndarray, view: View) -> Look:
-        """What the landmark network of December 2020 alone makes of a crop of that view. Its world landmarks
-        are its keypoints at the size of an average hand."""
-        landmarks, presence, handedness = self._run(self._hand_2020, crop)
+    def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Prediction:
+        """The prediction of the landmark network of December 2020 for a crop and its rendered pixels. World
+        landmarks are its keypoints at the size of an average hand."""
+        landmarks, presence, handedness = self._run(self._hand_2020, pixels)
         keypoints, right = _with_depth(landmarks), float(handedness[0])
         bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
         world = (keypoints - keypoints.mean(axis=0)) * (MEAN_BONE / max(float(bones.mean()), 1e-9))
         side = "right" if right >= 0.5 else "left"
-        hand = view.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))
-        odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-SURER_2020)
-        return Look(float(odds / (1.0 + odds)), replace(hand, keypoints_2020=hand.keypoints))
+        hand = crop.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))
+        odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-PRESENCE_BIAS_2020)
+        return Prediction(float(odds / (1.0 + odds)), replace(hand, keypoints_2020=hand.keypoints))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:
-    """(63,) what a landmark network says -> (21, 3) pixels of its crop, depth on the scale of x."""
+    """(63,) output of a landmark network -> (21, 3) pixels of its crop, depth on the scale of x."""
     keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
     keypoints[:, 2] /= DEPTH_SCALE
     return keypoints
 
 
-def _forget_tracebacks() -> None:
-    """Where there is no sound, MediaPipe keeps the error of its import, and with it all that the functions
-    which were being called then hold at their ends: the detections of a whole clip."""
+def _drop_import_tracebacks() -> None:
+    """Free what the import of MediaPipe keeps alive. Without a sound device it stores the error of an import,
+    whose traceback holds the frames of all callers and so the detections of a whole clip."""
     error = getattr(sys.modules.get("mediapipe.tasks.python.audio.core.audio_record"), "sd_error", None)
     while isinstance(error, BaseException):
         error.__traceback__ = None
@@ -353,15 +357,15 @@ def _forget_tracebacks() -> None:
 
 
 def usable_threads() -> int:
-    """How many may look at pictures at the same time: one a core, fewer where OpenMP was told so."""
-    told = os.environ.get("OMP_NUM_THREADS", "")
+    """How many threads may run networks at the same time: one a core, or fewer by OMP_NUM_THREADS."""
+    limit = os.environ.get("OMP_NUM_THREADS", "")
     cores = usable_cores()
-    return max(1, min(cores, int(told) if told.isdecimal() else cores))
+    return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
 
 
 @lru_cache(maxsize=1)
 def _anchors() -> np.ndarray:
-    """(2016, 2) in sides of the picture: two at each place of a 24 x 24 grid, six of a 12 x 12 grid."""
+    """(2016, 2) anchors in sides of the crop: two at each place of a 24 x 24 grid, six of a 12 x 12 grid."""
     grids = []
     for count, each in ((24, 2), (12, 6)):
         middles = (np.arange(count) + 0.5) / count

@@ -7,19 +7,19 @@ from handfit_core.options import CaptureOptions
 
 
 def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:
-    """What a capture with these options asks of its detector; `video`: of the frames of one clip."""
+    """The detector's settings by a capture's options; `video`: for the frames of one clip."""
     return DetectorSettings(
         options.most_hands(clip=video),
         video,
         options.threshold,
         options.landmark_model,
         options.quality,
-        first_word=options.plain_detection,
+        plain=options.plain_detection,
     )
 
 
 def open_detector(options: CaptureOptions, *, video: bool = False) -> Detector:
-    """The detector that the options name, for the frames of one clip, or for stills.
+    """The detector that a capture's options name, for the frames of one clip (`video`) or for stills.
 
     Raises OptionError where there is no such detector, LandmarkModelError.
     """

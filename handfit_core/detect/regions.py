@@ -1,4 +1,4 @@
-"""One frame for a detector, and the boxes in which somebody has seen a hand there."""
+"""Detection in one frame and in its regions, the boxes in which a person sees hands."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from handfit_core.options import Region
 log = logging.getLogger("handfit")
 
 
-def looked_at(
+def detect_frame(
     detector: Detector, frame: Frame, regions: Sequence[Region], *, first: bool
 ) -> tuple[HandDetection, ...]:
-    """The hands of the next frame; those of its regions are looked for, and of regions without a frame in the
-    `first` one."""
+    """Detect the hands of the next frame and of the regions that name it; regions without a frame number are
+    those of the `first` one."""
     found = detector.find(frame.rgb, frame.time)
     for region in regions:
         if region.frame == frame.number or (first and region.frame is None):
-            found = (*found, *shown_in(detector, frame.rgb, region))
+            found = (*found, *detect_region(detector, frame.rgb, region))
     return found
 
 
-def shown_in(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
-    """The hand of a region, if there is one; where there is none, that is told."""
+def detect_region(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
+    """The hand of a region of the picture that `find` was given last; () and a warning where there is
+    none."""
     box = (region.x, region.y, region.width, region.height)
-    hand = None if rgb is None else detector.look_in(rgb, box, region.side)
+    hand = None if rgb is None else detector.detect_in_box(rgb, box, region.side)
     if hand is None:
         log.warning(
             "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of "

@@ -1,5 +1,6 @@
-"""Every hand of a picture: palms at low scores over the whole and over parts of it, each looked at until the
-landmark network finds it again where it is, and kept if it looks like a hand from all sides."""
+"""Every hand of a picture: palms are detected at low scores in the whole picture and in tiles of it, the
+landmark network is run on each until it finds the hand again where it was, and test-time augmentation
+decides."""
 
 from __future__ import annotations
 
@@ -10,330 +11,364 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.detect.crops import Crop, downscale
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance, mean_of, of_one, same_hand, shrunk
+from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection
 from handfit_core.detect.networks import (
-    ALL_LOOKS,
-    HAND_SIZE,
-    PALM_SIZE,
-    Look,
+    AUGMENTATION_CROPS,
+    HAND_INPUT_PX,
+    PALM_INPUT_PX,
     Networks,
     Palms,
-    around,
-    crop_of,
-    view_of,
+    Prediction,
+    augmented_crops,
+    crop_around,
+    square_around,
 )
 
-FIRST_SCORE: Final = 0.07
-"""Of palms that are looked at: far lower than what is believed"""
 
-FIRST_WORD: Final = 0.5
-"""Of those that are looked at where the first word counts"""
+@dataclass(frozen=True)
+class SearchSettings:
+    """Thresholds and crops of the search. Presences, scores and probabilities are 0..1, turns radians."""
 
-HOPELESS: Final = 0.02
-"""Presence at the first look below which there is no second"""
+    min_palm_score: float = 0.07
+    """Of palms on which the landmark network is run: far lower than what is believed"""
+    plain_min_palm_score: float = 0.5
+    """In place of `min_palm_score` in a plain search"""
 
-LEAST_PRESENCE: Final = 0.1
-"""After the last look, below which there is no hand"""
+    max_passes: int = 3
+    """Predictions, each in the crop around the landmarks of the one before"""
+    min_first_presence: float = 0.02
+    """Presence of the first prediction below which there is no second one"""
+    min_presence: float = 0.1
+    """Presence of the last prediction below which there is no hand"""
+    converged_distance: float = 0.05
+    """Hand sizes; landmarks that a pass moves less than this need no other pass"""
+    converged_presence: float = 0.9
+    """Presence that both of these predictions must exceed"""
 
-PASSES: Final = 3
-"""Looks from crop to crop, each about the landmarks of the one before"""
+    early_crops: int = 3
+    """Crops of test-time augmentation after which unlikely candidates are given up"""
+    min_early_probability: float = 0.06
+    """Probability that a candidate must have by then"""
 
-STAYS: Final = 0.05
-"""Landmarks that a look moves less than this, in units of the hand's size, need no other look"""
-SURE: Final = 0.9
-"""Presence of looks that agree"""
+    tile_divisors: tuple[int, ...] = (1, 2, 3)
+    """Tiles are so many times smaller than the picture, and overlap by half"""
+    min_tile_px: int = 96
+    """Side of a tile"""
+    tile_to_smallest_hand: float = 8.0
+    """Side of a tile in sizes of the smallest hand that the palm network finds in it"""
+    max_size_ratio: float = 2.5
+    """Largest to smallest hand that are expected in one picture"""
+    max_palm_search_px: int = 1152
+    """Side of the picture in which palms are searched; larger ones are downscaled. Tiles of a third need no
+    more"""
+    whole_picture_crops: tuple[tuple[float, float, bool], ...] = (
+        (1.0, 0.0, False),
+        (1.5, 0.0, False),
+        (1.5, np.pi / 2.0, False),
+        (1.5, -np.pi / 2.0, False),
+        (1.5, -np.pi / 4.0, False),
+        (1.5, np.pi / 4.0, True),
+        (2.2, 0.0, False),
+        (2.2, np.pi, False),
+    )
+    """Side in units of the picture's longer one, turn, mirrored. Hands that fill the picture need room around
+    them, and the palm network finds some directions better than others"""
 
-FEW_LOOKS: Final = 3
-HARDLY: Final = 0.06
-"""After so few looks, what is less sure than this is not looked at any more"""
+    neighbour_span: float = 8.0
+    """Hand sizes; side of the crops about a hand in which another one of its size shows best"""
+    neighbour_turns: tuple[float, ...] = (0.0, 0.75 * np.pi)
+    """Of these crops"""
+    max_neighbour_searches: int = 4
+    """Hands about which others are searched"""
 
-PARTS: Final = (1, 2, 3)
-"""Tiles are so many times smaller than the picture, and half of one lies over the next"""
+    same_candidate_distance: float = 0.15
+    """Hand sizes; predictions nearer than this are of one candidate"""
+    doubtful_probability: tuple[float, float] = (0.1, 0.85)
+    """Candidates of a probability between these are verified by rotation recall and context score"""
+    probability_weights: tuple[float, float, float] = (0.95, 0.75, -1.3)
+    """Logit of a candidate's probability: weights of the logits of presence and palm score, and a constant.
+    In photos of people and in rendered pictures, at a probability of a half one hand of twenty is false"""
+    verified_weights: tuple[float, float, float] = (1.4, 0.75, -0.8)
+    """In place of `probability_weights` for a verified candidate. These and the next two were chosen on 150
+    doubtful ones of rendered pictures and photos"""
+    recall_weight: float = 2.0
+    """Of the rotation recall in a verified candidate's logit"""
+    context_weight: float = 0.3
+    """Of the logit of the context score in a verified candidate's logit"""
 
-IN_BOX_SPANS: Final = (1.3, 1.8, 2.6)
-AGAIN_SPANS: Final = IN_BOX_SPANS[1:2]
-IN_BOX_TURNS: Final = 12
-"""Crops about a box in which a person sees a hand, and about a doubtful one: sides in units of its longer
-one, and how many turns"""
+    rotations: int = 12
+    """Evenly spread turns of the crops about a box that a person drew, and about a doubtful candidate"""
+    recall_spans: tuple[float, ...] = (1.8,)
+    """Hand sizes; sides of the rotated crops about a candidate"""
+    context_span: float = 7.0
+    """Hand sizes; side of the crops for the context score"""
+    context_turns: tuple[float, ...] = (0.6, -0.6)
+    """Of these crops against the hand, besides one as the hand and one as the picture is"""
+    context_min_palm_score: float = 0.01
+    """Score below which a palm in them counts as not detected"""
 
-IN_BOX_PRESENCE: Final = 0.1
-"""Where a person says that there is a hand, the network need not be sure"""
+    box_spans: tuple[float, ...] = (1.3, 1.8, 2.6)
+    """Sides of the rotated crops about a box, in units of its longer side"""
+    box_min_presence: float = 0.1
+    """Presence of a hand where a person says that there is one: the network need not be sure"""
+    box_candidates: int = 4
+    """Hands found in the most of these crops, on which test-time augmentation is run"""
 
-IN_BOX_BEST: Final = 4
-"""Hands found from the most crops that are looked at closely"""
 
-WHOLE: Final = (
-    (1.0, 0.0, False),
-    (1.5, 0.0, False),
-    (1.5, np.pi / 2.0, False),
-    (1.5, -np.pi / 2.0, False),
-    (1.5, -np.pi / 4.0, False),
-    (1.5, np.pi / 4.0, True),
-    (2.2, 0.0, False),
-    (2.2, np.pi, False),
-)
-"""Views of the whole picture: side in units of its longer one, turn in radians, mirrored. Hands that fill the
-picture need room around them, and the palm network has its favourite directions"""
-
-LEAST_TILE: Final = 96
-"""Pixels a side"""
-
-SEEN_AT: Final = 8
-"""The palm network sees hands from this part of its picture's side upwards"""
-
-SIZES_APART: Final = 2.5
-"""Hands of one picture are not expected to differ more than so many times in size"""
-
-SETTLED: Final = 0.15
-"""Landmarks nearer than this, in units of the hand's size, were found already"""
-
-DOUBTFUL: Final = (0.1, 0.85)
-"""Certainties between which a hand is looked for again from all sides"""
-
-ENOUGH: Final = 1152
-"""Pixels a side of a picture in which palms are looked for: tiles of a third need no more"""
-
-FIRST_JUDGED: Final = (0.95, 0.75, -1.3)
-"""How sure it is that something is a hand: the logit of that by the logits of presence and palm score, and a
-constant. In photos of people and in rendered pictures, half a certainty has one false hand among twenty."""
-AT_LAST: Final = (1.4, 0.75, -0.8)
-OF_AGAIN, OF_FAR = 2.0, 0.3
-"""The same for a doubtful one, where also the share of crops in which it is found again counts, and the logit
-of its palm's best score from farther off. Chosen on 150 doubtful ones of rendered pictures and photos."""
-
-FAR: Final = 7.0
-"""Side of those views in units of the hand's size"""
-FAR_TURNS: Final = (0.6, -0.6)
-"""Radians by which they are turned, besides those as the picture is and as the hand"""
-LEAST_FAR: Final = 0.01
-
-NEAR: Final = 8.0
-"""Side of the views about a hand in which others of its size show best, in units of that size"""
-NEAR_TURNS: Final = (0.0, 0.75 * np.pi)
-MOST_NEAR: Final = 4
-"""Hands about which others are looked for"""
+SEARCH: Final = SearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class Candidate:
     """What may be a hand."""
 
     hand: HandDetection
     presence: float
-    """How likely the landmark network takes it for a hand, on average over the looks, 0..1"""
-    palm: float
-    """The best score of its palm, 0..1"""
-    again: float | None = None
-    """In which part of the crops about it, turned all around, it was found again; None: it was in no doubt"""
-    far: float = 0.0
-    """The best score of its palm in views that show much around it, 0..1"""
+    """Mean presence over the predictions, 0..1"""
+    palm_score: float
+    """Best score of its palm, 0..1"""
+    rotation_recall: float | None = None
+    """Share of the rotated crops about it in which it was found again; None: it was not verified"""
+    context_score: float = 0.0
+    """Best score of its palm in crops that show much around it, 0..1"""
 
     @property
-    def certainty(self) -> float:
-        """How sure it is that this is a hand, 0..1."""
-        presence, palm, logit = FIRST_JUDGED if self.again is None else AT_LAST
-        logit += presence * _logit(self.presence) + palm * _logit(self.palm)
-        if self.again is not None:
-            logit += OF_AGAIN * self.again + OF_FAR * _logit(self.far)
+    def probability(self) -> float:
+        """Probability that it is a hand."""
+        verified = self.rotation_recall is not None
+        presence, palm_score, logit = SEARCH.verified_weights if verified else SEARCH.probability_weights
+        logit += presence * _logit(self.presence) + palm_score * _logit(self.palm_score)
+        if self.rotation_recall is not None:
+            context = SEARCH.context_weight * _logit(self.context_score)
+            logit += SEARCH.recall_weight * self.rotation_recall + context
         return float(1.0 / (1.0 + np.exp(-logit)))
 
 
-def tiles(width: int, height: int, parts: int) -> Iterator[View]:
-    """Views of a picture for the palm network, each that many times smaller than its longer side."""
-    span = max(width, height) / parts
-    if parts > 1 and span < LEAST_TILE:
+def tiles(width: int, height: int, divisor: int) -> Iterator[Crop]:
+    """Overlapping crops for the palm network that tile a picture of that size in pixels; their side is its
+    longer one over `divisor`."""
+    span = max(width, height) / divisor
+    if divisor > 1 and span < SEARCH.min_tile_px:
         return
     columns, rows = (max(1, int(np.ceil(2.0 * (side / span - 1.0) + 1.0 - 1e-6))) for side in (width, height))
-    for y in _middles(height, span, rows):
-        for x in _middles(width, span, columns):
-            yield View.of_square(np.array([x, y]), span, PALM_SIZE)
+    for y in _centres(height, span, rows):
+        for x in _centres(width, span, columns):
+            yield Crop.of_square(np.array([x, y]), span, PALM_INPUT_PX)
 
 
-def _middles(side: float, span: float, count: int) -> np.ndarray:
+def _centres(side: float, span: float, count: int) -> np.ndarray:
     return np.linspace(span / 2.0, side - span / 2.0, count) if count > 1 else np.array([side / 2.0])
 
 
 class Search:
-    """Looks for hands with both networks; in a draft, one look at each hand is enough. So it is with
-    `first_word`, and palms must be sure, and only the whole picture is searched."""
+    """Searches pictures (H, W, 3) uint8 RGB for hands with both networks.
 
-    def __init__(self, networks: Networks, threshold: float, *, first_word: bool = False) -> None:
+    A plain search takes sure palms in the whole picture only, and one prediction each. Quality `draft` has
+    one prediction each, too.
+    """
+
+    def __init__(self, networks: Networks, threshold: float, *, plain: bool = False) -> None:
         self._networks = networks
         self._threshold = threshold
-        self._parts = PARTS[:1] if first_word else PARTS
-        self._palm = FIRST_WORD if first_word else FIRST_SCORE
-        self._looks = 1 if first_word or networks.quality == "draft" else ALL_LOOKS
+        self._divisors = SEARCH.tile_divisors[:1] if plain else SEARCH.tile_divisors
+        self._min_palm_score = SEARCH.plain_min_palm_score if plain else SEARCH.min_palm_score
+        self._crop_count = 1 if plain or networks.quality == "draft" else AUGMENTATION_CROPS
 
-    def every_hand(self, rgb: np.ndarray) -> list[HandDetection]:
-        """The hands of a picture (H, W, 3) uint8 RGB, the surest first."""
-        block = max(1, max(rgb.shape[:2]) // ENOUGH)
-        small = shrunk(rgb, block, block)
+    def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
+        """The hands of a picture, the likeliest first."""
+        longest = max(rgb.shape[:2])
+        block = max(1, longest // SEARCH.max_palm_search_px)
+        small = downscale(rgb, block, block)
         height, width = small.shape[:2]
-        found: list[Sighting] = []
-        for parts in self._parts:
-            largest = max((s.hand.extent for s in found if s.certainty >= self._threshold), default=0.0)
-            if largest * SEEN_AT * (parts - 1) > max(rgb.shape[:2]) * SIZES_APART:
+        found: list[Candidate] = []
+        for divisor in self._divisors:
+            largest = max((c.hand.extent for c in found if self._accepts(c)), default=0.0)
+            # Hands so small that only these tiles show them are not expected beside the largest one.
+            if largest * SEARCH.tile_to_smallest_hand * (divisor - 1) > longest * SEARCH.max_size_ratio:
                 break
-            views = list(tiles(width, height, parts))
-            if parts == 1 and len(self._parts) > 1:
+            crops = list(tiles(width, height, divisor))
+            if divisor == 1 and len(self._divisors) > 1:
                 middle, side = np.array([width, height]) / 2.0, max(width, height)
-                views = [
-                    View.of_square(middle, span * side, PALM_SIZE, turn=turn, mirrored=mirrored)
-                    for span, turn, mirrored in WHOLE
+                crops = [
+                    Crop.of_square(middle, span * side, PALM_INPUT_PX, turn=turn, mirrored=mirrored)
+                    for span, turn, mirrored in SEARCH.whole_picture_crops
                 ]
-            if views:
-                found = self._with(rgb, self._palms_in(small, views).times(block), found)
-        if len(self._parts) > 1:
-            near = list(self._near([s.hand for s in found if s.certainty >= self._threshold], max(rgb.shape)))
-            if near:
-                found = self._with(rgb, self._palms_in(rgb, near), found)
+            if crops:
+                found = self._extend(rgb, self._detect_palms(small, crops).scaled(block), found)
+        if len(self._divisors) > 1:
+            sure = [c.hand for c in found if self._accepts(c)]
+            neighbours = list(self._neighbour_crops(sure, max(rgb.shape)))
+            if neighbours:
+                found = self._extend(rgb, self._detect_palms(rgb, neighbours), found)
         return [
-            replace(sighting.hand, certainty=sighting.certainty)
-            for sighting in self._judged(rgb, found)
-            if sighting.certainty >= self._threshold
+            replace(candidate.hand, certainty=candidate.probability)
+            for candidate in self._verify(rgb, found)
+            if self._accepts(candidate)
         ]
 
-    def more_hands(
-        self, rgb: np.ndarray, views: Sequence[View], known: Sequence[HandDetection]
+    def detect_new(
+        self, rgb: np.ndarray, crops: Sequence[Crop], known: Sequence[HandDetection]
     ) -> list[HandDetection]:
-        """Those whose palms are in views, `PALM_SIZE` wide, of a picture (H, W, 3) uint8 RGB, but for the
-        known ones; sure ones are looked at once, as those that are followed are."""
-        sure = [Sighting(hand, 1.0, 1.0) for hand in known]
-        found = self._with(rgb, self._palms_in(rgb, views), sure, once=True)
-        return [s.hand for s in found if s.certainty >= self._threshold and s not in sure]
+        """The hands whose palms are in these crops, `PALM_INPUT_PX` wide, without the known ones. A likely
+        one has a single prediction, as tracked hands have."""
+        sure = [Candidate(hand, 1.0, 1.0) for hand in known]
+        found = self._extend(rgb, self._detect_palms(rgb, crops), sure, augment_all=False)
+        return [c.hand for c in found if self._accepts(c) and c not in sure]
 
-    def hand_in(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
-        """The hand that a person sees in a box (x, y, width, height) of a picture (H, W, 3) uint8 RGB, at
-        whatever angle; None where nothing is found there again and again."""
+    def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+        """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
+        most rotated crops agree on. None where there is none."""
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
-        found: list[list[Look]] = []
-        for look in self._all_around(rgb, middle, side, IN_BOX_SPANS):
-            if look is not None and _fills(look.hand, middle, size):
-                same = next((g for g in found if distance(g[0].hand, look.hand) < SETTLED), None)
-                found.append([look]) if same is None else same.append(look)
-        likely = sorted(found, key=len, reverse=True)[:IN_BOX_BEST]
-        sighted = [(self._sighted(rgb, group[0], 0.5), len(group)) for group in likely]
-        best = max(sighted, key=lambda each: each[0].presence * (1 + each[1]), default=None)
-        if best is None or best[0].presence < IN_BOX_PRESENCE:
+        groups: list[list[Prediction]] = []
+        for prediction in self._predict_rotated(rgb, middle, side, SEARCH.box_spans):
+            if prediction is not None and _fits_box(prediction.hand, middle, size):
+                same = next((g for g in groups if _is_same(g[0].hand, prediction.hand)), None)
+                groups.append([prediction]) if same is None else same.append(prediction)
+        likely = sorted(groups, key=len, reverse=True)[: SEARCH.box_candidates]
+        augmented = [(self._augment(rgb, group[0], 0.5), len(group)) for group in likely]
+        best = max(augmented, key=lambda each: each[0].presence * (1 + each[1]), default=None)
+        if best is None or best[0].presence < SEARCH.box_min_presence:
             return None
-        return replace(best[0].hand, certainty=best[0].certainty)
+        return replace(best[0].hand, certainty=best[0].probability)
 
-    def _judged(self, rgb: np.ndarray, found: Sequence[Sighting]) -> list[Sighting]:
-        """The same but for parts of surer ones, and doubtful ones looked for again; the surest first."""
-        kept: list[Sighting] = []
-        for sighting in found:
-            if self._looks == ALL_LOOKS and DOUBTFUL[0] < sighting.certainty < DOUBTFUL[1]:
-                hand = sighting.hand
-                if any(of_one(hand, s.hand) for s in kept if s.certainty >= self._threshold):
+    def _accepts(self, candidate: Candidate) -> bool:
+        return candidate.probability >= self._threshold
+
+    def _verify(self, rgb: np.ndarray, found: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates, the likeliest first, doubtful ones with recall and context; parts of likelier hands
+        are dropped."""
+        kept: list[Candidate] = []
+        low, high = SEARCH.doubtful_probability
+        for candidate in found:
+            if self._crop_count == AUGMENTATION_CROPS and low < candidate.probability < high:
+                hand = candidate.hand
+                if any(is_part_of(hand, c.hand) for c in kept if self._accepts(c)):
                     continue
-                sighting = self._again(rgb, replace(sighting, far=self._far(rgb, hand)))
-            kept.append(sighting)
-        return sorted(kept, key=lambda s: s.certainty, reverse=True)
+                context = self._context_score(rgb, hand)
+                candidate = self._with_rotation_recall(rgb, replace(candidate, context_score=context))
+            kept.append(candidate)
+        return sorted(kept, key=lambda c: c.probability, reverse=True)
 
-    def _near(self, hands: Sequence[HandDetection], longer: int) -> Iterator[View]:
-        """Views about the first hands in which others of about their size would be seen, in a picture with
-        that longer side: of a pair, the second often has a palm that no tile of a chosen size shows."""
-        shown: list[tuple[np.ndarray, float]] = []
+    def _neighbour_crops(self, hands: Sequence[HandDetection], longer: int) -> Iterator[Crop]:
+        """Crops about the first hands in which others of about their size would be seen, in a picture with
+        that longer side: the second hand of a pair often has a palm that no tile shows."""
+        begun: list[tuple[np.ndarray, float]] = []
         for hand in hands:
-            centre, span = hand.keypoints_2d.mean(axis=0), NEAR * hand.extent
-            again = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in shown)
-            if not again and span < WHOLE[-1][0] * longer and len(shown) < MOST_NEAR:
-                shown.append((centre, span))
-                for turn in NEAR_TURNS:
-                    yield View.of_square(centre, span, PALM_SIZE, turn=turn)
+            centre, span = hand.keypoints_2d.mean(axis=0), SEARCH.neighbour_span * hand.extent
+            searched = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in begun)
+            inside = span < SEARCH.whole_picture_crops[-1][0] * longer
+            if not searched and inside and len(begun) < SEARCH.max_neighbour_searches:
+                begun.append((centre, span))
+                for turn in SEARCH.neighbour_turns:
+                    yield Crop.of_square(centre, span, PALM_INPUT_PX, turn=turn)
 
-    def _again(self, rgb: np.ndarray, seen: Sighting) -> Sighting:
-        """The same with the part of crops about it in which it is found again, as long as that may matter."""
-        points, found = seen.hand.keypoints_2d, 0
+    def _with_rotation_recall(self, rgb: np.ndarray, candidate: Candidate) -> Candidate:
+        """The candidate with its rotation recall, or with a bound of it that already rules the hand out."""
+        points, count = candidate.hand.keypoints_2d, 0
         middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
-        for tried, look in enumerate(self._all_around(rgb, middle, seen.hand.extent, AGAIN_SPANS), start=1):
-            found += look is not None and distance(look.hand, seen.hand) < SETTLED
-            most = found + IN_BOX_TURNS - tried
-            if replace(seen, again=most / IN_BOX_TURNS).certainty < self._threshold:
+        rotated = self._predict_rotated(rgb, middle, candidate.hand.extent, SEARCH.recall_spans)
+        for tried, prediction in enumerate(rotated, start=1):
+            count += prediction is not None and _is_same(prediction.hand, candidate.hand)
+            best = (count + SEARCH.rotations - tried) / SEARCH.rotations
+            if not self._accepts(replace(candidate, rotation_recall=best)):
                 break
-        return replace(seen, again=found / IN_BOX_TURNS)
+        return replace(candidate, rotation_recall=count / SEARCH.rotations)
 
-    def _far(self, rgb: np.ndarray, hand: HandDetection) -> float:
-        """The best score of a hand's palm in views that show much around it: 0 where it is not seen."""
-        centre, _, upwards = crop_of(hand.keypoints)
+    def _context_score(self, rgb: np.ndarray, hand: HandDetection) -> float:
+        """Best score of a hand's palm in crops that show much around it; 0 where it is not detected."""
+        centre, _, upright = square_around(hand.keypoints)
         best = 0.0
-        turns = (0.0, upwards, *(upwards + more for more in FAR_TURNS))
-        views = [View.of_square(centre, FAR * hand.extent, PALM_SIZE, turn=turn) for turn in turns]
-        for palms in self._networks.each(lambda n, view: n.palms(rgb, view, LEAST_FAR), views):
+        turns = (0.0, upright, *(upright + more for more in SEARCH.context_turns))
+        span = SEARCH.context_span * hand.extent
+        crops = [Crop.of_square(centre, span, PALM_INPUT_PX, turn=turn) for turn in turns]
+        min_score = SEARCH.context_min_palm_score
+        for palms in self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, min_score), crops):
             best = max(best, *(float(palms.score[i]) for i in range(len(palms)) if palms.is_of(i, hand)), 0.0)
         return best
 
-    def _all_around(
+    def _predict_rotated(
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
-    ) -> Iterator[Look | None]:
-        """What the landmark network settles on about a box with that longer side, whatever its angle."""
-        turns = np.arange(IN_BOX_TURNS) * (2.0 * np.pi / IN_BOX_TURNS)
-        views = [View.of_square(middle, span * side, HAND_SIZE, turn=t) for span in spans for t in turns]
-        return self._networks.each(lambda n, view: settled(n, rgb, view, IN_BOX_PRESENCE), views)
+    ) -> Iterator[Prediction | None]:
+        """The refined predictions for crops of all rotations about a box with that middle and longer side."""
+        turns = np.arange(SEARCH.rotations) * (2.0 * np.pi / SEARCH.rotations)
+        crops = [Crop.of_square(middle, span * side, HAND_INPUT_PX, turn=t) for span in spans for t in turns]
+        return self._networks.map(lambda n, crop: refine(n, rgb, crop, SEARCH.box_min_presence), crops)
 
-    def _palms_in(self, rgb: np.ndarray, views: Sequence[View]) -> Palms:
-        found = self._networks.each(lambda n, view: n.palms(rgb, view, self._palm), views)
-        return Palms.of(list(found))
+    def _detect_palms(self, rgb: np.ndarray, crops: Sequence[Crop]) -> Palms:
+        found = self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, self._min_palm_score), crops)
+        return Palms.suppressed(list(found))
 
-    def _with(
-        self, rgb: np.ndarray, palms: Palms, known: Sequence[Sighting], *, once: bool = False
-    ) -> list[Sighting]:
-        """What is known, and the hands of those palms, each hand once, the surest first."""
+    def _extend(
+        self, rgb: np.ndarray, palms: Palms, known: Sequence[Candidate], *, augment_all: bool = True
+    ) -> list[Candidate]:
+        """The known candidates and the hands of those palms after non-maximum suppression, the likeliest
+        first. Unless `augment_all`, likely ones have one prediction only."""
         found = list(known)
-        looks: dict[int, Look | None] = {}
+        predictions: dict[int, Prediction | None] = {}
         for i in range(len(palms)):
-            palm = float(palms.score[i])
-            again = next((s for s in found if palms.is_of(i, s.hand)), None)
-            if again is None and i not in looks:
-                others = (j for j in range(i, len(palms)) if not any(palms.is_of(j, s.hand) for s in found))
+            palm_score = float(palms.score[i])
+            same = next((c for c in found if palms.is_of(i, c.hand)), None)
+            if same is None and i not in predictions:
+                others = (j for j in range(i, len(palms)) if not any(palms.is_of(j, c.hand) for c in found))
                 ahead = list(islice(others, self._networks.threads))
-                views = [palms.view(j) for j in ahead]
-                seen = self._networks.each(lambda n, view: settled(n, rgb, view), views)
-                looks |= dict(zip(ahead, seen, strict=True))
-            look = None if again is not None else looks[i]
-            if look is not None:
-                again = next((s for s in found if distance(s.hand, look.hand) < SETTLED), None)
-            if again is not None and palm > again.palm:
-                found.append(replace(again, palm=palm))
-            elif again is None and look is not None:
-                first = Sighting(look.hand, look.presence, palm)
-                found.append(
-                    first if once and first.certainty > DOUBTFUL[1] else self._sighted(rgb, look, palm)
-                )
-        kept: list[Sighting] = []
-        for sighting in sorted(found, key=lambda s: s.certainty, reverse=True):
-            if not any(same_hand(sighting.hand, other.hand) for other in kept):
-                kept.append(sighting)
+                crops = [palms.crop(j) for j in ahead]
+                refined = self._networks.map(lambda n, crop: refine(n, rgb, crop), crops)
+                predictions |= dict(zip(ahead, refined, strict=True))
+            prediction = None if same is not None else predictions[i]
+            if prediction is not None:
+                same = next((c for c in found if _is_same(c.hand, prediction.hand)), None)
+            if same is not None and palm_score > same.palm_score:
+                found.append(replace(same, palm_score=palm_score))
+            elif same is None and prediction is not None:
+                first = Candidate(prediction.hand, prediction.presence, palm_score)
+                likely = first.probability > SEARCH.doubtful_probability[1]
+                enough = likely and not augment_all
+                found.append(first if enough else self._augment(rgb, prediction, palm_score))
+        kept: list[Candidate] = []
+        for candidate in sorted(found, key=lambda c: c.probability, reverse=True):
+            if not any(is_same_hand(candidate.hand, other.hand) for other in kept):
+                kept.append(candidate)
         return kept
 
-    def _sighted(self, rgb: np.ndarray, first: Look, palm: float) -> Sighting:
-        """The mean of several looks at a hand that was found through a palm of that score."""
-        looks, seen = [first], Sighting(first.hand, first.presence, palm)
-        views = list(islice(around(first.hand.keypoints), 1, self._looks))
-        for look in self._networks.each(lambda n, view: n.look(rgb, view), views):
-            looks.append(look)
-            seen = replace(seen, presence=float(np.mean([look.presence for look in looks])))
-            if len(looks) == FEW_LOOKS and seen.certainty < HARDLY:
+    def _augment(self, rgb: np.ndarray, first: Prediction, palm_score: float) -> Candidate:
+        """The mean of test-time augmentation about a prediction; unlikely ones are given up early."""
+        predictions, candidate = [first], Candidate(first.hand, first.presence, palm_score)
+        crops = list(islice(augmented_crops(first.hand.keypoints), 1, self._crop_count))
+        for prediction in self._networks.map(lambda n, crop: n.predict(rgb, crop), crops):
+            predictions.append(prediction)
+            candidate = replace(candidate, presence=float(np.mean([p.presence for p in predictions])))
+            unlikely = candidate.probability < SEARCH.min_early_probability
+            if unlikely and len(predictions) == SEARCH.early_crops:
                 break
-        return replace(seen, hand=mean_of([look.hand for look in looks]))
+        return replace(candidate, hand=mean_detection([p.hand for p in predictions]))
 
 
-def settled(networks: Networks, rgb: np.ndarray, view: View, least: float = LEAST_PRESENCE) -> Look | None:
-    """What the landmark network finds in a view, once it finds it again where it was; None: no hand."""
-    look = networks.look(rgb, view)
-    for _ in range(PASSES - 1):
-        if look.presence < HOPELESS:
+def refine(
+    networks: Networks, rgb: np.ndarray, crop: Crop, min_presence: float = SEARCH.min_presence
+) -> Prediction | None:
+    """Predict in a crop and then in the crops around the landmarks found, until these stay where they are.
+    None where there is no hand."""
+    prediction = networks.predict(rgb, crop)
+    for _ in range(SEARCH.max_passes - 1):
+        if prediction.presence < SEARCH.min_first_presence:
             return None
-        before, look = look, networks.look(rgb, view_of(look.hand.keypoints))
-        if min(before.presence, look.presence) > SURE and distance(before.hand, look.hand) < STAYS:
+        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.hand.keypoints))
+        sure = min(before.presence, prediction.presence) > SEARCH.converged_presence
+        if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
             break
-    return look if look.presence >= least else None
+    return prediction if prediction.presence >= min_presence else None
 
 
-def _fills(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
-    """Whether a hand is in a box, and about as large."""
+def _is_same(a: HandDetection, b: HandDetection) -> bool:
+    """Whether two predictions are of one candidate."""
+    return distance(a, b) < SEARCH.same_candidate_distance
+
+
+def _fits_box(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
+    """Whether a hand lies in a box with that middle and size, and is about as large."""
     low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
     off, longer = np.abs((low + high) / 2.0 - middle), float(size.max())
     return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent / longer < 2.0

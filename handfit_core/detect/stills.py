@@ -1,4 +1,4 @@
-"""Hands in pictures that have nothing to do with each other."""
+"""Hands in pictures that are independent of each other."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import hand_of_box
+from handfit_core.detect.matching import hand_of_box
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.search import Search
 from handfit_core.skeleton import Side
 
 
 class StillFinder(Detector):
-    """Raises LandmarkModelError when the model file is missing or damaged."""
+    """Finds the hands of stills. Raises LandmarkModelError when the model file is missing or damaged."""
 
     def __init__(self, settings: DetectorSettings) -> None:
-        self._most = settings.max_hands
+        self._max_hands = settings.max_hands
         self._networks = Networks(settings.landmark_model, quality=settings.quality)
-        self._search = Search(self._networks, settings.threshold, first_word=settings.first_word)
+        self._search = Search(self._networks, settings.threshold, plain=settings.plain)
         self._counts = [0]
         self._last: list[HandDetection] = []
         """All hands of the last picture"""
@@ -33,22 +33,26 @@ class StillFinder(Detector):
 
     @property
     def most_seen(self) -> int:
-        """As `Detector.most_seen`."""
+        """The most hands of any picture so far."""
         return max(self._counts)
 
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
-        """As `Detector.find`, with sides judged."""
-        self._last = [] if rgb is None else self._search.every_hand(rgb)
+        """The hands of a picture (see `Detector`), the likeliest first, with their sides judged."""
+        self._last = [] if rgb is None else self._search.detect_all(rgb)
         self._counts.append(len(self._last))
-        hands = [self._networks.seen_twice(rgb, hand) for hand in self._last[: self._most] if rgb is not None]
+        hands = [
+            self._networks.with_keypoints_2020(rgb, hand)
+            for hand in self._last[: self._max_hands]
+            if rgb is not None
+        ]
         return tuple(with_side_judged(hands))
 
-    def look_in(
+    def detect_in_box(
         self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
     ) -> HandDetection | None:
-        """As `Detector.look_in`, with the side judged."""
-        hand = hand_of_box(self._last, box) or self._search.hand_in(rgb, box)
+        """The hand in a box of the last picture (see `Detector`), with its side judged."""
+        hand = hand_of_box(self._last, box) or self._search.detect_in_box(rgb, box)
         if hand is None:
             return None
-        hand = self._networks.seen_twice(rgb, hand)
+        hand = self._networks.with_keypoints_2020(rgb, hand)
         return replace(with_side_judged([hand])[0], shown=True, given_side=side)

@@ -1,7 +1,7 @@
-"""TensorFlow Lite's model files: metadata is added to one, without TensorFlow's own tools.
+"""Metadata for TensorFlow Lite's model files, added without TensorFlow's own tools.
 
-A model file is a FlatBuffer (https://flatbuffers.dev/internals): tables refer to what lies behind them by
-distances in bytes. So a new root table with the metadata goes before the old file, which stays as it is.
+A model file is a FlatBuffer (https://flatbuffers.dev/internals): tables refer to objects behind them by
+offsets in bytes. So a new root table with the metadata goes before the old file, which stays as it is.
 MediaPipe's tasks read the metadata (schema: `mediapipe/tasks/metadata/metadata_schema.fbs`).
 """
 
@@ -11,24 +11,24 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Final
 
-Part = Callable[[bytearray], int]
-"""Appends something to a file, or finds it there; returns its place"""
-Field = int | Part | None
-"""Of a table: a number, what it refers to, or absent"""
+Writer = Callable[[bytearray], int]
+"""Appends an object to a buffer, or finds it there; returns its offset"""
+Field = int | Writer | None
+"""A table's field: a number, the object that it refers to, or absent"""
 
-_BEFORE: Final = 4096
-"""Bytes before the old file: a multiple of the 16 to which tensors are aligned"""
+_PREFIX_BYTES: Final = 4096
+"""Before the old file: a multiple of the 16 to which tensors are aligned"""
 _BUFFERS, _METADATA, _MODEL_FIELDS = 4, 6, 7
 """Fields of the root table, and how many are copied"""
 _FEATURE, _IMAGE, _NORMALIZATION, _RGB = 1, 2, 1, 1
-"""Numbers of the metadata's unions and of its colour space"""
+"""Values of the metadata's unions and of its colour space"""
 
 
 def with_image_metadata(network: bytes, mean: float, std: float, outputs: Sequence[str]) -> bytes:
-    """The model file `network`, which has no metadata, with that of one RGB picture as input.
+    """Add to a model file without metadata that of a network with one RGB picture as input.
 
     A picture's channel is 0..255 before (channel - mean) / std; `outputs` names all of the network's outputs,
-    which are feature vectors. The same input gives the same bytes.
+    which are feature vectors. Equal arguments give equal bytes.
     """
     (root,) = struct.unpack_from("<I", network)
     buffers = _field(network, root, _BUFFERS)
@@ -36,23 +36,23 @@ def with_image_metadata(network: bytes, mean: float, std: float, outputs: Sequen
     buffers += _number(network, buffers)
     many = _number(network, buffers)
     places = [buffers + 4 * i for i in range(1, many + 1)]
-    kept = [_old(place + _number(network, place)) for place in places]
+    kept = [_existing(place + _number(network, place)) for place in places]
     fields: list[Field] = []
     for i in range(_MODEL_FIELDS):
         at = _field(network, root, i)
         value = 0 if at is None else _number(network, at)
         # The first is the schema's version; all others refer to something.
-        fields.append(None if at is None else value if i == 0 else _old(at + value))
+        fields.append(None if at is None else value if i == 0 else _existing(at + value))
     metadata = bytearray()
     _references(metadata, [_image_metadata(mean, std, outputs)], between=b"M001")
     fields[_BUFFERS] = _vector(*kept, _table(_bytes(bytes(metadata))))
     fields[_METADATA] = _vector(_table(_bytes(b"TFLITE_METADATA\0", counted=15), many))
     made = bytearray()
     _references(made, [_table(*fields)], between=b"TFL3")
-    return bytes(made).ljust(_BEFORE, b"\0") + network
+    return bytes(made).ljust(_PREFIX_BYTES, b"\0") + network
 
 
-def _image_metadata(mean: float, std: float, outputs: Sequence[str]) -> Part:
+def _image_metadata(mean: float, std: float, outputs: Sequence[str]) -> Writer:
     scaling = _table(_vector(_float(mean)), _vector(_float(std)))
     picture = _table(_IMAGE, _table(_RGB))
     image = _table(_text("image"), None, None, picture, _vector(_table(_NORMALIZATION, scaling)))
@@ -66,7 +66,7 @@ def _number(data: bytes, at: int) -> int:
 
 
 def _field(data: bytes, table: int, index: int) -> int | None:
-    """Where a table's field lies; None where it is absent."""
+    """Offset of a table's field; None where it is absent."""
     entries = table - struct.unpack_from("<i", data, table)[0]
     size = struct.unpack_from("<H", data, entries)[0]
     inside = 4 + 2 * index
@@ -78,11 +78,11 @@ def _float(value: float) -> int:
     return struct.unpack("<I", struct.pack("<f", value))[0]
 
 
-def _old(place: int) -> Part:
-    return lambda _: _BEFORE + place
+def _existing(place: int) -> Writer:
+    return lambda _: _PREFIX_BYTES + place
 
 
-def _table(*fields: Field) -> Part:
+def _table(*fields: Field) -> Writer:
     def append(out: bytearray) -> int:
         entries = [0 if field is None else 4 + 4 * i for i, field in enumerate(fields)]
         sizes = (4 + 2 * len(fields), 4 + 4 * len(fields))
@@ -93,12 +93,12 @@ def _table(*fields: Field) -> Part:
     return append
 
 
-def _vector(*items: Field) -> Part:
+def _vector(*items: Field) -> Writer:
     return lambda out: _references(out, items, before=struct.pack("<I", len(items)))
 
 
 def _references(out: bytearray, fields: Sequence[Field], before: bytes = b"", between: bytes = b"") -> int:
-    """Append numbers and distances, between two other pieces, then what the distances lead to."""
+    """Append numbers and offsets, between two other pieces, then the objects that the offsets lead to."""
     start = len(out)
     out += before + bytes(4 * len(fields)) + between
     for at, field in enumerate(fields):
@@ -108,8 +108,9 @@ def _references(out: bytearray, fields: Sequence[Field], before: bytes = b"", be
     return start
 
 
-def _bytes(content: bytes, counted: int | None = None) -> Part:
-    """A vector of bytes, aligned to 16, as tensors are, of which the last may not count."""
+def _bytes(content: bytes, counted: int | None = None) -> Writer:
+    """A vector of bytes, aligned to 16 as tensors are; `counted` is its length where the last do not
+    count."""
 
     def append(out: bytearray) -> int:
         out += bytes(-(len(out) + 4) % 16)
@@ -121,6 +122,6 @@ def _bytes(content: bytes, counted: int | None = None) -> Part:
     return append
 
 
-def _text(text: str) -> Part:
+def _text(text: str) -> Writer:
     content = text.encode()
     return _bytes(content + b"\0", len(content))

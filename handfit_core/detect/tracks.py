@@ -1,7 +1,7 @@
-"""Following hands over a clip: which detection of one frame is which hand of the frame before.
+"""Linking detections to tracks: which detection of one frame is which hand of the frame before.
 
-A track's side is decided once, by the summed confidence of all its detections, since single frames
-are wrong now and then.
+A track's side is decided once, by the summed scores of all its detections, since single frames are wrong now
+and then.
 """
 
 from __future__ import annotations
@@ -12,60 +12,62 @@ from itertools import islice
 
 import numpy as np
 
-from handfit_core.detect.identity import told_apart
+from handfit_core.detect.identity import separate_hands
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.looks import THICKNESS, Crowd, overlapped
+from handfit_core.detect.matching import BONE_RADIUS, HandArrays, overlapped
 from handfit_core.errors import NoHandFoundError
 from handfit_core.options import HandChoice
 from handfit_core.skeleton import SIDES, Side, other_side
 
 DUPLICATE_DISTANCE = 0.25
-"""Two detections of one frame nearer than this (mean keypoint distance / hand size) are one hand."""
+"""Hand sizes (`matching.distance`); two detections of one frame nearer than this are of one hand"""
 
 OVERLAP_DISTANCE = 0.4
-"""Two tracks nearer than this in most of the frames that have both are one hand, found twice."""
+"""Hand sizes; two tracks nearer than this in most of the frames that have both are of one hand, found
+twice"""
 
-PART_SIZE, PART_INSIDE = 0.75, 0.75
+MAX_PART_SIZE, MIN_PART_INSIDE = 0.75, 0.75
 """A hand less than this share of another's size, with more than this share of its points within the other's
 box, is a part of it: fingers taken for a hand"""
 
-MATCH_DISTANCE = 1.0
-"""A hand is seen nearer than its own size to where it was expected, or it is another hand."""
+MAX_MOTION = 1.0
+"""Hand sizes; what is farther than this from where a hand was expected is another hand"""
 
 GAP_GROWTH = 0.1
-"""What each frame in which a hand was not seen adds to MATCH_DISTANCE, as a share of it, in a short gap"""
+"""What each frame without a detection adds to MAX_MOTION, as a share of it, in a short gap"""
 
 SHORT_GAP = 12
-"""After so many frames a hand of the other side, where one was lost, may well be another hand."""
+"""Frames; after a longer gap a hand of the other side may well be another hand"""
 
-LOST_AFTER = 250
-"""After so many frames a hand is not waited for; what turns up is joined to it later, if it is of its side"""
+MAX_GAP = 250
+"""Frames for which a track waits for its hand; what turns up later is joined to it if it is of its side"""
 
-MOTION_FRAMES = 3
-"""Detections back that a hand's velocity is taken over: two frames alone are mostly jitter."""
+VELOCITY_BASE = 3
+"""Detections back that a hand's velocity is taken over: two frames alone are mostly jitter"""
 
-FORESIGHT = 6
+VELOCITY_FRAMES = 6
 """Frames for which a hand is expected to keep its velocity"""
 
-STRAY_WEIGHT = 0.05
-"""A track with less than this share of the surest track's confidence is a misdetection, not a hand."""
+MIN_WEIGHT = 0.05
+"""Share of the surest track's summed score; a track with less is a false detection"""
 
-SURE_SIDE = 0.8
-"""A track whose side has less than this share of its detections' confidence may be of the other side"""
+SURE_SIDE_SHARE = 0.8
+"""A track whose side has less than this share of its summed score may be of the other side"""
 
 SIDE_PENALTY = 0.3
-"""Added to the distance when the detector names the other side, so that crossing hands keep theirs."""
+"""Hand sizes added to the distance of a detection that names the other side, so that crossing hands keep
+theirs"""
 
 
 @dataclass
 class _OpenTrack:
     detections: dict[int, HandDetection] = field(default_factory=dict)
-    """in the order of frames"""
+    """By frame, in the order of frames"""
     side_votes: dict[Side, float] = field(default_factory=lambda: dict.fromkeys(SIDES, 0.0))
 
     @classmethod
     def of(cls, detections: Mapping[int, HandDetection]) -> _OpenTrack:
-        """Of these, in the order of frames."""
+        """A track of detections by frame, in the order of frames."""
         track = cls()
         for frame, detection in detections.items():
             track.add(frame, detection)
@@ -73,7 +75,7 @@ class _OpenTrack:
 
     @property
     def given_side(self) -> Side | None:
-        """The side that a person has named."""
+        """The side that a person has given."""
         return next((d.given_side for d in self.detections.values() if d.given_side is not None), None)
 
     @property
@@ -101,13 +103,13 @@ class _OpenTrack:
     def displacement(self, frame: int) -> np.ndarray:
         """(2,) pixels by which the hand is expected to have moved in `frame`, after all its detections,
         at its last velocity."""
-        seen = list(islice(reversed(self.detections.items()), MOTION_FRAMES))
+        seen = list(islice(reversed(self.detections.items()), VELOCITY_BASE))
         (first, before), (last, now) = seen[-1], seen[0]
         # A hand that comes back after long starts anew.
-        if not 0 < last - first <= FORESIGHT:
+        if not 0 < last - first <= VELOCITY_FRAMES:
             return np.zeros(2)
         moved = now.keypoints_2d.mean(axis=0) - before.keypoints_2d.mean(axis=0)
-        return moved / (last - first) * min(frame - last, FORESIGHT)
+        return moved / (last - first) * min(frame - last, VELOCITY_FRAMES)
 
     def merge(self, other: _OpenTrack) -> None:
         """Take over another track's detections of frames that this one lacks."""
@@ -145,12 +147,12 @@ def link_and_count(
 ) -> tuple[tuple[DetectedTrack, ...], int]:
     """`link_tracks`, and among how many hands of the whole clip (of that side) it chose. `only_shown`: among
     those that a person has said to be there."""
-    merging = _Merging(_link([without_duplicates(frame) for frame in frames]))
-    merging.merge(_Merging.overlapping)
-    surest = sorted(merging.tracks, key=lambda track: track.weight, reverse=True)
-    merging = _Merging([_OpenTrack.of(each) for each in told_apart([t.detections for t in surest])])
-    merging.merge(_Merging.returning)
-    tracks = merging.tracks
+    merger = _Merger(_link([without_duplicates(frame) for frame in frames]))
+    merger.merge(_Merger.overlapping)
+    surest = sorted(merger.tracks, key=lambda track: track.weight, reverse=True)
+    merger = _Merger([_OpenTrack.of(each) for each in separate_hands([t.detections for t in surest])])
+    merger.merge(_Merger.returning)
+    tracks = merger.tracks
     if only_shown:
         tracks = [track for track in tracks if track.shown]
         if not tracks:
@@ -166,33 +168,33 @@ def link_and_count(
             "is right)"
         )
     most = max(t.weight for t in tracks)
-    sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
-    rows = [_marked([track for track, _ in chosen], sure, i) for i in range(len(frames))]
+    sure = [t for t in tracks if t.shown or t.weight >= MIN_WEIGHT * most]
+    rows = [_with_overlaps([track for track, _ in chosen], sure, i) for i in range(len(frames))]
     linked = tuple(
         DetectedTrack(side, tuple(row[i] for row in rows), fps, holes) for i, (_, side) in enumerate(chosen)
     )
     return linked, max(len(chosen), sum(hands not in SIDES or t.side == hands for t in sure))
 
 
-def _marked(
+def _with_overlaps(
     chosen: Sequence[_OpenTrack], tracks: Sequence[_OpenTrack], frame: int
 ) -> list[HandDetection | None]:
-    """The detections of the chosen tracks in a frame, with their points marked that lie where another hand
-    is."""
-    there = [track for track in tracks if frame in track.detections]
-    places = {id(track): place for place, track in enumerate(there)}
-    crowd = Crowd.of([track.detections[frame] for track in there])
-    margin = 1.001 * THICKNESS * crowd.extent[:, None]
-    first, end = crowd.low - margin, crowd.high + margin
+    """The detections of the chosen tracks in a frame, with `overlapped` set where points lie on another
+    hand."""
+    present = [track for track in tracks if frame in track.detections]
+    places = {id(track): place for place, track in enumerate(present)}
+    arrays = HandArrays.of([track.detections[frame] for track in present])
+    margin = 1.001 * BONE_RADIUS * arrays.extent[:, None]
+    first, end = arrays.box_min - margin, arrays.box_max + margin
     marked: list[HandDetection | None] = []
     for track in chosen:
         hand = track.detections.get(frame)
         if hand is not None:
-            low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
-            near = ((first <= high) & (end >= low)).all(axis=1)
+            box_min, box_max = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
+            near = ((first <= box_max) & (end >= box_min)).all(axis=1)
             if id(track) in places:
                 near[places[id(track)]] = False
-            covered = crowd.covers(hand.keypoints_2d, np.flatnonzero(near))
+            covered = arrays.covers(hand.keypoints_2d, np.flatnonzero(near))
             if hand.overlapped is not None:
                 covered = covered | hand.overlapped
             hand = replace(hand, overlapped=covered) if np.any(covered) else hand
@@ -205,9 +207,9 @@ def _choose(
 ) -> list[tuple[_OpenTrack, Side]]:
     if hands == "auto":
         most = max(t.weight for t in tracks)
-        sure = [t for t in tracks if t.shown or t.weight >= STRAY_WEIGHT * most]
-        less = _less_sure(*sure) if len(sure) == 2 else None
-        return [(t, other_side(t.side) if t is less else t.side) for t in sure[:max_hands]]
+        sure = [t for t in tracks if t.shown or t.weight >= MIN_WEIGHT * most]
+        doubtful = _of_doubtful_side(*sure) if len(sure) == 2 else None
+        return [(t, other_side(t.side) if t is doubtful else t.side) for t in sure[:max_hands]]
     if hands == "both":
         first = tracks[0]
         for second in tracks[1:]:
@@ -217,16 +219,17 @@ def _choose(
             return [(first, first.side)]
         # All named alike: of the two that were seen most, the one whose side is less sure is the other.
         second = tracks[1]
-        if _sureness(first) < _sureness(second):
+        if _side_score(first) < _side_score(second):
             return [(first, other_side(first.side)), (second, second.side)]
         return [(first, first.side), (second, other_side(second.side))]
     of_side: list[tuple[_OpenTrack, Side]] = [(t, t.side) for t in tracks if t.side == hands]
     return of_side[:1]
 
 
-def _less_sure(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | None:
-    """Of two hands that are named alike and touch, most likely the left and the right one of one person,
-    the one whose side is in doubt; None where neither is, as where two people shake hands."""
+def _of_doubtful_side(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | None:
+    """The track that is most likely of the other side: of two hands of one side that touch, as a person's
+    left and right one do, the one whose side is in doubt. None where neither is, as where two people shake
+    hands."""
     common = first.detections.keys() & second.detections.keys()
     if first.side != second.side or not any(
         overlapped(first.detections[i], second.detections[i]).any() for i in common
@@ -234,22 +237,22 @@ def _less_sure(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | None:
         return None
     shares = {t.side_votes[t.side] / t.weight: t for t in (first, second) if t.given_side is None}
     share = min(shares, default=1.0)
-    return shares[share] if share < SURE_SIDE else None
+    return shares[share] if share < SURE_SIDE_SHARE else None
 
 
-def _sureness(track: _OpenTrack) -> float:
-    """Mean confidence of the detections that agree with the track's side; nothing outweighs a person."""
+def _side_score(track: _OpenTrack) -> float:
+    """Mean score that a track's detections give to its side; infinite where a person has given it."""
     if track.given_side is not None:
         return np.inf
     return track.side_votes[track.side] / len(track.detections)
 
 
 def without_duplicates(detections: Sequence[HandDetection]) -> list[HandDetection]:
-    """One detection of each hand in one picture: the surest."""
+    """Non-maximum suppression: the best detection of each hand in one picture."""
     ordered = sorted(detections, key=lambda d: (d.shown, d.score), reverse=True)
-    crowd, hands = Crowd.of(ordered), np.zeros(0, dtype=int)
+    arrays, hands = HandArrays.of(ordered), np.zeros(0, dtype=int)
     for number in range(len(ordered)):
-        to_hands = crowd.distances(np.full(len(hands), number), crowd, hands, DUPLICATE_DISTANCE)
+        to_hands = arrays.distances(np.full(len(hands), number), arrays, hands, DUPLICATE_DISTANCE)
         if np.all(to_hands > DUPLICATE_DISTANCE):
             hands = np.append(hands, number)
     return [ordered[number] for number in hands]
@@ -263,7 +266,7 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
     for index, detections in enumerate(frames):
         if not detections:
             continue
-        tracks = [t for t in tracks if index - next(reversed(t.detections)) <= LOST_AFTER]
+        tracks = [t for t in tracks if index - next(reversed(t.detections)) <= MAX_GAP]
         cost = _costs(tracks, detections, index)
         limits = [_limit(index - next(reversed(t.detections))) for t in tracks]
         unmatched = set(range(len(detections)))
@@ -280,13 +283,13 @@ def _link(frames: Sequence[Sequence[HandDetection]]) -> list[_OpenTrack]:
 
 
 def _costs(tracks: Sequence[_OpenTrack], detections: Sequence[HandDetection], frame: int) -> np.ndarray:
-    """(tracks, detections) how little a detection looks like what is expected of a track in that frame."""
-    last, now = Crowd.of([track.last for track in tracks]), Crowd.of(detections)
+    """(tracks, detections) cost in hand sizes of assigning each detection of a frame to each track."""
+    last, now = HandArrays.of([track.last for track in tracks]), HandArrays.of(detections)
     moved = np.array([track.displacement(frame) for track in tracks]).reshape(-1, 2)
     sides = np.array([track.side == SIDES[0] for track in tracks], dtype=bool)
     named = np.array([detection.likely_side == SIDES[0] for detection in detections])
     # A pair too far apart costs as much as none, or it would push another pair apart.
-    most = 3 * MATCH_DISTANCE
+    most = 3 * MAX_MOTION
     cost = np.full((len(tracks), len(detections)), most)
     columns = np.arange(len(detections))
     for row in range(len(tracks)):
@@ -296,74 +299,82 @@ def _costs(tracks: Sequence[_OpenTrack], detections: Sequence[HandDetection], fr
 
 
 def _limit(gap: int) -> float:
-    return MATCH_DISTANCE * (1.0 + GAP_GROWTH * (gap - 1) if gap <= SHORT_GAP else 1.0)
+    return MAX_MOTION * (1.0 + GAP_GROWTH * (gap - 1) if gap <= SHORT_GAP else 1.0)
 
 
-class _Merging:
-    """Tracks, of which those of one hand are merged: their detections as arrays, in the order of frames."""
+class _Merger:
+    """Merges tracks of one hand. Holds the detections of all tracks as arrays, in the order of frames.
+
+    `rows` of a track are indices into these arrays.
+    """
 
     def __init__(self, tracks: Sequence[_OpenTrack]) -> None:
         self._tracks = tracks
         rows = sorted((frame, number) for number, track in enumerate(tracks) for frame in track.detections)
         detections = [tracks[number].detections[frame] for frame, number in rows]
-        self._crowd = Crowd.of(detections)
+        self._arrays = HandArrays.of(detections)
         self._shown = np.array([detection.shown for detection in detections], dtype=bool)
-        self._frame, self._of = np.array(rows, dtype=int).reshape(-1, 2).T.copy()
-        """(N,) the frame of each detection, and the number of its track; -1: of none any more"""
+        self._frame, self._track_of = np.array(rows, dtype=int).reshape(-1, 2).T.copy()
+        """(N,) frame of each detection, and number of its track; -1: it was dropped in a merge"""
         self._sides = np.array([SIDES.index(track.side) for track in tracks], dtype=int)
         self._merged = list(range(len(tracks)))
-        self._places = np.zeros(len(tracks) + 1, dtype=int)
-        """The places of tracks among the merged ones; as many as there are tracks: not among them yet, as it
-        is for the number -1"""
+        self._ranks = np.zeros(len(tracks) + 1, dtype=int)
+        """(tracks + 1,) rank of each track among `_merged`, by falling weight; the count of tracks for one
+        that is not among them, and in the last place, for dropped detections"""
 
     @property
     def tracks(self) -> list[_OpenTrack]:
-        """Those that there are by now."""
+        """The tracks after merging."""
         return [self._tracks[number] for number in self._merged]
 
-    def merge(self, one_hand: Callable[[_Merging, np.ndarray], np.ndarray]) -> None:
-        """Merge tracks into surer ones of the same hand: each into the surest of those that `one_hand`
-        numbers, given the track's rows."""
+    def merge(self, same_hand: Callable[[_Merger, np.ndarray], np.ndarray]) -> None:
+        """Merge each track into the surest of the surer tracks whose numbers `same_hand` returns for its
+        rows."""
         order = sorted(self._merged, key=lambda number: self._tracks[number].weight, reverse=True)
         self._merged = []
-        self._places[:] = len(self._tracks)
+        self._ranks[:] = len(self._tracks)
         for number in order:
-            mine = np.flatnonzero(self._of == number)
-            surer = one_hand(self, mine)
+            rows = np.flatnonzero(self._track_of == number)
+            surer = same_hand(self, rows)
             if not len(surer):
-                self._places[number] = len(self._merged)
+                self._ranks[number] = len(self._merged)
                 self._merged.append(number)
                 continue
-            into = int(surer[np.argmin(self._places[surer])])
-            self._of[mine] = np.where(np.isin(self._frame[mine], self._frame[self._of == into]), -1, into)
+            into = int(surer[np.argmin(self._ranks[surer])])
+            taken = np.isin(self._frame[rows], self._frame[self._track_of == into])
+            self._track_of[rows] = np.where(taken, -1, into)
             self._tracks[into].merge(self._tracks[number])
             self._sides[into] = SIDES.index(self._tracks[into].side)
 
-    def overlapping(self, mine: np.ndarray) -> np.ndarray:
-        """Of one hand that was found twice, often once as a left and once as a right one."""
-        mine, theirs = self._beside(mine)
-        same = self._crowd.distances(theirs, self._crowd, mine, OVERLAP_DISTANCE) < OVERLAP_DISTANCE
-        # Or fingers were taken for another, smaller hand.
-        smaller = self._crowd.extent[mine] < PART_SIZE * self._crowd.extent[theirs]
+    def overlapping(self, rows: np.ndarray) -> np.ndarray:
+        """Numbers of the surer tracks that overlap a track in most common frames: one hand that was found
+        twice, often once as a left and once as a right one."""
+        mine, theirs = self._concurrent(rows)
+        same = self._arrays.distances(theirs, self._arrays, mine, OVERLAP_DISTANCE) < OVERLAP_DISTANCE
+        # Fingers may have been taken for another, smaller hand.
+        smaller = self._arrays.extent[mine] < MAX_PART_SIZE * self._arrays.extent[theirs]
         part = np.flatnonzero(~same & ~self._shown[mine] & smaller)
-        same[part] = self._crowd.share_within(mine[part], theirs[part]) > PART_INSIDE
-        of, count = self._of[theirs], len(self._tracks)
-        return np.flatnonzero(2 * np.bincount(of[same], minlength=count) > np.bincount(of, minlength=count))
+        same[part] = self._arrays.share_within(mine[part], theirs[part]) > MIN_PART_INSIDE
+        tracks, count = self._track_of[theirs], len(self._tracks)
+        overlaps, common = (np.bincount(each, minlength=count) for each in (tracks[same], tracks))
+        return np.flatnonzero(2 * overlaps > common)
 
-    def returning(self, mine: np.ndarray) -> np.ndarray:
-        """Of a left hand that leaves the picture and a left hand that enters later."""
-        return np.flatnonzero(self._apart(mine)[:-1] & (self._sides == self._sides[self._of[mine[0]]]))
+    def returning(self, rows: np.ndarray) -> np.ndarray:
+        """Numbers of the surer tracks of the same side without a common frame, as a left hand leaves the
+        picture and a left hand enters later."""
+        same_side = self._sides == self._sides[self._track_of[rows[0]]]
+        return np.flatnonzero(self._disjoint(rows)[:-1] & same_side)
 
-    def _beside(self, mine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pairs of these rows with those of surer tracks in the same frame: (P,) and (P,)."""
-        first, end = (np.searchsorted(self._frame, self._frame[mine], side) for side in ("left", "right"))
+    def _concurrent(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(P,) and (P,) pairs of these rows with those of surer tracks in the same frame."""
+        first, end = (np.searchsorted(self._frame, self._frame[rows], side) for side in ("left", "right"))
         count = end - first
         theirs = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
-        surer = self._places[self._of[theirs]] < len(self._tracks)
-        return np.repeat(mine, count)[surer], theirs[surer]
+        surer = self._ranks[self._track_of[theirs]] < len(self._tracks)
+        return np.repeat(rows, count)[surer], theirs[surer]
 
-    def _apart(self, mine: np.ndarray) -> np.ndarray:
+    def _disjoint(self, rows: np.ndarray) -> np.ndarray:
         """(tracks + 1,) bool: which surer tracks are in none of the frames of these rows."""
-        apart = self._places < len(self._tracks)
-        apart[self._of[self._beside(mine)[1]]] = False
-        return apart
+        disjoint = self._ranks < len(self._tracks)
+        disjoint[self._track_of[self._concurrent(rows)[1]]] = False
+        return disjoint

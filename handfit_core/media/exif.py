@@ -1,4 +1,4 @@
-"""The few EXIF tags that matter here, read without an imaging library: how a picture is turned, and its lens.
+"""The two EXIF tags that matter here, read without an imaging library: orientation and focal length.
 
 OpenCV either drops a picture's orientation or applies it while also dropping alpha and 16 bits, so
 the tag is read here and undone by `upright`.
@@ -31,7 +31,7 @@ def read_orientation(data: bytes) -> int:
 
 
 def read_focal_35mm(data: bytes) -> float | None:
-    """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where it is not told."""
+    """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where there is none."""
     value = _short(data, _FOCAL_35MM_TAG, within=_EXIF_IFD_TAG)
     return float(value) if value else None
 
@@ -75,20 +75,20 @@ def _tiff_block(data: bytes) -> bytes | None:
     """The TIFF structure that holds the EXIF tags, from the container around it."""
     if is_tiff(data):
         return data
-    for container, mark in _MARKS.items():
+    for container, marker in _MARKERS.items():
         if re.match(container, data, re.DOTALL):
-            # That the mark stands there by chance, before such a structure, has one chance in 2^64.
-            found = re.compile(mark + rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)", re.DOTALL).search(data)
-            return data[found.end() : found.end() + _HEAD] if found else None
+            # The chance that these bytes are no EXIF marker is 2^-64.
+            found = re.compile(marker + rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)", re.DOTALL).search(data)
+            return data[found.end() : found.end() + _SCAN_BYTES] if found else None
     return None
 
 
-_MARKS = {
+_MARKERS = {
     rb"\xff\xd8": rb"\xff\xe1..Exif\0\0",
     rb"\x89PNG\r\n\x1a\n": rb"eXIf",
     rb"RIFF.{4}WEBP": rb"EXIF.{4}",
 }
-"""What stands before the tags, by what a picture begins with"""
+"""The bytes before the tags, by a picture's first bytes"""
 
 
 def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:
@@ -103,19 +103,19 @@ def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> i
 
 FILM_DIAGONAL: Final = math.hypot(36.0, 24.0)
 """mm; equivalent focal lengths are defined by equal diagonals (CIPA DCG-001)"""
-_HEAD: Final = 1 << 20
-"""Bytes; EXIF tags stand at a file's beginning"""
+_SCAN_BYTES: Final = 1 << 20
+"""EXIF tags stand at a file's beginning"""
 
 
 def known_intrinsics(media: Media) -> Intrinsics | None:
     """The camera of a photo or image sequence whose first file names its focal length (EXIF, 35 mm film);
-    None where it does not, and for videos. A picture that was cropped afterwards misleads: nothing in it
-    tells."""
+    None where it does not, and for videos. For a picture that was cropped afterwards the result is wrong,
+    which nothing in the file shows."""
     if media.source.kind == "video":
         return None
     try:
         with open(Path(media.source.files[0]), "rb") as stream:
-            focal_mm = read_focal_35mm(stream.read(_HEAD))
+            focal_mm = read_focal_35mm(stream.read(_SCAN_BYTES))
     except OSError:
         return None
     if focal_mm is None:

@@ -10,13 +10,13 @@ from typing import Final
 from handfit_core.errors import OptionError
 
 _PATTERN = re.compile(r"\s*(?P<first>\d+)?\s*(?:(?P<dash>-)\s*(?P<last>\d+)?)?\s*(?::\s*(?P<step>\d+))?\s*")
-STRETCH: Final = 96
-"""Frames of a clip that are looked at together, whoever does it: a stretch begins with a search for palms, as
+CHUNK_FRAMES: Final = 96
+"""Frames of a clip that are detected together. A chunk begins with a palm detection in the whole picture, as
 every 24th frame has one"""
-_SMALLEST_PART: Final = 4
-"""stretches: to start a process, and to read on to its first frame, should cost less than the detection"""
+_MIN_PART_CHUNKS: Final = 4
+"""To start a process, and to read on to its first frame, should cost less than the detection"""
 
-_LONGEST = 40
+_MAX_CHARS = 40
 """Characters; numbers beyond any clip's frames fit in"""
 
 
@@ -31,11 +31,11 @@ class FrameRange:
     @classmethod
     def parse(cls, text: str) -> FrameRange:
         """`10-200:2`, `10-200`, `10-`, `-200`, `15`, `:2`. Raises OptionError."""
-        match = _PATTERN.fullmatch(text) if len(text) <= _LONGEST else None
+        match = _PATTERN.fullmatch(text) if len(text) <= _MAX_CHARS else None
         if not match or not text.strip():
             raise OptionError(
-                f"'{text[:_LONGEST]}' is not a frame range; write 10-200, 10-200:2 (every second), 10-, -200 "
-                "or 15"
+                f"'{text[:_MAX_CHARS]}' is not a frame range; write 10-200, 10-200:2 (every second), 10-, "
+                "-200 or 15"
             )
         first, last, step = (int(v) if v else None for v in match.group("first", "last", "step"))
         if match["dash"] is None and first is not None:
@@ -72,11 +72,11 @@ class FrameRange:
 
 def part_ranges(frames: range, most: int) -> list[FrameRange]:
     """At most `most` ranges that tile a clip of those frame numbers, for as many machines to detect: whole
-    stretches, about equally many, and at least 384 frames each. The last is open, in case the clip is longer
-    than its header says. None where there are no frames."""
+    chunks, about equally many, and at least 384 frames each. The last is open, in case the clip is longer
+    than its header says. Empty where there are no frames."""
     if not frames:
         return []
-    stretches = frames[::STRETCH]
-    count = max(1, min(most, len(stretches) // _SMALLEST_PART))
-    firsts = [stretches[i * len(stretches) // count] for i in range(count)]
+    chunks = frames[::CHUNK_FRAMES]
+    count = max(1, min(most, len(chunks) // _MIN_PART_CHUNKS))
+    firsts = [chunks[i * len(chunks) // count] for i in range(count)]
     return [FrameRange(a, b - 1) for a, b in pairwise(firsts)] + [FrameRange(firsts[-1])]

@@ -26,8 +26,8 @@ VIDEO_SUFFIXES = frozenset(
 MAX_FRAME_NUMBER = 1_048_574
 """Blender's last frame."""
 
-WIDEST_GAPS = 10
-"""A sequence has at least one picture per so many frame numbers on average."""
+MAX_FRAME_GAP = 10
+"""Mean distance of the frame numbers of a sequence, at most"""
 
 MediaInput = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -41,8 +41,8 @@ def open_media(
     """Open a photo, a list or folder of photos, a `name.%04d.png`, `name.####.png` or glob pattern, or
     a video.
 
-    `frames` picks source frame numbers of sequences and videos. `max_megapixels` is what a picture or frame
-    may have; None: the limits of `size_limit`. Raises InputError.
+    `frames` picks source frame numbers of sequences and videos. `max_megapixels` limits the size of a picture
+    or frame; None: the defaults of `size_limit`. Raises InputError.
     """
     wanted = Wanted(frames or FrameRange(), max_megapixels)
     try:
@@ -108,7 +108,7 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
     if len(shapes) != 1 or not _can_be_frames(numbers):
         return None
     span = max(numbers) - min(numbers) + 1
-    return numbers if span <= WIDEST_GAPS * len(numbers) else None
+    return numbers if span <= MAX_FRAME_GAP * len(numbers) else None
 
 
 def numbered_like(file: Path) -> list[tuple[int, Path]]:
@@ -134,7 +134,7 @@ def _natural(path: Path) -> list[tuple[int, int, str]]:
 
 
 def matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
-    """The files of a pattern, and the numbers that stand where it has `%04d` or `####`."""
+    """The files of a pattern, and their numbers in place of its `%04d` or `####`; None for a glob pattern."""
     pieces = _NUMBER_IN_PATTERN.split(pattern.name)
     if len(pieces) == 1:
         # Only the last part is a pattern: folders may be called "[final]".
@@ -148,7 +148,7 @@ def matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
 
 
 def _open_pictures(files: list[Path], wanted: Wanted, what: str, numbers: list[int] | None = None) -> Media:
-    """A sequence of pictures; `numbers` are their frame numbers where the user said which they are."""
+    """Open a sequence of pictures; `numbers` are their frame numbers where a pattern tells them."""
     if not files:
         raise InputError(f"{what}: no pictures in it; give photos ({_suffixes(PHOTO_SUFFIXES)}) or a video")
     for file in files:
@@ -179,7 +179,7 @@ def _photo(path: Path, wanted: Wanted) -> Media:
 
 
 def _open_unknown(path: Path, wanted: Wanted) -> Media:
-    """A file whose name says nothing: its content does."""
+    """Open a file of an unknown suffix by its content."""
     if is_picture(path):
         return _photo(path, wanted)
     if is_video(path):

@@ -24,9 +24,9 @@ def read_picture(
 ) -> tuple[np.ndarray, int]:
     """Read any photo as upright (H, W, 3) uint8 RGB, and the EXIF orientation that was undone.
 
-    `as_stored` leaves the orientation alone, for pictures whose labels are in stored pixels.
-    Alpha is laid over mid grey, 16-bit and float pictures are brought to 8 bits. `max_megapixels` as in
-    `open_media`. Raises InputError.
+    `as_stored` leaves the orientation alone, for pictures whose labels are in stored pixels. Alpha is laid
+    over mid grey, 16-bit and float pictures are brought to 8 bits. `max_megapixels` is the limit of its size;
+    None: the default of `size_limit`. Raises InputError.
     """
     import cv2
 
@@ -47,7 +47,7 @@ def read_picture(
         raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
     orientation = 1 if as_stored else read_orientation(data)
     rgb = _rgb8(pixels)
-    if not is_tiff(data):  # OpenCV has turned those already
+    if not is_tiff(data):  # OpenCV turns a TIFF upright itself
         rgb = upright(rgb, orientation)
     return np.ascontiguousarray(rgb), orientation
 
@@ -105,7 +105,8 @@ class Pictures(Media):
         kind: SourceKind,
         all_numbers: list[int] | None = None,
     ) -> None:
-        """`all_numbers`: also those of pictures that are not wanted; None: all are."""
+        """`all_numbers`: frame numbers of all pictures, including those that are not wanted; None:
+        `numbers`."""
         self._files, self._numbers = files, numbers
         self._all_numbers = all_numbers or numbers
         self._max_megapixels = common_limit(files, wanted.max_megapixels)
@@ -130,15 +131,15 @@ class Pictures(Media):
         raise errors[0]
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
-        """As `Media.numbers`."""
+        """The numbers of the wanted pictures, see `Media`."""
         return self._numbers[first:][:count]
 
     def all_numbers(self) -> Sequence[int]:
-        """As `Media.all_numbers`."""
+        """The numbers of all pictures of the sequence."""
         return self._all_numbers
 
     def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
-        """As `Media.frames`. Raises InputError for a picture of another size."""
+        """Yield the pictures in order, see `Media`. Raises InputError for a picture of another size."""
         for number, file in zip(self.numbers(first, count), self._files[first:][:count], strict=True):
             # Taken out, so that it does not stay in memory.
             rgb = self._read_already.pop(file, None)

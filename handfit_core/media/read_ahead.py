@@ -1,4 +1,4 @@
-"""Reading ahead: the next frames are decoded while the detector works on this one."""
+"""Prefetching: the next frames are decoded while the detector works on this one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 DEFAULT_DEPTH = 2
-"""Frames ahead. Decoding is steady enough that more gain nothing, and each is a whole picture."""
+"""Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
 
 
 def read_ahead(items: Iterable[Item], depth: int = DEFAULT_DEPTH) -> Generator[Item, None, None]:

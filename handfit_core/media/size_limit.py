@@ -1,11 +1,11 @@
-"""Pictures and videos that claim more pixels than they may, or are no pictures and videos, are refused here,
-before anything decodes them. The core asks before OpenCV does, the add-on before Blender does.
+"""Size limits: pictures and videos that claim too many pixels, or are no pictures and videos, are refused
+before anything decodes them. The core checks before OpenCV opens a file, the add-on before Blender does.
 
-Whoever names a limit (`max_megapixels`) has named it for every picture and every frame, whatever its bits and
-its file's size. Where nobody has, pictures and videos have a limit each, and a lower one where the whole
-input has so few bytes that only a hostile one would need as much memory. Pictures with more than 8 bits per
-channel count several times (`Header.cost`) in small files, and in those with fewer bytes than pixels, which
-can hardly need so many bits.
+A limit that is given (`max_megapixels`) holds for every picture and every frame, whatever its bits and its
+file's size. By default pictures and videos have a limit each, and a lower one where the whole input has so
+few bytes that only a hostile one would need as much memory. Pictures with more than 8 bits per channel count
+several times (`Header.cost`) in small files, and in those with fewer bytes than pixels, which can hardly need
+so many bits.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from handfit_core.errors import InputError
 from handfit_core.media.headers import read_picture_header, read_video_header
 
 SMALL_FILE: Final = 10_000_000
-"""Bytes; a smaller input may claim less than a larger one. What it may claim stays below 1 GB in the worker
-and in Blender; with a larger one, nobody is surprised by what it takes."""
+"""Bytes; a smaller input may claim less than a larger one: what it may claim stays below 1 GB in the worker
+and in Blender. That a larger one needs more surprises nobody."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ _FRAMES_BY_NAME: Final = re.compile(r"%\d*d")
 
 
 def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | Limit | None:
-    """The limit for each of an input's pictures: the one that was named, or that of large files where they
-    are large together. None: each has the limit of its own file."""
+    """The limit for each of an input's pictures: the one that is given, or that of large files where the
+    pictures are large together. None: each has the limit of its own file."""
     if max_megapixels is not None or len(files) < 2:
         return max_megapixels
     left = SMALL_FILE
@@ -64,7 +64,7 @@ def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float |
 
 
 def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> None:
-    """Look at a picture's first bytes. Raises InputError where it claims more than `max_megapixels`, or is no
+    """Check a picture's header. Raises InputError where it claims more than `max_megapixels`, or is no
     picture that can be read."""
     with _opened(path) as stream:
         if stream.seek(0, 2) == 0:
@@ -76,7 +76,7 @@ def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> No
 
 
 def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None:
-    """Look at a video's first bytes; `max_megapixels` is the limit for each frame.
+    """Check a video's header; `max_megapixels` is the limit for each frame.
 
     Raises InputError where a frame is larger, and where the file is no video that holds its frames itself: a
     playlist would make FFmpeg open other files and addresses, and a name with %d in it other pictures.
@@ -119,7 +119,7 @@ def is_video(path: Path) -> bool:
 
 
 def claimed_frames(path: Path) -> int:
-    """How many frames a video claims to have; 0 where it does not tell, is none, or cannot be read."""
+    """How many frames a video claims to have; 0: it is unknown, or the file is no video that can be read."""
     try:
         with _opened(path) as stream:
             header = read_video_header(stream)
@@ -129,7 +129,7 @@ def claimed_frames(path: Path) -> int:
 
 
 def not_a_video(path: Path) -> str:
-    """What is said of a file that cannot be read as a video."""
+    """The error message for a file that cannot be read as a video."""
     return (
         f"{path}: not a video, or one that is damaged or empty; play it in a viewer, and convert it to .mp4 "
         "(H.264) if that works"

@@ -1,7 +1,7 @@
-"""What an opened input is: where its pictures came from, and its frames, numbered and with a time.
+"""Opened inputs: where the pictures came from, and the frames with their numbers and times.
 
-Frame numbers are Blender's: photos and videos count from 1, sequences use the numbers in their file
-names. Pictures come out upright, as (H, W, 3) uint8 RGB, whatever they were on disk.
+Frame numbers are Blender's: photos and videos count from 1, sequences use the numbers in their file names.
+Pictures are upright (H, W, 3) uint8 RGB, whatever they were on disk.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ SOURCE_KINDS: Final[tuple[SourceKind, ...]] = ("photo", "sequence", "video", "da
 DEFAULT_FPS: Final = 24.0
 """Frames per second of photos and sequences (Blender's own default) and of videos that name none"""
 
-_MOST_NAMES: Final = LONGEST_HEADER - (1 << 16)
-"""characters of all pictures' paths in the header, beside which the rest has room"""
+_MAX_PATHS_CHARS: Final = LONGEST_HEADER - (1 << 16)
+"""Characters of all pictures' paths in a take's header, beside which the rest has room"""
 
 
 @dataclass(frozen=True)
@@ -44,17 +44,17 @@ class Source:
     def __post_init__(self) -> None:
         """Raise TakeError for more names than a take's file holds: before a capture, and not after it."""
         count = len(json.dumps(self.files, ensure_ascii=False))
-        if count > _MOST_NAMES:
+        if count > _MAX_PATHS_CHARS:
             raise TakeError(
                 f"the paths of {len(self.files)} pictures have {count} characters, and a take holds no more "
-                f"than {_MOST_NAMES}; capture fewer frames at once, or move them to a folder with a "
+                f"than {_MAX_PATHS_CHARS}; capture fewer frames at once, or move them to a folder with a "
                 "shorter path"
             )
 
     @property
     def name(self) -> str:
-        """A short name for people: the file's stem, or for a sequence the part before the number. In it, what
-        is no UTF-8 in the file's name is a question mark."""
+        """A short name for people: the file's stem, or for a sequence the part before the number. Bytes of
+        the file's name that are no UTF-8 become question marks."""
         stem = storable(Path(self.files[0]).stem)
         if self.kind != "sequence":
             return stem
@@ -67,7 +67,7 @@ class Frame:
 
     number: int
     time: float
-    """seconds since the clip's first frame"""
+    """Seconds since the clip's first frame"""
     rgb: np.ndarray | None
     """(H, W, 3) uint8, upright; None where the picture could not be read"""
 
@@ -83,31 +83,32 @@ class Media:
     """How many frames `frames()` will yield, for progress; a video's own header may lie about it"""
 
     given: str | list[str] | None = None
-    """What it was opened from: with the same frames asked for, `open_media` opens it again. None: with that
-    it cannot be"""
+    """What it was opened from, with which `open_media` opens it again. None: it cannot be opened again"""
 
     first_and_last: tuple[int, int]
     """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
 
     def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
-        """Yield the frames in order: from the `first`-th on, counted from 0, and `count` of them at most."""
+        """Yield the frames in order, from index `first`, counted from 0, and `count` of them at most."""
         raise NotImplementedError
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
-        """Their numbers, as far as they are known without reading: a video may have fewer."""
+        """The numbers of the frames that `frames` yields with these arguments, as far as they are known
+        without reading: a video may have fewer."""
         raise NotImplementedError
 
     def all_numbers(self) -> Sequence[int]:
-        """The numbers of all its frames, whatever part of them is wanted, as far as they are known."""
+        """The numbers of all frames of the input, whatever range of them is wanted, as far as they are
+        known."""
         return self.numbers(0, self.expected_frames or None)
 
     def close(self) -> None:
-        """Let go of the file. What is read afterwards opens it again."""
+        """Release the file. A later read opens it again."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What was asked for besides the input."""
+    """The frames to read of an input, and the limit of their size."""
 
     frames: FrameRange = FrameRange()  # noqa: RUF009 (frozen)
     max_megapixels: float | None = None

@@ -20,21 +20,20 @@ from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
 log = logging.getLogger("handfit")
 
 MAX_FPS: Final = 1000.0
-_UNSTEADY: Final = 1.5
-"""frames by which a frame of a video may lie before or behind its time"""
-_WORTH_JUMPING: Final = 500
-"""frames of a video: shorter ones are read as fast as jumped in"""
+_MAX_JITTER_FRAMES: Final = 1.5
+"""By which a frame may lie before or behind its time in a video of a steady rate"""
+_MIN_SEEK_FRAMES: Final = 500
+"""Shorter videos are read from the beginning as fast as they are sought in"""
 
 
 def _frame_count(path: Path, claimed: float) -> int:
-    """How many frames a video has by its header; 0 where that does not tell, or tells of more than the file
-    has bytes."""
+    """How many frames a video has by its header; 0 where it claims none, or more than the file has bytes."""
     return int(claimed) if 0 < claimed <= path.stat().st_size else 0
 
 
 def _times(name: str) -> np.ndarray:
-    """(N,) milliseconds of a video's packets in the order in which they are seen, without decoding any; (0,)
-    where OpenCV does not tell."""
+    """(N,) presentation times of a video's packets, milliseconds, ascending, without decoding any; (0,) where
+    OpenCV has none."""
     import cv2
 
     packets, times = cv2.VideoCapture(name, cv2.CAP_FFMPEG), array("d")
@@ -64,7 +63,7 @@ class Video(Media):
             raise InputError(f"{shown(path)}: its name is no text in UTF-8; rename the file") from error
         capture = cv2.VideoCapture(self._name)
         try:
-            # What the decoder says: the container may have told another size.
+            # The decoder's size, since the container's may be another one.
             width, height = (capture.get(p) for p in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
             check_frame_size(path, int(width), int(height), wanted.max_megapixels)
             found, first = capture.read() if capture.isOpened() else (False, None)
@@ -86,7 +85,7 @@ class Video(Media):
         self.first_and_last = (used[0], used[-1]) if used else (1, 1)
         self._count = count
         self._reading: tuple[Any, int] | None = None
-        """Where somebody has read a part: OpenCV's, and the number of the frame that it gave last"""
+        """Where a part was read: OpenCV's capture, and the number of the frame that it gave last"""
         self.source = Source(kind="video", files=(str(path.resolve()),))
 
     def check_steady(self) -> None:
@@ -97,25 +96,25 @@ class Video(Media):
             return
         even = np.linspace(times[0], times[-1], len(times))
         away = float(np.abs(times - even).max() * (len(times) - 1) / max(times[-1] - times[0], 1e-9))
-        if away > _UNSTEADY:
+        if away > _MAX_JITTER_FRAMES:
             raise InputError(
                 f"{self._path}: its frame rate changes on the way (by {away:.0f} frames), so it cannot be "
                 "retimed; convert it to a constant rate, or match the scene to the clip"
             )
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
-        """As `Media.numbers`."""
+        """The numbers of the wanted frames, without an end, since the header's count is not trusted."""
         return self._range.within(1, sys.maxsize)[first:][:count]
 
     def all_numbers(self) -> range:
-        """As `Media.all_numbers`."""
+        """The numbers from 1 to the header's count, or without an end where it has none."""
         return range(1, self._count + 1 if self._count else sys.maxsize)
 
     def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
-        """As `Media.frames`; a video that breaks off there is told in a warning.
+        """Yield the frames in order, see `Media`; warns of a video that breaks off.
 
-        Whoever reads on behind what was read before has the file read on, and not from its beginning: that is
-        the only way to find a frame by its number that can be trusted.
+        Frames behind those that were read last are found by reading on, others by reading from the beginning:
+        counting is the only way to a frame's number that can be trusted.
         """
         import cv2
 
@@ -127,9 +126,9 @@ class Video(Media):
         if number >= wanted[0]:
             capture.release()
             capture, number = cv2.VideoCapture(self._name), 0
-        there = True
+        grabbed = True
         try:
-            while number < wanted[-1] and (there := capture.grab()):
+            while number < wanted[-1] and (grabbed := capture.grab()):
                 number += 1
                 if number not in wanted:
                     continue
@@ -137,12 +136,12 @@ class Video(Media):
                 rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok else None
                 yield Frame(number, (number - 1) / self.fps, rgb)
         finally:
-            if there and count is not None:
+            if grabbed and count is not None:
                 self._reading = capture, number
             else:
                 capture.release()
         within = not first or number >= wanted[0] - wanted.step
-        if not there and within and number + 1 < self._count:
+        if not grabbed and within and number + 1 < self._count:
             log.warning(
                 "%s: the video breaks off after frame %d of %d; the rest is missing",
                 self._path,
@@ -151,35 +150,35 @@ class Video(Media):
             )
 
     def pictures(self, numbers: Sequence[int], count: int) -> Iterator[np.ndarray | None]:
-        """The pictures (H, W, 3) of single frames, by increasing number, of a video in which whoever read it
-        to its end found `count` frames; None where one is not to be had.
+        """The pictures (H, W, 3) uint8 RGB of single frames, by increasing number; None for one that cannot
+        be read. `count` is the number of frames that reading to the end has found.
 
-        Frames far into a video are jumped to. Only where it has as many packets as frames is that sure to
-        be right: the time of the n-th frame is then the n-th of theirs. Else it is read from its beginning.
+        Long videos are sought in where they have as many packets as frames, since the time of the n-th frame
+        is then that of the n-th packet. Others are read from the beginning.
         """
         import cv2
 
         capture = cv2.VideoCapture(self._name)
-        times = _times(self._name) if count > _WORTH_JUMPING else np.empty(0)
-        number, jumps = 0, len(times) == count and max(numbers) <= count
+        times = _times(self._name) if count > _MIN_SEEK_FRAMES else np.empty(0)
+        number, can_seek = 0, len(times) == count and max(numbers) <= count
         try:
             for wanted in numbers:
-                if jumps and capture.set(cv2.CAP_PROP_POS_FRAMES, wanted - 1):
+                if can_seek and capture.set(cv2.CAP_PROP_POS_FRAMES, wanted - 1):
                     number = wanted - 1
-                there = True
-                while there and number < wanted:
-                    there, number = capture.grab(), number + 1
-                if jumps and capture.get(cv2.CAP_PROP_POS_MSEC) != times[wanted - 1]:
+                grabbed = True
+                while grabbed and number < wanted:
+                    grabbed, number = capture.grab(), number + 1
+                if can_seek and capture.get(cv2.CAP_PROP_POS_MSEC) != times[wanted - 1]:
                     capture.release()
                     yield from self.pictures([n for n in numbers if n >= wanted], -1)
                     return
-                ok, bgr = capture.retrieve() if there else (False, None)
+                ok, bgr = capture.retrieve() if grabbed else (False, None)
                 yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) if ok and bgr is not None else None
         finally:
             capture.release()
 
     def close(self) -> None:
-        """As `Media.close`."""
+        """Release the file. A later read opens it again."""
         if self._reading is not None:
             self._reading[0].release()
             self._reading = None

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical_arrays
-from handfit_core.detect.correction.network import LOG_SIGMA, MOST
+from handfit_core.detect.correction.network import LOG_SIGMA, MAX_FEATURE
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
@@ -182,7 +182,7 @@ def train(
 
     def forward(x: torch.Tensor) -> torch.Tensor:
         x = x + NOISE * torch.randn_like(x)
-        return network(((x - mean) / deviation).clamp(-MOST, MOST))
+        return network(((x - mean) / deviation).clamp(-MAX_FEATURE, MAX_FEATURE))
 
     loss = loss_side = torch.zeros(())
     for epoch in range(EPOCHS):

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from handfit_core.detect.correction.canonical import Canonical
-from handfit_core.detect.correction.network import LOG_SIGMA, MOST
+from handfit_core.detect.correction.network import LOG_SIGMA, MAX_FEATURE
 from handfit_core.fit.observation import lines_of_sight
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis
@@ -226,7 +226,9 @@ def train(angles: np.ndarray, seed: int, epochs: int, report: Callable[[str], No
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 2e-3, total_steps=steps)
     for epoch in range(epochs):
         seen, truth = samples_of(angles, plane, rng)
-        features = torch.tensor(np.clip((seen.features - mean) / deviation, -MOST, MOST), dtype=torch.float32)
+        features = torch.tensor(
+            np.clip((seen.features - mean) / deviation, -MAX_FEATURE, MAX_FEATURE), dtype=torch.float32
+        )
         goal = torch.tensor(truth - seen.fused, dtype=torch.float32)
         total = 0.0
         for batch in torch.randperm(len(features)).split(BATCH):

@@ -7,10 +7,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, mean_of
-from handfit_core.detect.networks import HAND_SIZE, Networks, view_of
-from handfit_core.detect.search import LEAST_PRESENCE, around
+from handfit_core.detect.matching import mean_detection
+from handfit_core.detect.networks import HAND_INPUT_PX, Networks, augmented_crops, crop_around, square_around
+from handfit_core.detect.search import SEARCH
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES, other_side
 from scripts.benchmark.shots import Shot, ShotHand
@@ -80,7 +81,7 @@ def samples_of(
             points = hand.keypoints()[0].copy()
             points[:, :2] = points[:, :2] @ turn.T
             pixels = camera.project(points)
-            detection = _looked_at(networks, seen, pixels, rng)
+            detection = _detection_near(networks, seen, pixels, rng)
             if detection is None:
                 continue
             off = np.linalg.norm(detection.keypoints_2d - pixels, axis=1).mean()
@@ -90,26 +91,25 @@ def samples_of(
     return VIEWS * len(shot.hands), found
 
 
-def _looked_at(
+def _detection_near(
     networks: Networks, rgb: np.ndarray, pixels: np.ndarray, rng: np.random.Generator
 ) -> HandDetection | None:
     """What the landmark network finds near true points (21, 2), and finds again."""
-    true = view_of(pixels)
-    middle = np.linalg.inv(true.linear) @ (HAND_SIZE / 2.0 - true.offset)
-    span, turn = HAND_SIZE / true.scale, float(np.arctan2(true.linear[1, 0], true.linear[0, 0]))
-    first = View.of_square(
+    middle, span, turn = square_around(pixels)
+    first = Crop.of_square(
         middle + rng.normal(size=2) * _OFF * span,
         span * float(np.exp(rng.normal() * _LARGER)),
-        HAND_SIZE,
+        HAND_INPUT_PX,
         turn=turn + rng.normal() * _TURNED,
     )
-    look = networks.look(rgb, first)
-    look = networks.look(rgb, view_of(look.hand.keypoints))
-    if look.presence < LEAST_PRESENCE:
+    prediction = networks.predict(rgb, first)
+    prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints))
+    if prediction.presence < SEARCH.min_presence:
         return None
     if rng.random() < 0.5:
-        return look.hand
-    return mean_of([networks.look(rgb, view).hand for view in around(look.hand.keypoints)])
+        return prediction.hand
+    crops = augmented_crops(prediction.hand.keypoints)
+    return mean_detection([networks.predict(rgb, crop).hand for crop in crops])
 
 
 def _random_view(rng: np.random.Generator) -> tuple[np.ndarray, float]:

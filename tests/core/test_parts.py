@@ -15,10 +15,10 @@ import pytest
 
 from handfit_core.errors import Cancelled, InputError, OptionError
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.frame_range import STRETCH, FrameRange, part_ranges
+from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange, part_ranges
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.parts import Part, Parts, stretches_in
+from handfit_core.parts import Part, Parts, chunks_in
 from handfit_core.pipeline import Progress, capture_to_file, detect_to_file
 from handfit_core.worker.answering import answer
 from tests.core.detect.clips import SAMPLE, picture, write_two_hands
@@ -36,9 +36,9 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def stretches(clip: Path) -> list[Path]:
-    """The clip's three stretches, each a part of its own."""
-    parts = [clip.parent / f"stretch{i}.npz" for i in range(3)]
+def chunks(clip: Path) -> list[Path]:
+    """The clip's three chunks, each a part of its own."""
+    parts = [clip.parent / f"chunk{i}.npz" for i in range(3)]
     for path, part in zip(parts, ("1-96", "97-192", "193-"), strict=True):
         detect_to_file(clip, path, ALONE, FrameRange.parse(part))
     return parts
@@ -65,22 +65,22 @@ def same_arrays(a: bytes, b: bytes) -> bool:
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 1, 0, 0)])
-def test_stretches_of_any_order_and_some_twice(
-    clip: Path, stretches: list[Path], captured: bytes, order: tuple[int, ...], tmp_path: Path
+def test_chunks_of_any_order_and_some_twice(
+    clip: Path, chunks: list[Path], captured: bytes, order: tuple[int, ...], tmp_path: Path
 ) -> None:
-    found = solved(clip, [stretches[i] for i in order], tmp_path)
+    found = solved(clip, [chunks[i] for i in order], tmp_path)
     assert same_arrays(found, captured)
     assert found == captured
 
 
 @pytest.mark.parametrize("ranges", [["-"], ["2-200", "-1", "201-210", "500-"], ["-120", "100-9999"]], ids=str)
-def test_ranges_that_fit_no_stretch(clip: Path, captured: bytes, ranges: list[str], tmp_path: Path) -> None:
+def test_ranges_that_fit_no_chunk(clip: Path, captured: bytes, ranges: list[str], tmp_path: Path) -> None:
     """One part, odd ranges, ranges in which nothing begins, that overlap or lie past the end."""
     paths = []
     for i, text in enumerate(ranges):
         paths.append(tmp_path / f"{i}.npz")
         done = detect_to_file(clip, paths[-1], ALONE, FrameRange.parse(text))
-        assert done["frames"] == 0 or done["first"] % STRETCH == 1
+        assert done["frames"] == 0 or done["first"] % CHUNK_FRAMES == 1
     assert solved(clip, paths, tmp_path) == captured
 
 
@@ -113,14 +113,14 @@ def test_a_sequence_with_holes_that_was_copied(tmp_path: Path) -> None:
     paths = [tmp_path / "0.npz", tmp_path / "1.npz"]
     detect_to_file(tmp_path / "there" / pattern, paths[0], ALONE, FrameRange(None, 1045))
     detect_to_file(tmp_path / "here" / pattern, paths[1], ALONE, FrameRange(1046, None))
-    assert [stretch.numbers[0] for path in paths for stretch in Part.load(path).stretches] == [900, 1046]
+    assert [chunk.numbers[0] for path in paths for chunk in Part.load(path).chunks] == [900, 1046]
     capture_to_file(str(tmp_path / "here" / pattern), tmp_path / "captured.npz", ALONE)
     found = solved(str(tmp_path / "here" / pattern), paths, tmp_path)
     assert found == (tmp_path / "captured.npz").read_bytes()
 
 
 def test_parts_are_solved_with_other_options_of_the_fit(
-    clip: Path, stretches: list[Path], tmp_path: Path
+    clip: Path, chunks: list[Path], tmp_path: Path
 ) -> None:
     """Nothing is detected again."""
     options = CaptureOptions(
@@ -130,7 +130,7 @@ def test_parts_are_solved_with_other_options_of_the_fit(
         intrinsics=Intrinsics(900.0, 900.0, 480.0, 180.0),
     )
     capture_to_file(clip, tmp_path / "captured.npz", replace(options, processes=1))
-    assert solved(clip, stretches, tmp_path, options) == (tmp_path / "captured.npz").read_bytes()
+    assert solved(clip, chunks, tmp_path, options) == (tmp_path / "captured.npz").read_bytes()
 
 
 def test_requests_of_the_worker(clip: Path, captured: bytes, tmp_path: Path) -> None:
@@ -165,10 +165,10 @@ def changed(path: Path, folder: Path, **fields: Any) -> Path:
         (lambda s, _: [s[0], s[2]], "no part has the frames 97-192; detect them, too, with --frames"),
         (lambda s, _: [s[1]], r"no part has the frames 1-96; detect"),
         (lambda s, _: s[:2], "the parts end before the clip does; detect what is left, .* --frames 193-$"),
-        (lambda s, to: [s[0], changed(s[2], to, first=7, stretches=[])], "no part has the frames 97-672"),
+        (lambda s, to: [s[0], changed(s[2], to, first=7, chunks=[])], "no part has the frames 97-672"),
         (
             lambda s, to: [*s, changed(s[1], to, first=0)],
-            r"frames 97 to 192 are in .*stretch0\.npz and, with other hands, in .*changed\.npz; leave one",
+            r"frames 97 to 192 are in .*chunk0\.npz and, with other hands, in .*changed\.npz; leave one",
         ),
         (lambda s, to: [s[0], changed(s[0], to, first=1), s[2]], "changed.npz: the part is damaged"),
         (lambda s, to: [s[0], changed(s[1], to, fingerprint="0")], "is of another input than"),
@@ -189,25 +189,25 @@ def changed(path: Path, folder: Path, **fields: Any) -> Path:
 @pytest.mark.usefixtures("captured")
 def test_parts_that_do_not_fit(
     clip: Path,
-    stretches: list[Path],
+    chunks: list[Path],
     given: Callable[[list[Path], Path], list[Path]],
     said: str,
     tmp_path: Path,
 ) -> None:
     output = tmp_path / "solved.npz"
     with pytest.raises(InputError) as raised:
-        capture_to_file(clip, output, ALONE, parts=Parts(given(stretches, tmp_path)))
+        capture_to_file(clip, output, ALONE, parts=Parts(given(chunks, tmp_path)))
     assert re.search(said, str(raised.value))
     assert "\n" not in str(raised.value)
     assert not output.exists()
 
 
-def test_a_clip_that_has_changed(stretches: list[Path], clip: Path, tmp_path: Path) -> None:
+def test_a_clip_that_has_changed(chunks: list[Path], clip: Path, tmp_path: Path) -> None:
     data = bytearray(clip.read_bytes())
     data[len(data) // 2] ^= 1
     (tmp_path / "two.mp4").write_bytes(data)
     with pytest.raises(InputError, match=r"another input than .*two\.mp4, or that has changed since"):
-        solved(tmp_path / "two.mp4", stretches, tmp_path)
+        solved(tmp_path / "two.mp4", chunks, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -241,12 +241,12 @@ def test_a_stopped_part_is_none(clip: Path, tmp_path: Path) -> None:
 
 def test_where_the_header_does_not_tell_how_long_a_clip_is(clip: Path) -> None:
     media = open_media(clip)
-    assert stretches_in(media, FrameRange(97, 210)) == slice(1, None)
-    assert stretches_in(media, FrameRange(98, 209)) == slice(2, 3)
-    assert stretches_in(media, FrameRange(98, 150)) == slice(2, 2)
+    assert chunks_in(media, FrameRange(97, 210)) == slice(1, None)
+    assert chunks_in(media, FrameRange(98, 209)) == slice(2, 3)
+    assert chunks_in(media, FrameRange(98, 150)) == slice(2, 2)
     media.expected_frames = 0
-    assert stretches_in(media, FrameRange(97, 210)) == slice(1, 3)
-    assert stretches_in(media, FrameRange(97, None)) == slice(1, None)
+    assert chunks_in(media, FrameRange(97, 210)) == slice(1, 3)
+    assert chunks_in(media, FrameRange(97, None)) == slice(1, None)
 
 
 @pytest.mark.parametrize("frames", [range(1, 2), range(1, 400), range(5, 20_001, 3), range(1001, 433_001)])
@@ -254,8 +254,8 @@ def test_where_the_header_does_not_tell_how_long_a_clip_is(clip: Path) -> None:
 def test_proposed_ranges_tile_a_clip(frames: range, most: int) -> None:
     parts = part_ranges(frames, most)
     assert 1 <= len(parts) <= most
-    counts = [sum(number in part for number in frames[::STRETCH]) for part in parts]
-    assert sum(counts) == len(frames[::STRETCH])
+    counts = [sum(number in part for number in frames[::CHUNK_FRAMES]) for part in parts]
+    assert sum(counts) == len(frames[::CHUNK_FRAMES])
     assert max(counts) - min(counts) <= 1
     assert len(parts) == 1 or (min(counts) >= 4 and (len(parts) == most or max(counts) < 8))
     assert parts[0].first == frames[0]

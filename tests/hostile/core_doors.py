@@ -91,9 +91,9 @@ def part(path: str) -> None:
     """Read a part of a clip, and join its hands."""
     found = Part.load(path)
     assert all(type(text) is str for text in (*found.input, found.fingerprint, found.made_by))
-    for stretch in found.stretches:
-        assert len(stretch.numbers) == len(stretch.frames)
-        frames = [with_side_judged(hands) if hands else [] for hands in stretch.frames]
+    for chunk in found.chunks:
+        assert len(chunk.numbers) == len(chunk.frames)
+        frames = [with_side_judged(hands) if hands else [] for hands in chunk.frames]
         numbers = [n for hands in frames for h in hands for n in (h.score, *h.keypoints.flat, *h.world.flat)]
         assert all(math.isfinite(n) and abs(n) <= 1e9 for n in numbers), "a hand that is beyond all bounds"
         if any(frames):

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.detect.clips import Followed
-from handfit_core.detect.cuts import Glance
-from handfit_core.detect.stretches import Stretch
+from handfit_core.detect.chunks import Chunk
+from handfit_core.detect.clips import TrackedHand
+from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.options import CaptureOptions
 from handfit_core.parts import Part
 from tests.hostile.engine import Case
@@ -26,18 +26,18 @@ HEADER: list[tuple[str, ...]] = [tuple(field.split(".")) for field in _FIELDS.sp
 
 @cache
 def good_bytes() -> bytes:
-    """Two hands in the frames of the first of two stretches."""
+    """Two hands in the frames of the first of two chunks."""
     tracks = good_take().hands
     rows = [[track.detection(row) for track in tracks] for row in range(FRAMES)]
     frames = [tuple(hand for hand in row if hand is not None) for row in rows]
-    look = Glance(np.full((18, 24, 3), 99, dtype=np.uint8))
-    followed = [Followed.of(frames[-1][0], 0.5, np.array([1.0, -2.0]))]
+    thumbnail = Thumbnail(np.full((18, 24, 3), 99, dtype=np.uint8))
+    tracked = [TrackedHand.of(frames[-1][0], 0.5, np.array([1.0, -2.0]))]
     numbers = list(range(1, FRAMES + 1))
-    stretches = [
-        Stretch(numbers, frames, followed, [2, 2], [3], look, look),
-        Stretch([n + FRAMES for n in numbers], [()] * FRAMES, [], [], [], None, None),
+    chunks = [
+        Chunk(numbers, frames, tracked, [2, 2], [3], thumbnail, thumbnail),
+        Chunk([n + FRAMES for n in numbers], [()] * FRAMES, [], [], [], None, None),
     ]
-    part = Part(["/nowhere/a.mp4"], "0" * 64, "none", CaptureOptions(), 0, stretches, ended=True)
+    part = Part(["/nowhere/a.mp4"], "0" * 64, "none", CaptureOptions(), 0, chunks, ended=True)
     with tempfile.TemporaryDirectory() as folder:
         return part.save(Path(folder) / "a.npz").read_bytes()
 

@@ -1,4 +1,5 @@
-"""A detection as the network sees it: of a right hand, upright, centred, of unit size.
+"""The canonical frame, in which the correction network sees a hand: a right one, upright, centred, of unit
+size.
 
 NumPy only; N detections at once.
 """
@@ -16,7 +17,7 @@ from handfit_core.skeleton import NUM_KEYPOINTS, WRIST_KEYPOINT, Side
 
 KNUCKLES = (5, 9, 13, 17)
 WORLD_SCALE = 10.0
-"""So that world landmarks, in metres, are of the order of one too"""
+"""Factor that brings world landmarks, in metres, to the order of one"""
 FEATURES = 3 * 3 * NUM_KEYPOINTS + 1
 
 
@@ -46,7 +47,7 @@ class Canonical:
         return turned
 
     def from_picture(self, points: np.ndarray) -> np.ndarray:
-        """The inverse of `to_picture`."""
+        """(N, 21, 3) pixels and depth in pixels about the mean of the detection's -> canonical points."""
         moved = np.array(points, dtype=np.float64)
         moved[..., :2] -= self.middle[:, None]
         moved[..., 0] *= self.mirror[:, None]
@@ -66,7 +67,9 @@ def canonical(detections: Sequence[HandDetection], sides: Sequence[Side]) -> Can
 def canonical_arrays(
     keypoints: np.ndarray, world: np.ndarray, left: np.ndarray, agreement: np.ndarray
 ) -> Canonical:
-    """As `canonical`, from arrays: (N, 21, 3) each, `left` (N,) bool, `agreement` (N,)."""
+    """Bring keypoints and world landmarks (N, 21, 3) into the canonical frame. `left` (N,) bool: taken for
+    left hands; `agreement` (N,): the detector's score for that side, negative where it named the other
+    one."""
     mirror = np.where(left, -1.0, 1.0)
     middle = keypoints[..., :2].mean(axis=1)
     points = keypoints - keypoints.mean(axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""The landmark network: three layers in NumPy, a few hundred kilobytes of weights.
+"""The correction network: three layers in NumPy, a few hundred kilobytes of weights.
 
-For a detection taken for a hand of one side it tells where the landmarks rather are, how far off each
-coordinate may still be, and whether the side is right.
+For a detection taken for a hand of one side it predicts corrected landmarks, the expected error of each
+coordinate, and the probability that the side is right.
 """
 
 from __future__ import annotations
@@ -17,17 +17,15 @@ from handfit_core.detect.correction.canonical import Canonical
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 FILE: Final = Path(__file__).parent / "data" / "landmark_network.npz"
-MOST: Final = 4.0
-"""Features beyond so many standard deviations count as that many"""
-CHUNK: Final = 512
-"""Detections looked at together; bounds the memory"""
+MAX_FEATURE: Final = 4.0
+"""Standard deviations to which features are clipped"""
 LOG_SIGMA: Final = -2.0
-"""What the network's log sigmas are counted from"""
+"""Offset that is added to the network's log sigmas"""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What the network says about N detections, in the canonical frame."""
+    """The network's output for N detections, in the canonical frame."""
 
     points: np.ndarray
     """(N, 21, 3) landmarks"""
@@ -38,7 +36,7 @@ class Correction:
 
 
 class Layers:
-    """Three layers' weights and the forward pass."""
+    """The three layers' weights and forward pass."""
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:
         self._mean = arrays["mean"].astype(np.float32)
@@ -50,7 +48,7 @@ class Layers:
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """(N, inputs) -> (N, outputs)"""
-        values = np.clip((features.astype(np.float32) - self._mean) * self._scale, -MOST, MOST)
+        values = np.clip((features.astype(np.float32) - self._mean) * self._scale, -MAX_FEATURE, MAX_FEATURE)
         for weight, bias in self._layers[:-1]:
             values = _gelu(values @ weight + bias)
         weight, bias = self._layers[-1]
@@ -58,17 +56,17 @@ class Layers:
 
 
 class LandmarkNetwork:
-    """What the layers say of detections."""
+    """Turns the layers' output into corrections."""
 
     def __init__(self, arrays: dict[str, np.ndarray]) -> None:
         self._layers = Layers(arrays)
 
-    def __call__(self, seen: Canonical) -> Correction:
-        """Correct canonical detections."""
-        values = self._layers(seen.features)
+    def __call__(self, detections: Canonical) -> Correction:
+        """Correct N detections."""
+        values = self._layers(detections.features)
         per_point = values[:, :-1].reshape(-1, NUM_KEYPOINTS, 6)
         return Correction(
-            points=seen.fused + per_point[..., :3],
+            points=detections.fused + per_point[..., :3],
             sigma=np.exp(per_point[..., 3:] + LOG_SIGMA),
             right_side=1.0 / (1.0 + np.exp(-values[:, -1])),
         )

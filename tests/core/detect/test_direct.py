@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,10 +12,11 @@ import pytest
 from handfit_core import capture, pipeline
 from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
+from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings, Quality
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.looks import View, distance
-from handfit_core.detect.networks import HAND_SIZE, PALM_SIZE, Networks, view_of
+from handfit_core.detect.matching import distance
+from handfit_core.detect.networks import HAND_INPUT_PX, PALM_INPUT_PX, Networks, crop_around
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.stills import StillFinder
 from handfit_core.detection import find_in_frame
@@ -61,11 +63,11 @@ def clip_finder(networks: Networks, most: int | None = 2) -> ClipFinder:
     return ClipFinder(DetectorSettings(max_hands=most, video=True), networks)
 
 
-def as_the_graph_cuts(view: View) -> View:
-    """MediaPipe lays the middle of the picture's first pixel onto that of the crop's first one: what it finds
-    is that of this view, half a pixel on."""
+def as_the_graph_cuts(crop: Crop) -> Crop:
+    """MediaPipe lays the middle of the picture's first pixel onto that of the crop's first one, so it
+    predicts in this crop, half a pixel on."""
     half = np.array([0.5, 0.5])
-    return View(view.linear, view.offset - view.linear @ half + half, view.size)
+    return Crop(crop.linear, crop.offset - crop.linear @ half + half, crop.size)
 
 
 def test_landmarks_are_those_of_the_graph(networks: Networks) -> None:
@@ -75,14 +77,14 @@ def test_landmarks_are_those_of_the_graph(networks: Networks) -> None:
         for number in range(2, 8):
             rgb = picture(number)
             (expected,) = graph.find(rgb, number / 25)
-            look = networks.look(rgb, as_the_graph_cuts(view_of(before.keypoints)))
-            found = look.hand.keypoints - [0.5, 0.5, 0.0]
-            found[:, :2] += np.linalg.inv(view_of(before.keypoints).linear) @ [0.5, 0.5]
+            prediction = networks.predict(rgb, as_the_graph_cuts(crop_around(before.keypoints)))
+            found = prediction.hand.keypoints - [0.5, 0.5, 0.0]
+            found[:, :2] += np.linalg.inv(crop_around(before.keypoints).linear) @ [0.5, 0.5]
             assert np.abs(found - expected.keypoints).max() < 2e-3 * expected.extent
-            assert np.abs(look.hand.world - expected.world).max() < 2e-4  # metres
-            assert look.hand.score == pytest.approx(expected.score, abs=1e-3)
-            assert look.hand.side == expected.side
-            assert look.presence > 0.9
+            assert np.abs(prediction.hand.world - expected.world).max() < 2e-4  # metres
+            assert prediction.hand.score == pytest.approx(expected.score, abs=1e-3)
+            assert prediction.hand.side == expected.side
+            assert prediction.presence > 0.9
             before = expected
 
 
@@ -92,14 +94,14 @@ def test_a_palm_leads_to_its_hand(networks: Networks, plain: Detector, turn: flo
     rgb = picture(5)
     (expected,) = plain.find(rgb)
     height, width = rgb.shape[:2]
-    whole = View.of_square(
-        np.array([width / 2, height / 2]), 1.3 * width, PALM_SIZE, turn=turn, mirrored=mirrored
+    whole = Crop.of_square(
+        np.array([width / 2, height / 2]), 1.3 * width, PALM_INPUT_PX, turn=turn, mirrored=mirrored
     )
-    palms = networks.palms(rgb, whole, 0.5)
+    palms = networks.detect_palms(rgb, whole, 0.5)
     assert len(palms) > 0
     assert palms.is_of(0, expected)
-    assert distance(networks.look(rgb, palms.view(0)).hand, expected) < 0.06
-    assert palms.view(0).size == HAND_SIZE
+    assert distance(networks.predict(rgb, palms.crop(0)).hand, expected) < 0.06
+    assert palms.crop(0).size == HAND_INPUT_PX
 
 
 def test_a_damaged_model(tmp_path: Path, landmark_model: Path) -> None:
@@ -152,7 +154,7 @@ def test_pictures_without_hands(stills: Detector) -> None:
     assert stills.find(None) == ()
 
 
-def test_a_hand_that_is_found_is_looked_at_again(stills: Detector, plain: Detector) -> None:
+def test_a_still_has_test_time_augmentation(stills: Detector, plain: Detector) -> None:
     (once,), (mean,) = plain.find(picture(5)), stills.find(picture(5))
     assert once.spread is None
     assert mean.spread is not None
@@ -162,17 +164,15 @@ def test_a_hand_that_is_found_is_looked_at_again(stills: Detector, plain: Detect
     assert distance(mean, once) < 0.05
 
 
-def test_a_large_hand_found_at_first_sight_costs_little(
-    stills: StillFinder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No tiles, no looks at what is part of it, and once it stays where it is, six looks."""
+def test_a_large_likely_hand_costs_little(stills: StillFinder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No tiles, no predictions for parts of it, one refinement and six predictions."""
     counts = runs_of(stills, monkeypatch)
     for number in (1, 13, 24):
         assert len(stills.find(picture(number))) == 1
-    assert counts == {"look": 3 * 7, "palms": 3 * len(search.WHOLE)}
+    assert counts == {"predict": 3 * 7, "detect_palms": 3 * len(search.SEARCH.whole_picture_crops)}
 
 
-def test_the_second_hand_of_a_pair_is_looked_for_near_the_first(stills: Detector) -> None:
+def test_the_second_hand_of_a_pair_is_searched_near_the_first(stills: Detector) -> None:
     """Her lower hand is no palm in the whole picture, nor in any tile."""
     rgb, _ = read_picture(ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg")
     upper, lower = stills.find(rgb)
@@ -198,27 +198,29 @@ def test_a_picture_of_100_megapixels(tmp_path: Path) -> None:
 def runs_of(finder: ClipFinder | StillFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     """How often its networks run, those of one thread."""
     monkeypatch.setattr(finder._networks, "threads", 1)
-    counts = {"look": 0, "palms": 0}
+    counts = {"predict": 0, "detect_palms": 0}
     for name in counts:
         run = getattr(finder._networks, name)
 
-        def counted(*given: object, name: str = name, run=run, **told: object):
+        def counted(*given: object, name: str = name, run=run, **extra: object):
             counts[name] += 1
-            return run(*given, **told)
+            return run(*given, **extra)
 
         monkeypatch.setattr(finder._networks, name, counted)
     return counts
 
 
-def test_a_followed_hand_costs_one_look_a_frame(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tracked_hand_costs_one_prediction_a_frame(
+    networks: Networks, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with clip_finder(networks) as finder:
         finder.find(picture(1))
         counts = runs_of(finder, monkeypatch)
-        for number in range(2, 1 + clips.SEARCH_EVERY):
+        for number in range(2, 1 + clips.TRACKING.search_interval):
             assert len(finder.find(picture(number))) == 1
-        assert counts == {"look": clips.SEARCH_EVERY - 1, "palms": 0}
-        finder.find(picture(1 + clips.SEARCH_EVERY))
-        assert counts == {"look": clips.SEARCH_EVERY, "palms": 1}
+        assert counts == {"predict": clips.TRACKING.search_interval - 1, "detect_palms": 0}
+        finder.find(picture(1 + clips.TRACKING.search_interval))
+        assert counts == {"predict": clips.TRACKING.search_interval, "detect_palms": 1}
 
 
 def two_networks(networks: Networks) -> Networks:
@@ -227,71 +229,71 @@ def two_networks(networks: Networks) -> Networks:
     return networks
 
 
-def test_a_hand_of_which_the_networks_differ_is_also_looked_at_mirrored(
+def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(
     networks: Networks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with clip_finder(two_networks(networks)) as finder:
         finder.find(picture(1))
         finder.find(picture(2))
         ((once,),) = finder.frames[1:]
-    monkeypatch.setattr(clips, "DIFFER", 0.0)
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_disagreement=0.0))
     with clip_finder(networks) as finder:
         finder.find(picture(1))
         assert len(finder.frames) == 1
         counts = runs_of(finder, monkeypatch)
         finder.find(picture(2))
         ((hand,),) = finder.frames[1:]
-    assert counts["look"] == 2
+    assert counts["predict"] == 2
     assert hand.side == once.side
     assert 0.0 < distance(hand, once) < 0.05
     np.testing.assert_array_equal(hand.keypoints_2020, once.keypoints_2020)
 
 
-@pytest.mark.parametrize(("quality", "looks"), [("draft", 1), ("best", search.ALL_LOOKS)])
-def test_quality_says_how_often_a_followed_hand_is_looked_at(
-    quality: Quality, looks: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("quality", "predictions"), [("draft", 1), ("best", search.AUGMENTATION_CROPS)])
+def test_predictions_of_a_tracked_hand_by_quality(
+    quality: Quality, predictions: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with Networks(quality=quality) as chosen, clip_finder(chosen) as finder:
         finder.find(picture(1))
         counts = runs_of(finder, monkeypatch)
         finder.find(picture(2))
         ((hand,),) = finder.frames[1:]
-    assert counts == {"look": looks, "palms": 0}
-    assert (hand.spread is None) == (looks == 1)
+    assert counts == {"predict": predictions, "detect_palms": 0}
+    assert (hand.spread is None) == (predictions == 1)
     assert (hand.keypoints_2020 is None) == (chosen._hand_2020 is None)
 
 
-def test_a_draft_of_a_photo_looks_once(stills: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_draft_of_a_photo_has_no_augmentation(stills: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
     (sure,) = stills.find(picture(1))
     with StillFinder(DetectorSettings(quality="draft")) as draft:
         counts = runs_of(draft, monkeypatch)
         (hand,) = draft.find(picture(1))
-    assert counts["look"] <= search.PASSES
+    assert counts["predict"] <= search.SEARCH.max_passes
     assert hand.spread is None
     assert hand.side == sure.side
     assert distance(hand, sure) < 0.1
 
 
 def test_any_number_of_threads_finds_the_same(networks: Networks) -> None:
-    """Which look at views, palms and hands at the same time, and leave undone what nobody asks for."""
+    """Crops run at the same time, and what nobody asks for is left undone."""
     rgb = four_hands()[..., ::-1]
     box = [0.0, 0.0, 640.0, 480.0]
     found = []
     for threads in (1, 3):
         with StillFinder(DetectorSettings(max_hands=None)) as finder:
             finder._networks.threads = threads
-            hands = [*finder.find(rgb), finder.look_in(rgb, box)]
+            hands = [*finder.find(rgb), finder.detect_in_box(rgb, box)]
             found.append([(h.side, h.certainty, *h.keypoints.ravel(), *h.world.ravel()) for h in hands if h])
     assert found[0] == found[1]
     assert len(found[0]) >= 4
     done = []
     networks.threads = 2
-    each = networks.each(lambda _, item: done.append(item) or item, range(1000))
+    each = networks.map(lambda _, item: done.append(item) or item, range(1000))
     assert [next(each) for _ in range(5)] == [*range(5)]
     each.close()
     assert len(done) < 100
     with pytest.raises(ZeroDivisionError):
-        list(networks.each(lambda _, item: 1 // item, [2, 1, 0, 1]))
+        list(networks.map(lambda _, item: 1 // item, [2, 1, 0, 1]))
 
 
 def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -> None:
@@ -309,17 +311,19 @@ def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -
     assert all(distance(hands[0], expected) < 0.1 for hands, expected in zip(found, truth, strict=True))
 
 
-def test_a_hand_that_turns_up_is_followed_back(networks: Networks) -> None:
+def test_a_new_hand_is_tracked_back(networks: Networks) -> None:
     """The second one comes in after the search of the first frame, and before the next."""
-    with_both = [np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.SEARCH_EVERY)]
+    with_both = [
+        np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.TRACKING.search_interval)
+    ]
     frames = [rgb.copy() for rgb in with_both]
     for rgb in frames[:4]:
         rgb[:, 640:] = rgb.mean(axis=(0, 1))
     with clip_finder(networks) as finder:
-        assert [len(finder.find(rgb)) for rgb in frames] == [1] * clips.SEARCH_EVERY + [2]
+        assert [len(finder.find(rgb)) for rgb in frames] == [1] * clips.TRACKING.search_interval + [2]
         found = finder.frames
-        assert len(finder._past) <= clips.LOOK_BACK
-    assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.SEARCH_EVERY - 3)
+        assert len(finder._past) <= clips.TRACKING.backtrack_frames
+    assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.TRACKING.search_interval - 3)
     for hands in found[4:]:
         mirrored = hands[1].keypoints_2d * [-1, 1] + [1280, 0]
         assert np.abs(mirrored - hands[0].keypoints_2d).mean() < 0.06 * hands[0].extent
@@ -338,7 +342,7 @@ def test_a_hand_behind_another_is_found_as_soon_as_that_one_has_passed(networks:
     with clip_finder(networks) as finder:
         found = [len(finder.find(rgb)) for rgb in frames]
         behind = found.index(1)
-        assert behind < clips.SEARCH_EVERY - 8
+        assert behind < clips.TRACKING.search_interval - 8
         assert found[behind + 2 :].index(2) < 8
         assert [len(hands) for hands in finder.frames[:behind]] == [2] * behind
 
@@ -349,14 +353,14 @@ def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pyte
         counts = runs_of(finder, monkeypatch)
         for i in range(1, 80):
             assert finder.find(BLACK if i % 10 else None) == ()
-        assert counts["palms"] < 130  # of three searches of all parts
-        assert counts["look"] < 20
-        assert not finder.followed
+        assert counts["detect_palms"] < 130  # of three searches of all parts
+        assert counts["predict"] < 20
+        assert not finder.tracked
         assert not finder._lost
 
 
 def test_past_frames_are_bounded_in_bytes(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clips, "MOST_PAST_BYTES", 3 * BLACK.nbytes)
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_past_bytes=3 * BLACK.nbytes))
     with clip_finder(networks) as finder:
         for _ in range(6):
             finder.find(BLACK)
@@ -451,7 +455,7 @@ def test_chosen_hands_and_no_others_are_captured(tmp_path: Path) -> None:
     for hand, side in zip(chosen, [wrong, *(hand.likely_side for hand in chosen[1:])], strict=True):
         (same,) = [t for t in take.hands if np.allclose(t.keypoints_2d[0], hand.keypoints_2d, atol=1e-3)]
         assert same.side == side
-    # A box that was drawn by hand about another place is one more look.
+    # A box that was drawn by hand about another place is one more prediction.
     _, shown = find_in_frame(
         photo, CaptureOptions(regions=(Region.of(box_around(hands[0])),), only_regions=True)
     )
@@ -467,7 +471,7 @@ def test_where_no_region_has_a_hand_nothing_is_captured() -> None:
         capture(photo, only_regions=True)
 
 
-def test_a_followed_hand_is_chosen_in_any_frame(tmp_path: Path) -> None:
+def test_a_tracked_hand_is_chosen_in_any_frame(tmp_path: Path) -> None:
     """Of two hands in a clip, the one whose box is given; the frame is searched as a photo is."""
     for number in range(1, 8):
         two = np.hstack([picture(number), picture(number)[:, ::-1]])
@@ -488,7 +492,7 @@ def test_a_box_starts_a_track_both_ways(
     plain: Detector, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also farther back than hands that turn up by themselves are followed."""
-    monkeypatch.setattr(clips, "LOOK_BACK", 4)
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, backtrack_frames=4))
     last = 20
     (expected,) = plain.find(picture(last))
     pattern = str(SAMPLE / "hand.%04d.jpg")
@@ -505,6 +509,6 @@ def test_a_box_starts_a_track_both_ways(
     assert said == ["the region in frame 400 was not looked at: that frame is not used"]
 
 
-def test_a_detector_that_cannot_look_into_boxes_says_so() -> None:
+def test_the_graph_cannot_detect_in_boxes() -> None:
     with pytest.raises(OptionError, match="the detector direct can"):
         capture(SAMPLE / "hand.0007.jpg", detector="mediapipe", regions=["1,2,30,40"])

@@ -98,8 +98,8 @@ def test_a_hand_alone_in_the_picture_is_not_shared_between_two() -> None:
     assert all(d is not None and whose.get(id(d.keypoints)) == 0 for d in longest.detections)
 
 
-def test_what_a_person_says_of_two_hands_is_not_contradicted() -> None:
-    """They meet, and are told to have parted where they seemed to pass."""
+def test_given_sides_are_kept() -> None:
+    """The hands meet and seem to pass; the given sides say that they parted again."""
     shape = np.random.default_rng(3).uniform(-30, 30, (21, 3))
 
     def hand(x: float, given: Side | None = None) -> HandDetection:

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import SURE_OF_SIDE, HandDetection
-from handfit_core.detect.looks import distance, overlapped
+from handfit_core.detect.keypoints import SURE_SIDE_SCORE, HandDetection
+from handfit_core.detect.matching import distance, overlapped
 from handfit_core.detect.tracks import DUPLICATE_DISTANCE, link_and_count, link_tracks, without_duplicates
 from handfit_core.errors import NoHandFoundError
 from handfit_core.skeleton import Side
@@ -19,7 +19,7 @@ def hand(x: float, side: Side = "right", score: float = 0.9, y: float = 300.0) -
 def unsure_hand(
     x: float, side: Side = "right", right_side: float = 1.0, score: float = 0.85, y: float = 300.0
 ) -> HandDetection:
-    """Whose side the detector says with a score below `SURE_OF_SIDE`, so that the network's word counts."""
+    """A hand with a score below `SURE_SIDE_SCORE`, so that the network judges its side."""
     return replace(hand(x, side, score, y), right_side=right_side)
 
 
@@ -173,7 +173,7 @@ def test_the_networks_word_decides_the_side() -> None:
 
 def test_the_network_does_not_overrule_a_sure_detector() -> None:
     """Of a clip's frames, those in which the detector is sure count for its side alone."""
-    frames = [[unsure_hand(100 + t, "left", 0.2, SURE_OF_SIDE)] for t in range(6)]
+    frames = [[unsure_hand(100 + t, "left", 0.2, SURE_SIDE_SCORE)] for t in range(6)]
     assert [track.side for track in link_tracks(frames)] == ["left"]
     with pytest.raises(NoHandFoundError, match="only a left one"):
         link_tracks(frames, "right")
@@ -285,7 +285,7 @@ def test_hands_on_one_spot_cost_less_than_their_pairs(monkeypatch: pytest.Monkey
         compared += vectors.size // 2
         return np.sqrt(np.square(vectors).sum(axis=axis))
 
-    monkeypatch.setattr("handfit_core.detect.looks._lengths", counted)
+    monkeypatch.setattr("handfit_core.detect.matching._lengths", counted)
     monkeypatch.setattr("numpy.linalg.norm", counted)
     rng, found = np.random.default_rng(0), []
     for each in crowd(300, 0.0):

@@ -1,4 +1,4 @@
-"""Single frames of a video, read and jumped to."""
+"""Single frames of a video, read and sought."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ def video(request: pytest.FixtureRequest, tmp_path: Path) -> Video:
     return Video(path, Wanted())
 
 
-def test_frames_are_the_same_read_and_jumped_to(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_the_same_read_and_sought(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
     true = {frame.number: frame.rgb for frame in video.frames(0, 90) if frame.rgb is not None}
     count = sum(1 for _ in video.frames())
-    jumps = []
+    seeks = []
     times = videos._times
-    monkeypatch.setattr(videos, "_times", lambda name: jumps.append(name) or times(name))
-    for worth in (10_000, 0):
-        monkeypatch.setattr(videos, "_WORTH_JUMPING", worth)
+    monkeypatch.setattr(videos, "_times", lambda name: seeks.append(name) or times(name))
+    for min_frames in (10_000, 0):
+        monkeypatch.setattr(videos, "_MIN_SEEK_FRAMES", min_frames)
         for numbers in ([1], [2, 3, 40], [57, 58], [1, count - 1, count]):
             found = list(video.pictures(numbers, count))
             assert len(found) == len(numbers)
             for number, picture in zip(numbers, found, strict=True):
                 assert picture is not None
                 assert number not in true or np.array_equal(picture, true[number])
-    assert len(jumps) == 4
+    assert len(seeks) == 4
 
 
 def test_where_packets_are_no_frames_it_is_read(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
     """A take that ends before the video does, a video that has lost packets, times that are no frame's."""
-    monkeypatch.setattr(videos, "_WORTH_JUMPING", 0)
+    monkeypatch.setattr(videos, "_MIN_SEEK_FRAMES", 0)
     true = [frame.rgb for frame in video.frames(0, 50)]
     times = videos._times(video._name)
     for told in (times, times[1:], times + 7.0, np.empty(0)):

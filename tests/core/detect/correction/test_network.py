@@ -9,7 +9,13 @@ import torch
 
 from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
 from handfit_core.detect.correction.corrected import corrected
-from handfit_core.detect.correction.network import FILE, LOG_SIGMA, MOST, LandmarkNetwork, landmark_network
+from handfit_core.detect.correction.network import (
+    FILE,
+    LOG_SIGMA,
+    MAX_FEATURE,
+    LandmarkNetwork,
+    landmark_network,
+)
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.skeleton import Side
 from tests.core.fit.detections import landmarks_of, mirror_image, poses, seen
@@ -41,7 +47,7 @@ def torch_forward(arrays: dict[str, np.ndarray], seen: Canonical) -> torch.Tenso
         linear.weight.data, linear.bias.data = weight, torch.tensor(arrays[f"bias_{i}"].astype(np.float64))
         layers += [linear, torch.nn.GELU(approximate="tanh")]
     mean, deviation = (torch.tensor(arrays[n].astype(np.float64)) for n in ("mean", "deviation"))
-    values = ((torch.tensor(seen.features) - mean) / deviation).clamp(-MOST, MOST)
+    values = ((torch.tensor(seen.features) - mean) / deviation).clamp(-MAX_FEATURE, MAX_FEATURE)
     with torch.no_grad():
         return torch.nn.Sequential(*layers[:-1])(values)
 

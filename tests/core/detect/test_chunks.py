@@ -1,4 +1,4 @@
-"""A clip in stretches: joined without a seam, the same from any number of threads."""
+"""A clip in chunks: joined without a seam, the same from any number of threads."""
 
 import os
 from dataclasses import replace
@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.detect import sharing, stretches
-from handfit_core.detect.cuts import Glance
+from handfit_core.detect import chunks, sharing
+from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, Detected
-from handfit_core.detect.stretches import Stretch
+from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
@@ -56,7 +56,7 @@ def alone(clip: Path) -> Detected:
     return detect_frames(open_media(clip), CaptureOptions(processes=1))
 
 
-def test_hands_go_on_over_the_ends_of_stretches(alone: Detected) -> None:
+def test_hands_are_tracked_over_seams(alone: Detected) -> None:
     counts = np.array([len(frame) for frame in alone.frames])
     assert counts.min() == 1
     there = np.array([40 <= i < 80 or 90 <= i < 150 for i in range(210)])
@@ -67,11 +67,11 @@ def test_hands_go_on_over_the_ends_of_stretches(alone: Detected) -> None:
 
 @pytest.mark.parametrize("processes", [2, 3])
 def test_any_number_of_threads_finds_the_same(clip: Path, alone: Detected, processes: int) -> None:
-    told: list[int] = []
-    found = detect_frames(open_media(clip), CaptureOptions(processes=processes), told.append)
+    progress: list[int] = []
+    found = detect_frames(open_media(clip), CaptureOptions(processes=processes), progress.append)
     assert same(found, alone)
-    assert told == sorted(set(told))
-    assert told[-1] == 210
+    assert progress == sorted(set(progress))
+    assert progress[-1] == 210
 
 
 def test_a_part_of_the_frames(clip: Path) -> None:
@@ -81,34 +81,34 @@ def test_a_part_of_the_frames(clip: Path) -> None:
     assert same(*found)
 
 
-def test_a_stretch_that_sees_less_is_helped_by_its_neighbours(
+def test_hands_are_tracked_into_neighbouring_chunks(
     clip: Path, alone: Detected, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Palms are found in the second stretch alone; the others have what is followed from there, as far as
+    """Palms are detected in the second chunk alone; the others have what is tracked from there, as far as
     that goes, and no farther."""
-    search = stretches.ClipFinder._search
+    search = chunks.ClipFinder._search
     monkeypatch.setattr(
-        stretches.ClipFinder, "_search", lambda finder, *given: search(finder, *given) if active else []
+        chunks.ClipFinder, "_search", lambda finder, *given: search(finder, *given) if active else []
     )
-    stretch = stretches.ClipDetector.stretch
+    chunk = chunks.ClipDetector.chunk
     active = False
 
     def only_the_second(detector, index: int, *given):
         nonlocal active
         active = index == 1
-        return stretch(detector, index, *given)
+        return chunk(detector, index, *given)
 
-    monkeypatch.setattr(stretches.ClipDetector, "stretch", only_the_second)
+    monkeypatch.setattr(chunks.ClipDetector, "chunk", only_the_second)
     found = detect_frames(open_media(clip), CaptureOptions(processes=1))
     counts = [len(frame) for frame in found.frames]
-    end = stretches.STRETCH
-    back = end - stretches.LOOK_BACK
+    end = chunks.CHUNK_FRAMES
+    back = end - chunks.TRACKING.backtrack_frames
     assert counts[:back] == [0] * back
     assert counts[back:end] == [1 + (i >= 90) for i in range(back, end)]
     assert min(counts[end:]) == 1
 
 
-def test_what_goes_wrong_in_another_thread_is_told_here(tmp_path: Path) -> None:
+def test_an_error_in_another_thread_is_raised_here(tmp_path: Path) -> None:
     for i in range(200):
         cv2.imwrite(
             str(tmp_path / f"a.{i:04}.png"), np.zeros((64, 48 if i == 150 else 64, 3), dtype=np.uint8)
@@ -117,7 +117,7 @@ def test_what_goes_wrong_in_another_thread_is_told_here(tmp_path: Path) -> None:
         detect_frames(open_media(tmp_path), CaptureOptions(processes=3))
 
 
-def test_stopping_keeps_what_has_no_gap(clip: Path, alone: Detected) -> None:
+def test_stopping_keeps_the_frames_before_the_first_gap(clip: Path, alone: Detected) -> None:
     stopped = False
 
     def on_frame(done: int) -> None:
@@ -132,7 +132,7 @@ def test_stopping_keeps_what_has_no_gap(clip: Path, alone: Detected) -> None:
 
 
 def test_another_shot_starts_anew(tmp_path: Path) -> None:
-    """The hand is where one was before, and nobody follows it there."""
+    """The hand is where one was before, and is no continuation of it."""
     other = cv2.imread(str(SAMPLE / "hand.0001.jpg"))
     assert other is not None
     shots = [picture(0)[..., ::-1]] * 6, [255 - other[::-1]] * 5, [picture(3)[:, ::-1, ::-1]] * 6
@@ -144,36 +144,36 @@ def test_another_shot_starts_anew(tmp_path: Path) -> None:
     assert [len(hands) for hands in found.frames[11:]] == [1] * 6
 
 
-def test_motion_and_light_are_no_cuts() -> None:
-    looks = [Glance.at(picture(number)) for number in range(24)]
-    assert not any(b.is_cut_from(a) for a, b in pairwise(looks))
-    assert not Glance.at(np.clip(picture(1) * 1.5 + 30, 0, 255).astype(np.uint8)).is_cut_from(looks[0])
-    assert Glance.at(255 - picture(1)).is_cut_from(looks[0])
+def test_motion_and_light_are_no_shot_boundaries() -> None:
+    thumbnails = [Thumbnail.of(picture(number)) for number in range(24)]
+    assert not any(b.is_cut_from(a) for a, b in pairwise(thumbnails))
+    assert not Thumbnail.of(np.clip(picture(1) * 1.5 + 30, 0, 255).astype(np.uint8)).is_cut_from(
+        thumbnails[0]
+    )
+    assert Thumbnail.of(255 - picture(1)).is_cut_from(thumbnails[0])
 
 
 @pytest.mark.parametrize(
     ("asked", "frames", "expected"), [(1, 1000, 1), (5, 1000, 5), (5, 100, 2), (5, 96, 1), (3, 0, 3)]
 )
 def test_how_many_threads(asked: int, frames: int, expected: int) -> None:
-    assert sharing.usable_count(asked, frames) == expected
+    assert sharing.thread_count(asked, frames) == expected
 
 
 def test_one_thread_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    for cores, expected in ((1, 1), (2, 2), (5, 5), (64, sharing.MOST)):
+    for cores, expected in ((1, 1), (2, 2), (5, 5), (64, sharing.MAX_THREADS)):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: range(cores), raising=False)
-        assert sharing.usable_count(None, 10_000) == expected
+        assert sharing.thread_count(None, 10_000) == expected
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    assert sharing.usable_count(None, 10_000) == 3
+    assert sharing.thread_count(None, 10_000) == 3
 
 
-def test_another_thread_looks_with_the_clip_of_the_named_detector(
-    clip: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Blind(stretches.ClipDetector):
-        def stretch(self, index: int, *_: object) -> Stretch:
-            numbers = [7 + index] * (stretches.STRETCH if index < 2 else 1)
-            return Stretch(numbers, [()] * len(numbers), [], [3], [], None, None)
+def test_other_threads_use_the_named_detector(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Blind(chunks.ClipDetector):
+        def chunk(self, index: int, *_: object) -> Chunk:
+            numbers = [7 + index] * (chunks.CHUNK_FRAMES if index < 2 else 1)
+            return Chunk(numbers, [()] * len(numbers), [], [3], [], None, None)
 
     blind = replace(DETECTORS.get("direct"), clip=Blind)
     monkeypatch.setitem(DETECTORS._parts, "direct", blind)

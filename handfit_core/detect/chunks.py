@@ -1,0 +1,235 @@
+"""A clip in chunks of frames, which are detected independently and then joined.
+
+The hands of a chunk depend on its frames alone, and what joining adds at a seam depends on both chunks. So a
+clip's hands are the same whichever threads and machines have detected its chunks, and in whatever order.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from typing import Self
+
+import numpy as np
+
+from handfit_core.detect.clips import (
+    TRACKING,
+    ClipFinder,
+    PastFrames,
+    PastJpegs,
+    TrackedHand,
+    extend_track,
+)
+from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
+from handfit_core.detect.matching import is_same_hand
+from handfit_core.detect.networks import Networks
+from handfit_core.detect.opening import settings_of
+from handfit_core.detect.regions import detect_frame
+from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.media.frame_range import CHUNK_FRAMES
+from handfit_core.media.read_ahead import read_ahead
+from handfit_core.media.source import Frame, Media
+from handfit_core.options import CaptureOptions
+
+
+@dataclass(frozen=True, eq=False)
+class Chunk:
+    """The hands in consecutive frames of a clip."""
+
+    numbers: list[int]
+    """Numbers of its frames: fewer than `CHUNK_FRAMES` at the clip's end"""
+    frames: list[tuple[HandDetection, ...]]
+    tracked: list[TrackedHand]
+    """The hands of its last frame"""
+    counts: list[int]
+    """How many hands were seen at once, where palms were detected in the whole picture"""
+    cuts: list[int]
+    """Rows that begin another shot"""
+    first: Thumbnail | None
+    last: Thumbnail | None
+    """Of its first and last readable pictures; None: there are none"""
+
+    @classmethod
+    def of(cls, finder: ClipFinder, numbers: list[int]) -> Chunk:
+        """What a finder has found in the frames of these numbers."""
+        first, last = (finder.thumbnails[0], finder.thumbnails[-1]) if finder.thumbnails else (None, None)
+        return cls(numbers, finder.frames, finder.tracked, finder.counts, finder.cuts, first, last)
+
+
+def chunks_to_arrays(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
+    """C chunks as arrays for `.npz` files and messages: `sizes` (C, 4) counts the frames, tracked hands,
+    counts and cuts of each chunk; the other arrays have the rows of all chunks, one after the other."""
+    readable = [c for c in chunks if c.first is not None and c.last is not None]
+    thumbnails = [[each.pixels for each in (c.first, c.last) if each is not None] for c in readable]
+    sizes = [(len(c.numbers), len(c.tracked), len(c.counts), len(c.cuts)) for c in chunks]
+    return hands_to_arrays([h for c in chunks for h in (*c.frames, [t.last for t in c.tracked])]) | {
+        "sizes": np.array(sizes, dtype=np.int64).reshape(-1, 4),
+        "numbers": np.array([n for c in chunks for n in c.numbers], dtype=np.int64),
+        "velocity": np.array([t.velocity for c in chunks for t in c.tracked]).reshape(-1, 2),
+        "seen": np.array([n for c in chunks for n in c.counts], dtype=np.int64),
+        "cuts": np.array([n for c in chunks for n in c.cuts], dtype=np.int64),
+        "looked": np.array([c.first is not None for c in chunks], dtype=bool),
+        "glances": np.array(thumbnails, dtype=np.uint8) if readable else np.zeros((0, 2, 0, 0, 3), np.uint8),
+    }
+
+
+def chunks_from_arrays(arrays: Mapping[str, np.ndarray], threshold: float) -> list[Chunk]:
+    """The inverse of `chunks_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
+    arrays do not fit together."""
+    rows = {name: iter(arrays[name].tolist()) for name in ("numbers", "seen", "cuts")}
+    velocities, thumbnails = iter(arrays["velocity"]), iter(arrays["glances"])
+    hands = iter(hands_from_arrays(arrays))
+    chunks = []
+    for sizes, readable in zip(arrays["sizes"].tolist(), arrays["looked"], strict=True):
+        frame_count, tracked_count, counts, cuts = sizes
+        numbers = list(islice(rows["numbers"], frame_count))
+        frames = list(islice(hands, frame_count))
+        last_hands = next(hands, None)
+        if last_hands is None or (len(numbers), len(last_hands)) != (frame_count, tracked_count):
+            raise ValueError("its rows do not fit together")
+        moving = zip(last_hands, islice(velocities, tracked_count), strict=True)
+        first, last = map(Thumbnail, next(thumbnails, ())) if readable else (None, None)
+        chunks.append(
+            Chunk(
+                numbers,
+                frames,
+                [TrackedHand.of(hand, threshold, velocity) for hand, velocity in moving],
+                list(islice(rows["seen"], counts)),
+                list(islice(rows["cuts"], cuts)),
+                first,
+                last,
+            )
+        )
+    return chunks
+
+
+class ClipDetector:
+    """Finds the hands of one clip with MediaPipe's networks. Use it as a context manager.
+
+    Raises LandmarkModelError when the model file is missing or damaged.
+    """
+
+    def __init__(self, media: Media, options: CaptureOptions) -> None:
+        self.media = media
+        self._options = options
+        self._settings = settings_of(options, video=True)
+        self._networks = Networks(options.landmark_model, quality=options.quality)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the networks' threads and memory back, and let go of the file."""
+        self._networks.close()
+        self.media.close()
+
+    def single_threaded(self) -> None:
+        """Use one thread, since other threads detect other chunks."""
+        self._networks.threads = 1
+
+    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> Chunk:
+        """Detect the hands of the chunk with that index, counted from 0. `on_frame` is called with the count
+        of its frames so far; `should_stop` is asked before each, and ends the chunk there."""
+        rows = index * CHUNK_FRAMES, CHUNK_FRAMES
+        regions = [
+            r for r in self._options.regions if r.frame is None or r.frame in self.media.numbers(*rows)
+        ]
+        whole_past = any(region.frame is not None for region in regions)
+        finder = ClipFinder(self._settings, self._networks, whole_past=whole_past)
+        numbers: list[int] = []
+        with closing(read_ahead(self.media.frames(*rows))) as frames:
+            for frame in frames:
+                if should_stop():
+                    break
+                detect_frame(finder, frame, regions, first=index == 0 and not numbers)
+                numbers.append(frame.number)
+                on_frame(len(numbers))
+        return Chunk.of(finder, numbers)
+
+    def joined(self, chunks: Sequence[Chunk]) -> tuple[list[tuple[HandDetection, ...]], list[int]]:
+        """The hands of a clip's frames, with sides judged, and the rows that begin another shot.
+
+        At every seam, hands that end one chunk and do not begin the next are tracked into it, and hands that
+        begin a chunk and do not end the one before are tracked back.
+        """
+        frames = [frame for chunk in chunks for frame in chunk.frames]
+        starts = np.cumsum([0, *(len(chunk.frames) for chunk in chunks)]).tolist()
+        cuts = [start + row for start, chunk in zip(starts, chunks, strict=False) for row in chunk.cuts]
+        cuts += [
+            start
+            for start, (before, after) in zip(starts[1:], pairwise(chunks), strict=False)
+            if before.last is not None and after.first is not None and after.first.is_cut_from(before.last)
+        ]
+        reader = _FrameReader(self.media)
+        carried: list[TrackedHand] = []
+        for start, end, (before, after) in zip(starts[1:], starts[2:], pairwise(chunks), strict=False):
+            going, carried = [*before.tracked, *carried], []
+            if start in cuts or before.last is None or after.first is None:
+                continue  # another shot, or a chunk without readable frames
+            new = [
+                TrackedHand.of(hand, self._settings.threshold)
+                for hand in after.frames[0]
+                if not any(is_same_hand(hand, other.last) for other in going)
+            ]
+            for tracked in new:
+                past = reader.back_from(start, whole=tracked.last.shown, cuts=cuts)
+                for row, rgb in past:
+                    if rgb is not None and not extend_track(self._networks, tracked, rgb, row, frames):
+                        break
+            carried = [t for t in going if not any(is_same_hand(t.last, hand) for hand in after.frames[0])]
+            for row in range(start, end):
+                if not carried or row in cuts:
+                    carried = []
+                    break
+                rgb = reader.picture(row)
+                if rgb is not None:
+                    carried = [t for t in carried if extend_track(self._networks, t, rgb, row, frames)]
+        judged = iter(with_side_judged([hand for frame in frames for hand in frame]))
+        return [tuple(next(judged) for _ in frame) for frame in frames], sorted(cuts)
+
+
+class _FrameReader:
+    """Reads single frames of a clip once more, most of them in order."""
+
+    def __init__(self, media: Media) -> None:
+        self._media = media
+        self._frames: Iterator[Frame] = iter(())
+        self._next = 0
+        self._past = PastFrames()
+
+    def picture(self, row: int) -> np.ndarray | None:
+        """(H, W, 3) uint8 RGB of the frame with that index; None where it cannot be read."""
+        if self._next - len(self._past) <= row < self._next:
+            return list(self._past.backwards())[self._next - 1 - row]
+        if not self._next <= row <= self._next + TRACKING.backtrack_frames:
+            self._past.clear()
+            self._frames, self._next = self._media.frames(row, sys.maxsize), row
+        while self._next <= row:
+            frame = next(self._frames, None)
+            self._past.append(None if frame is None else frame.rgb)
+            self._next += 1
+        return next(self._past.backwards())
+
+    def back_from(
+        self, row: int, *, whole: bool, cuts: Sequence[int]
+    ) -> Iterator[tuple[int, np.ndarray | None]]:
+        """The rows before that one and their pictures, the last first, back to where the shot begins, but no
+        more than memory holds. With `whole` they are kept as JPEGs, which are more."""
+        begin = max((cut for cut in cuts if cut < row), default=0)
+        past: PastFrames = PastJpegs()
+        if whole:
+            for frame in self._media.frames(begin, row - begin):
+                past.append(frame.rgb)
+        else:
+            begin = max(begin, row - TRACKING.backtrack_frames)
+            for here in range(begin, row):
+                self.picture(here)
+            past = self._past
+        yield from zip(range(row - 1, begin - 1, -1), past.backwards(), strict=False)

@@ -1,0 +1,97 @@
+"""Square crops of a picture: what a network sees, and the way back to the picture's pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.detect.keypoints import HandDetection
+from handfit_core.skeleton import other_side
+
+
+def downscale(rgb: np.ndarray, block_width: int, block_height: int) -> np.ndarray:
+    """Average whole blocks of pixels: (H, W, 3) uint8 to (H // block_height, W // block_width, 3), at least
+    one pixel a side. What is left over at the right and the bottom does not count."""
+    import cv2
+
+    height, width = max(1, rgb.shape[0] // block_height), max(1, rgb.shape[1] // block_width)
+    whole = rgb[: height * block_height, : width * block_width]
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+
+
+@dataclass(frozen=True, eq=False)
+class Crop:
+    """A square of a picture, turned, scaled and perhaps mirrored to `size` pixels a side.
+
+    q = linear @ p + offset takes picture pixels p to crop pixels q. A pixel is an area: the picture spans
+    0..W by 0..H, and its first pixel's centre is (0.5, 0.5).
+    """
+
+    linear: np.ndarray
+    """(2, 2) rotation, perhaps times a mirroring, times one positive scale"""
+    offset: np.ndarray
+    """(2,) crop pixels"""
+    size: int
+    """Pixels a side"""
+
+    @classmethod
+    def of_square(
+        cls, centre: np.ndarray, span: float, size: int, *, turn: float = 0.0, mirrored: bool = False
+    ) -> Crop:
+        """The square of `span` picture pixels about `centre` (2,), turned clockwise (as seen, y down) by
+        `turn` radians; `mirrored` swaps left and right before that."""
+        cos, sin = np.cos(turn), np.sin(turn)
+        linear = np.array([[cos, -sin], [sin, cos]]) * (size / span)
+        if mirrored:
+            linear[:, 0] *= -1.0
+        return cls(linear, size / 2.0 - linear @ np.asarray(centre, dtype=np.float64), size)
+
+    @property
+    def scale(self) -> float:
+        """Crop pixels per picture pixel."""
+        return float(np.sqrt(abs(np.linalg.det(self.linear))))
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether left and right hands are swapped."""
+        return bool(np.linalg.det(self.linear) < 0.0)
+
+    def render(self, rgb: np.ndarray) -> np.ndarray:
+        """Cut it out of a picture: (H, W, 3) uint8 -> (size, size, 3) uint8. Beyond the picture its border is
+        repeated."""
+        import cv2
+
+        height, width = rgb.shape[:2]
+        linear, offset, half = self.linear, self.offset, 0.5 / self.scale
+        # Only the part that is seen is warped, with the margin that its outer pixels mix in.
+        corners = (np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * self.size - offset) @ np.linalg.inv(linear).T
+        margin = 2.0 + 2.0 * half
+        first = np.clip(np.floor(corners.min(axis=0) - margin), 0, [width - 1, height - 1]).astype(int)
+        last = np.clip(np.ceil(corners.max(axis=0) + margin), first + 1, [width, height]).astype(int)
+        rgb, offset = rgb[first[1] : last[1], first[0] : last[0]], offset + linear @ first
+        if half >= 1.5:
+            # Linear interpolation alone would skip pixels, so whole blocks are averaged first.
+            block = np.minimum(round(half), last - first)
+            rgb, linear = downscale(rgb, *block), linear * block
+        # OpenCV's coordinates have their origin at the centre of the first pixel.
+        centred = offset + linear @ np.array([0.5, 0.5]) - 0.5
+        return cv2.warpAffine(
+            rgb,
+            np.column_stack([linear, centred]),
+            (self.size, self.size),
+            flags=cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+
+    def to_picture(self, hand: HandDetection) -> HandDetection:
+        """Map a hand detected in the crop to the picture: its pixels, world axes and side."""
+        world, inverse = hand.world.copy(), np.linalg.inv(self.linear)
+        world[:, :2] = world[:, :2] @ (inverse * self.scale).T
+        side = other_side(hand.side) if self.mirrored else hand.side
+        return HandDetection(side, hand.score, self.points_to_picture(hand.keypoints), world)
+
+    def points_to_picture(self, points: np.ndarray) -> np.ndarray:
+        """Map points (21, 3) with depth from crop pixels to picture pixels."""
+        plane = (points[:, :2] - self.offset) @ np.linalg.inv(self.linear).T
+        return np.column_stack([plane, points[:, 2] / self.scale])
