@@ -27,7 +27,7 @@ from handfit_core.arrays import (
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import Unfit
 from handfit_core.errors import ProtocolError, TakeError
-from handfit_core.slices import result_of
+from handfit_core.slices import run_to_completion
 
 ROWS = 4
 SEEN = np.array([True, True, False, True])
@@ -122,7 +122,10 @@ def test_they_come_back(depth: np.ndarray | None) -> None:
     stream = io.BytesIO()
     np.savez(stream, **kept_arrays(one, "hand0_", np.float32))
     archive = NpzArchive(stream.getvalue(), 100_000)
-    for found in (unpacked_arrays(Motion, message), result_of(reading_arrays(Motion, archive, "hand0_"))):
+    for found in (
+        unpacked_arrays(Motion, message),
+        run_to_completion(reading_arrays(Motion, archive, "hand0_")),
+    ):
         back = Motion("left", **found)
         check_arrays(back, T=ROWS)
         for name, value in arrays_of(one).items():
@@ -150,7 +153,7 @@ def test_what_is_refused_before_it_is_made(changes: dict[str, Any], of_messages:
     stream = io.BytesIO()
     np.savez_compressed(stream, **{f"hand0_{name}": value for name, value in given.items()})
     with pytest.raises((KeyError, NotNpz), match=of_files):
-        result_of(reading_arrays(Motion, NpzArchive(stream.getvalue(), 100_000), "hand0_"))
+        run_to_completion(reading_arrays(Motion, NpzArchive(stream.getvalue(), 100_000), "hand0_"))
 
 
 def test_a_message_names_the_array_that_is_none() -> None:
