@@ -74,7 +74,7 @@ class Job:
     ask_if_many: bool = False
     """Whether the artist chooses first where there are more than a few hands"""
     bare: bool = False
-    """Whether nobody looks for hands: the picture is shown for an artist to add some"""
+    """Whether no hands are detected: the picture is shown for an artist to add some"""
     button: Literal["capture", "frame", "add"] = "capture"
     """the button of the panel that queued the job"""
     then_add_hand: bool = False

@@ -35,7 +35,7 @@ FARTHEST: Final = 1e6
 """pixels; no region lies farther out, or is larger"""
 
 CLIP_HANDS: Final = 2
-"""How many hands of a clip are kept where nobody says how many; further ones are not even looked for"""
+"""How many hands of a clip are kept where nobody says how many; further ones are not even searched"""
 
 CROWD: Final = 10
 """More hands than this are not built without asking: each is a rig"""

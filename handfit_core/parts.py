@@ -1,7 +1,7 @@
 """Parts of a clip that were detected for themselves, on whichever machines, and are solved together.
 
-A chunk's hands depend on its frames alone, so that the chunks of all parts are what one process would have
-found in the whole clip. docs/batch.md tells how parts are made.
+A chunk's hands depend on its frames alone, so that the chunks of all parts are what one capture would
+have found in the whole clip. docs/batch.md tells how parts are made.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ def capture(
         Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
         frames seen so far, or all frames with those hands that were fitted; the others count as not detected.
     parts
-        What was found before in parts of the clip; hands are looked for otherwise.
+        What was found before in parts of the clip; hands are detected otherwise.
 
     Raises a `HandfitError` whose message is meant for the user: OptionError, InputError (also for parts that
     do not fit), NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a
@@ -111,8 +111,8 @@ def _check(options: CaptureOptions) -> None:
 
 
 def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
-    """A take of that source in which nobody has looked for hands: its frames, size and camera. Raises what
-    `capture` raises before it looks at the pictures."""
+    """A take of that source in which no hands were detected: its frames, size and camera. Raises what
+    `capture` raises before it detects any."""
     media, known = opened(source, options)
     intrinsics = known or Intrinsics.assumed(media.width, media.height)
     files = [Path(file) for file in media.source.files]

@@ -83,12 +83,12 @@ class HandSource(Protocol):
 
     @property
     def recording(self) -> Recording | None:
-        """What another program has found; None: hands are looked for in the pictures."""
+        """What another program has found; None: hands are detected in the pictures."""
         ...
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:
-        """Find the wanted hands. `on_frame` gets the count of frames that were looked at; `should_stop` is
-        asked before each.
+        """Find the wanted hands. `on_frame` gets the count of frames that are done; `should_stop` is asked
+        before each.
 
         Raises NoHandFoundError, and Cancelled where it was stopped before a hand was found."""
         ...
@@ -96,7 +96,7 @@ class HandSource(Protocol):
 
 @dataclass(frozen=True)
 class Pictures:
-    """A photo, a sequence or a video, in which a detector looks for hands."""
+    """A photo, a sequence or a video, in which a detector finds hands."""
 
     media: Media
     known: Intrinsics | None
@@ -284,7 +284,7 @@ def _tracked(
 
 
 def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldStop) -> list[DetectedTrack]:
-    """The wanted hands, each followed over the clip. Raises NoHandFoundError, and Cancelled where detection
+    """The wanted hands, each tracked over the clip. Raises NoHandFoundError, and Cancelled where detection
     was stopped before one was found."""
     hands, most = options.hands, options.most_hands(clip=media.source.kind != "photo")
     holes = sorted({*_holes(seen.numbers), *(row - 1 for row in seen.cuts)})

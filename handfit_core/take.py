@@ -136,8 +136,8 @@ class HandTrack:
         return self.keypoints_depth is not None and self.world_landmarks is not None
 
     def detection(self, row: int) -> HandDetection | None:
-        """What the detector found in frame `row` of the T; None where it found nothing. Without the spread of
-        its looks, which a take does not hold. Raises TakeError unless `refinable`."""
+        """What the detector found in frame `row` of the T; None where it found nothing. Without its
+        `spread`, which a take does not hold. Raises TakeError unless `refinable`."""
         if self.keypoints_depth is None or self.world_landmarks is None:
             raise TakeError(
                 f"the {self.side} hand's take was made before takes held what the detector found; capture it "

@@ -1,4 +1,4 @@
-"""What happens while hands are chosen: the worker finds them, clicks choose, boxes are looked into.
+"""What happens while hands are chosen: the worker finds them, clicks choose, boxes are searched.
 
 Nothing of the file is touched: the picture is a texture that the worker wrote for it, and what is chosen
 becomes options of a capture.
@@ -126,7 +126,7 @@ class FindMode:
 
     @property
     def busy(self) -> bool:
-        """Whether the worker still looks for something."""
+        """Whether the worker still searches."""
         return bool(self._showing or self._finding or self._searches)
 
     def tick(self, context: bpy.types.Context) -> None:
@@ -161,7 +161,7 @@ class FindMode:
         self._showing, self._finding, self._searches = 0, 0, []
 
     def search_box(self, corners: np.ndarray) -> None:
-        """Have the worker look for a hand in a box with these corners (2, 2), pixels of the picture."""
+        """Have the worker detect a hand in a box with these corners (2, 2), pixels of the picture."""
         assert self.picture_view is not None
         low, high = np.clip(np.sort(corners, axis=0), 0.0, self.picture_view.size)
         if (high - low).min() < MIN_BOX_PIXELS:

@@ -260,12 +260,12 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
     rig = rig_of(armature)
     old = corrections_of(armature)
     timing = timing_of(armature)
-    for stretch in changed_segments(old, new):
-        first, last = sorted(timing.scene_frames(np.array(stretch)).tolist())
+    for segment in changed_segments(old, new):
+        first, last = sorted(timing.scene_frames(np.array(segment)).tolist())
         keys = read_pose_keys(rig, first, last)
         places = _snapped(timing.source_frames(keys.frames), np.concatenate([old.frames, new.frames]))
         (turned_old, moved_old), (turned_new, moved_new) = old.at(places), new.at(places)
-        # Keys at the end of the stretch, where nothing changes, are not even written.
+        # Keys at the end of the segment, where nothing changes, are not even written.
         turns = np.any(turned_old != turned_new, axis=-1)
         moves = np.any(moved_old != moved_new, axis=-1)
         changed = replace(

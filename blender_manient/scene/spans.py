@@ -131,7 +131,7 @@ def _next(places: np.ndarray, now: float) -> float | None:
 
 
 def suggested_range(scene: bpy.types.Scene, hand: CapturedHand | None) -> tuple[int, int]:
-    """First and last scene frame that are likely meant: the preview range; else the doubtful stretch, or the
+    """First and last scene frame that are likely meant: the preview range; else the doubtful range, or the
     reach of the correction, that the current frame is in; else half a second around it. Raises HandfitError.
     """
     now, around = scene.frame_current, max(1, round(_AROUND * frame_rate(scene)))

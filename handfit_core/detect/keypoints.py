@@ -247,7 +247,7 @@ class SideBySide(Sequence[HandDetection | None]):
 
 @dataclass(frozen=True, eq=False)
 class DetectedTrack:
-    """One hand followed over a clip's T frames; None where it was not found."""
+    """One hand tracked over a clip's T frames; None where it was not found."""
 
     side: Side
     detections: Sequence[HandDetection | None]

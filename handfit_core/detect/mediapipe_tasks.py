@@ -23,7 +23,7 @@ MAX_SIDE_PX = 1920
 class MediaPipeHands(Detector):
     """A graph of MediaPipe's, which has memory and threads that must be given back by `close`.
 
-    With `video` it follows hands from frame to frame, which is cheaper and steadier. One object serves a
+    With `video` it tracks hands from frame to frame, which is cheaper and steadier. One object serves a
     whole run. Raises LandmarkModelError when the model file is missing or damaged.
     """
 

@@ -115,7 +115,7 @@ class Palms:
         return float(np.linalg.norm(off, axis=-1).mean()) < PALM_OF_HAND_DISTANCE * float(self.side[index])
 
     def crop(self, index: int) -> Crop:
-        """The crop in which the landmark network looks for that palm's hand."""
+        """The crop in which the landmark network predicts that palm's hand."""
         points, side = self.points[index], float(self.side[index])
         up = _unit(points[2] - points[0])
         centre = self.centre[index] + PALM_CROP_SHIFT * side * up

@@ -102,6 +102,6 @@ def _prediction_error(points: np.ndarray, truth: np.ndarray, root_relative: bool
 
 
 def _runs(valid: np.ndarray) -> list[slice]:
-    """The unbroken stretches of True in (T,) booleans."""
+    """The unbroken runs of True in (T,) booleans."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(int), [0]])))
     return [slice(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]

@@ -498,7 +498,7 @@ class _Run:
         self._listener.began(task)
 
     def _share(self, task: Task) -> int | None:
-        """How many processes may find a clip's hands: of all cores its share of the work that is left, since
+        """How many threads may detect a clip's hands: of all cores its share of the work that is left, since
         a long clip would be alone in the end. None: its own choice, where nothing runs beside."""
         if self._pool.jobs == 1:
             return None

@@ -256,7 +256,7 @@ def fit_track(
     should_stop: ShouldStop = never,
     hand_length: float | None = None,
 ) -> TrackFit:
-    """Fit a followed hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
+    """Fit a tracked hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
 
     Gaps up to `gaps.MAX_GAP_SECONDS` are filled. `should_stop` is asked after every `CHUNK` frames; those
     that were not reached are NaN. `hand_length`: see `FastFitter`.

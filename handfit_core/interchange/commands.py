@@ -174,7 +174,7 @@ def _hand(hand: HandTrack) -> str:
 
 
 def _networks(take: Take) -> str:
-    """Which of MediaPipe's landmark networks have looked at the hands."""
+    """Which of MediaPipe's landmark networks have predicted the hands."""
     second = [(hand.keypoints_2020, hand.keypoints_2d) for hand in take.hands]
     seen = [(points, first) for points, first in second if points is not None]
     if not seen:

@@ -85,7 +85,7 @@ def capture(
 
 
 def _check_retimed(source: Any, options: Any, rate: Any) -> None:
-    """Raise what keeps a clip from being retimed to a scene's rate, before anything is looked for in it."""
+    """Raise what keeps a clip from being retimed to a scene's rate, before anything is detected in it."""
     if isinstance(rate, bool) or not isinstance(rate, int | float):
         raise OptionError(f"what a clip is retimed to must be frames per second, not {shortly(rate)}")
     from handfit_core.interchange.opening import open_input

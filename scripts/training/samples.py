@@ -67,7 +67,7 @@ def samples_of(
 ) -> tuple[int, list[Sample]]:
     """How many hands stand in all views of that still, and those that the landmark network sees, once it is
     shown where they are: those that only a search of all parts finds would be missing otherwise, and they are
-    the hard ones. Half of them are single looks, as of clips, the others means, as of photos."""
+    the hard ones. Half of them are single predictions, as of clips, the others means, as of photos."""
     shot = still_shot(seed, number, size, poses)
     rng = np.random.default_rng([seed, number, 7])
     picture = paint(shot, rng)

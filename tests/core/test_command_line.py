@@ -42,7 +42,7 @@ def test_json_progress(tmp_path: Path) -> None:
 
 
 def test_a_part_is_detected_and_solved(tmp_path: Path) -> None:
-    """A clip of one stretch, which is in one part alone, whatever frames that names."""
+    """A clip of one chunk, which is in one part alone, whatever frames that names."""
     pattern, clip = PHOTO.parent / "hand.%04d.jpg", "5-9:2"
     part, output = tmp_path / "part.npz", tmp_path / "take.npz"
     detected = run("detect", pattern, "--frames=-6", f"--clip-frames={clip}", "--hand-length=180", "-o", part)

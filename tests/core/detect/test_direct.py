@@ -181,7 +181,7 @@ def test_the_second_hand_of_a_pair_is_searched_near_the_first(stills: Detector) 
 
 
 def test_a_picture_of_100_megapixels(tmp_path: Path) -> None:
-    """Palms are looked for in a smaller copy; the hand is a tenth of it."""
+    """Palms are searched in a smaller copy; the hand is a tenth of it."""
     whole = np.full((10_000, 10_000, 3), 120, dtype=np.uint8)
     whole[3000:3960, 4000:5280] = cv2.resize(picture(1)[..., ::-1], (1280, 960))
     cv2.imwrite(str(tmp_path / "large.png"), whole, [cv2.IMWRITE_PNG_COMPRESSION, 1])
@@ -491,7 +491,7 @@ def test_a_tracked_hand_is_chosen_in_any_frame(tmp_path: Path) -> None:
 def test_a_box_starts_a_track_both_ways(
     plain: Detector, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also farther back than hands that turn up by themselves are followed."""
+    """Also farther back than hands that turn up by themselves are tracked."""
     monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, backtrack_frames=4))
     last = 20
     (expected,) = plain.find(picture(last))

@@ -46,7 +46,7 @@ def test_nothing_else_changes() -> None:
 
 
 def test_what_was_said_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The network looks at a detection once, and again only where the hand is taken for the other."""
+    """The network runs once for a detection, and again only where the hand is taken for the other."""
     judged = with_side_judged(DETECTIONS)
     expected = {side: landmarked(DETECTIONS, side) for side in SIDES}
     asked: list[int] = []
