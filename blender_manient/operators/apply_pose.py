@@ -29,7 +29,7 @@ from .mixins import PollMixin, errors_reported
 
 
 class _PoseOperator(PollMixin):
-    """An operator, in its first part, that puts a pose on the active captured hand or character."""
+    """The base of operators that put a pose on the active captured hand or character."""
 
     report: Any
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012

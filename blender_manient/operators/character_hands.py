@@ -28,7 +28,7 @@ distance from the middle"""
 
 
 class CharacterOperator(PollMixin):
-    """An operator, in its first part, that works on the selected character."""
+    """The poll and the options of an operator that works on the selected character."""
 
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 

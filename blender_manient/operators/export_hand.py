@@ -56,7 +56,7 @@ def format_buttons(
 
 
 class ExportOperator:
-    """An operator, in its first part, that asks for a file and writes it; of what, those that have it say."""
+    """The base of operators that ask for a file and write it; of what, each of them says."""
 
     bl_options = {"REGISTER"}  # noqa: RUF012
 
