@@ -79,9 +79,12 @@ def capture(
 
     Raises a `HandfitError` whose message is meant for the user: OptionError, InputError (also for parts that
     do not fit), NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a
-    hand was found. Raises TypeError for an option that does not exist.
+    hand was found. Raises TypeError for an option that does not exist, and for both `options` and names.
     """
-    options = options or CaptureOptions(**given)
+    if options is None:
+        options = CaptureOptions(**given)
+    elif given or not isinstance(options, CaptureOptions):
+        raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
     _check(options)
     origin = open_source(source, options, parts)

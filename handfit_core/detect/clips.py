@@ -166,16 +166,18 @@ class ClipFinder(Detector):
         self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
     ) -> HandDetection | None:
         """The hand in a box of the last frame (see `Detector`), which is tracked from there, both ways."""
+        index = len(self.frames) - 1
+        checked = dict(zip(self.tracked, self.frames[index], strict=True))
         tracked = hand_of_box((t.last for t in self.tracked), box)
-        hand = tracked or self._searching.detect_in_box(rgb, box)
+        hand = next((h for t, h in checked.items() if t.last is tracked), None)
+        hand = hand or self._searching.detect_in_box(rgb, box)
         if hand is None:
             return None
         hand = replace(self._networks.with_keypoints_2020(rgb, hand), shown=True, given_side=side)
-        index = len(self.frames) - 1
         known = [t for t in self.tracked if t.last is tracked or is_same_hand(hand, t.last)]
         self.tracked = [t for t in self.tracked if t not in known]
+        self.frames[index] = (*(checked[t] for t in self.tracked), hand)
         self._start_track(hand)
-        self.frames[index] = tuple(tracked.last for tracked in self.tracked)
         if not known:
             self._track_back(self.tracked[-1], index, islice(self._past.backwards(), 1, None))
         return hand

@@ -73,15 +73,18 @@ def _in_threads(
                 index = next(indices)
                 if part.stop is not None and index >= part.stop:
                     return
+                if number > 0 and 0 < detector.media.expected_frames <= index * CHUNK_FRAMES:
+                    return  # the first thread sees whether the header tells the truth
                 found[index] = own.chunk(index, lambda _: events.put(None), stopped.is_set)
                 if len(found[index].numbers) < CHUNK_FRAMES:
                     ended.set()
 
     with ThreadPoolExecutor(count, "handfit-detect") as pool:
-        running, done = {pool.submit(work, number) for number in range(count)}, 0
-        for future in running:
-            future.add_done_callback(events.put)
+        running, done = set[Future[None]](), 0
         try:
+            for number in range(count):
+                running.add(future := pool.submit(work, number))
+                future.add_done_callback(events.put)
             while running:
                 event = events.get()
                 if event is None:

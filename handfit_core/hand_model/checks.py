@@ -30,6 +30,9 @@ def checked_model(
     if side not in SIDES:
         raise HandModelError(f"{where}: the side must be left or right, not {shortly(side)}")
     found: dict[str, Any] = {key: _numbers(where, key, arrays.get(key)) for key in declared(HandModel)}
+    for key, spec in declared(HandModel).items():
+        if found[key] is None and not spec.optional:
+            raise HandModelError(f"{where}: the hand model has no {key}")
     if found["uv"] is None or found["uv_faces"] is None:
         found["uv"] = found["uv_faces"] = None
     vertices, shapedirs = found["v_template"], found["shapedirs"]

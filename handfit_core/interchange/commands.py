@@ -13,6 +13,7 @@ import numpy as np
 
 from handfit_core.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable, output_path, path_of, shown, written_whole
+from handfit_core.fit_quality import error_is_known
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.readers import READERS
 from handfit_core.interchange.writers import WRITERS, Writer, writer_for
@@ -147,7 +148,7 @@ def _info(args: argparse.Namespace) -> int:
             ("frames", _frames(take.frame_numbers, take.fps)),
             ("picture", f"{take.width}x{take.height} pixels"),
             ("hands", ", ".join(_hand(hand) for hand in take.hands) or "none"),
-            *([("program", take.program)] if take.program else [("networks", _networks(take))]),
+            *([("program", take.program)] if take.program else _networks(take)),
         ]
     elif is_recording(args.input):
         recording = read_recording(args.input, CaptureOptions.of_arguments(args))
@@ -173,14 +174,17 @@ def _hand(hand: HandTrack) -> str:
     return f"{hand.side} hand in {int(hand.present.sum())} frames"
 
 
-def _networks(take: Take) -> str:
-    """Which of MediaPipe's landmark networks have predicted the hands."""
-    second = [(hand.keypoints_2020, hand.keypoints_2d) for hand in take.hands]
-    seen = [(points, first) for points, first in second if points is not None]
+def _networks(take: Take) -> list[tuple[str, str]]:
+    """Which of MediaPipe's landmark networks have predicted the hands; nothing where none has."""
+    seen = [hand for hand in take.hands if hand.detected.any() and error_is_known(hand)]
     if not seen:
-        return "the landmark network alone"
-    alone = all(np.array_equal(points[..., :2], first, equal_nan=True) for points, first in seen)
-    return "that of December 2020 alone" if alone else "the landmark network and that of December 2020"
+        return []
+    second = [(hand.keypoints_2020, hand.keypoints_2d) for hand in seen]
+    points = [(both, alone) for both, alone in second if both is not None]
+    if not points:
+        return [("networks", "the landmark network alone")]
+    draft = all(np.array_equal(both[..., :2], alone, equal_nan=True) for both, alone in points)
+    return [("networks", "that of December 2020" + ("" if draft else " and the present one"))]
 
 
 def _frames(numbers: Any, fps: float) -> str:

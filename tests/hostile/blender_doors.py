@@ -18,7 +18,7 @@ from typing import Any
 import bpy
 
 import blender_manient
-from blender_manient import jobs, parts, shared_worker
+from blender_manient import jobs, modules, shared_worker
 from blender_manient.batch.order import Order
 from blender_manient.block_reference import BlockReference
 from blender_manient.find_mode.choice import Choice
@@ -178,7 +178,7 @@ def _work_on() -> None:
 
 
 def _draw() -> None:
-    for cls in (c for part in parts.PARTS for c in part.classes):
+    for cls in (c for module in modules.MODULES for c in module.classes):
         if issubclass(cls, bpy.types.Panel):
             drawn(cls)
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core import capture, pipeline
+from handfit_core import capture, sources
 from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.crops import Crop
@@ -249,6 +249,18 @@ def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(
     np.testing.assert_array_equal(hand.keypoints_2020, once.keypoints_2020)
 
 
+def test_a_box_leaves_other_hands_as_both_networks_have_them(networks: Networks) -> None:
+    rgb = np.ascontiguousarray(four_hands()[..., ::-1])
+    with clip_finder(two_networks(networks), most=3) as finder:
+        finder.find(rgb)
+        others = finder.frames[0]
+        corner, size = others[0].keypoints_2d.min(axis=0), np.ptp(others[0].keypoints_2d, axis=0)
+        shown = finder.detect_in_box(rgb, (*corner, *size))
+        assert shown is not None
+        assert [hand.keypoints_2020 is not None for hand in finder.frames[0]] == [True] * len(others)
+        np.testing.assert_array_equal(shown.keypoints, others[0].keypoints)
+
+
 @pytest.mark.parametrize(("quality", "predictions"), [("draft", 1), ("best", search.AUGMENTATION_CROPS)])
 def test_predictions_of_a_tracked_hand_by_quality(
     quality: Quality, predictions: int, monkeypatch: pytest.MonkeyPatch
@@ -385,7 +397,7 @@ def test_a_photo_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture)
         assert len(capture(tmp_path / "four.jpg").hands) == 4
         assert not told(caplog)
         assert len(capture(tmp_path / "four.jpg", max_hands=3).hands) == 3
-        assert len(capture(tmp_path / "four.jpg", "left").hands) == 1
+        assert len(capture(tmp_path / "four.jpg", hands="left").hands) == 1
     assert told(caplog) == [
         "4 hands were seen, and the 3 surest were captured: draw boxes around others (--region, or Find "
         "Hands in Blender), or allow more (--max-hands)",
@@ -396,7 +408,7 @@ def test_a_photo_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture)
 def test_a_crowd_is_captured_with_a_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pipeline, "CROWD", 3)
+    monkeypatch.setattr(sources, "CROWD", 3)
     cv2.imwrite(str(tmp_path / "four.jpg"), four_hands())
     with caplog.at_level(logging.WARNING, "handfit"):
         assert len(capture(tmp_path / "four.jpg").hands) == 4
