@@ -89,7 +89,7 @@ class Array:
             raise Unfit(f"{name} holds numbers beyond {self.most:g}")
 
     def dtype(self, floats: type) -> type:
-        """As which it is kept or sent."""
+        """The dtype in which the array is kept or sent, where floats are kept as `floats`."""
         return {"f": floats, "b": bool, "i": np.int64}[self.kind]
 
 

@@ -141,7 +141,7 @@ class RefineResult:
     """Projection of the points that pins pull at (see `handles.landmark_points`), where handles belong: at a
     pin that the hand can reach this is the pin"""
     reprojection_error: np.ndarray = array("T", sent=np.float32)
-    """As in a take: mean distance from `projected` to the detected keypoints, with pins in their place; NaN
+    """Pixels, the mean distance from `projected` to the detected keypoints, with pins in their place; NaN
     without either"""
 
     @property

@@ -46,7 +46,7 @@ class _Detections:
     agrees: np.ndarray | None = array("T", kind="b", default=None)
     """Whether the detector named the hand's side; None: wherever it found the hand"""
     keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, sent=np.float32, default=None)
-    """As `keypoints`; NaN where that network was not asked, None: nowhere"""
+    """Pixels and depth, by the network of December 2020; NaN where it was not asked, None: nowhere"""
     overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
 
     def __post_init__(self) -> None:
@@ -54,7 +54,7 @@ class _Detections:
 
     @classmethod
     def of(cls, hand: RefineHand) -> _Detections:
-        """Those of a hand; what it has nowhere is absent."""
+        """The detections of a hand; arrays that no frame has are None."""
         count, there = len(hand), hand.detected
         found = [d for d in hand.detections if d is not None]
         nowhere, unasked = np.zeros(NUM_KEYPOINTS, dtype=bool), np.full((NUM_KEYPOINTS, 3), np.nan)
