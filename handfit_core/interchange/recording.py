@@ -12,13 +12,17 @@ from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
-from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
 
 VIRTUAL_SIZE: Final = (1920, 1080)
 """Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
 VIRTUAL_DISTANCE: Final = 0.8
 """Metres from that camera to hands that have no place of their own"""
+_APART: Final = 0.35
+"""Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
+the other hand from its origin, are 0.15 m apart"""
 
 
 @array_dataclass
@@ -72,27 +76,9 @@ class PointsHand:
         return np.asarray(known(self.points).sum(axis=1) >= LEAST_POINTS)
 
 
-@array_dataclass
-class PosedHand:
-    """One hand's pose in MANO's parameters over a recording's T frames; NaN in frames without it."""
-
-    side: Side
-    global_orient: np.ndarray = array("T", 3)
-    """radians, from the model frame to the camera frame"""
-    hand_pose: np.ndarray = array("T", 45)
-    """radians, MANO's joint order, relative to the flat hand"""
-    transl: np.ndarray | None = array("T", 3, default=None)
-    """metres, camera frame, as a take has it; None: not known, it is put before the camera"""
-    betas: np.ndarray | None = array(NUM_BETAS, default=None)
-    """Of the open hand's or the user's model; None: the mean shape"""
-    confidence: np.ndarray | None = array("T", default=None)
-    """0..1; None: the program does not tell"""
-
-    @property
-    def present(self) -> np.ndarray:
-        """(T,) bool: frames with the hand."""
-        there = known(self.hand_pose) & known(self.global_orient)
-        return there if self.transl is None else there & known(self.transl)
+def usual_place(side: Side) -> np.ndarray:
+    """(3,) metres: the transl, before a virtual camera, of hands whose place is not known."""
+    return np.array([_APART / 2.0 if side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE])
 
 
 @dataclass(frozen=True)
@@ -127,7 +113,8 @@ class Recording:
     seen: SeenHands | None = None
     """Hands in pictures; None: they are in space"""
     points: tuple[PointsHand, ...] = ()
-    posed: tuple[PosedHand, ...] = ()
+    posed: tuple[HandMotion, ...] = ()
+    """Hands with their poses; those whose place is not known lie where `usual_place` has them"""
     size: tuple[int, int] | None = None
     """(width, height) of the upright pictures, pixels; None: not known"""
     intrinsics: Intrinsics | None = None

@@ -15,21 +15,17 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import (
     LEAST_POINTS,
     VIRTUAL_DISTANCE,
     PointsHand,
-    PosedHand,
     Recording,
     known,
 )
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_BETAS, NUM_KEYPOINTS, Side
-from handfit_core.solvers import TrackFit
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
-_APART: Final = 0.35
-"""Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
-the other hand from its origin, are 0.15 m apart"""
 _UNKNOWN_SIGMA: Final = 1e4
 """pixels: what is known of a point that is missing"""
 _USUAL_SIGMA: Final = 0.002
@@ -124,8 +120,8 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
     """The recording with its hands before a camera. Those without a place get one. Others stay where they are
     if they are `placed`, that is, lie beside pictures or as a camera that is known has them, and not behind
     it; else they are brought into a virtual camera's view, all by the same way, which `assumed` tells."""
-    posed = [replace(hand, transl=_place_of(hand)) for hand in recording.posed]
-    places = [hand.transl[hand.present] for hand in posed if hand.transl is not None]
+    posed = [hand.posed_at(hand.present) for hand in recording.posed]
+    places = [hand.transl[hand.present] for hand in posed]
     places += [np.nanmean(hand.points[hand.present], axis=1) for hand in recording.points]
     offset = _before_camera(np.concatenate(places), placed) if places else np.zeros(3)
     if not offset.any():
@@ -134,16 +130,10 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
     why = "behind the camera" if placed else "outside the view of a virtual camera"
     return replace(
         recording,
-        posed=tuple(replace(h, transl=h.transl + offset) for h in posed if h.transl is not None),
+        posed=tuple(replace(hand, transl=hand.transl + offset) for hand in posed),
         points=tuple(replace(hand, points=hand.points + offset) for hand in recording.points),
         assumed=(*recording.assumed, f"its hands lie {why}: all are moved before it, by {way} m"),
     )
-
-
-def _place_of(hand: PosedHand) -> np.ndarray:
-    """(T, 3) metres, before a virtual camera where nobody knows; NaN in frames without the hand."""
-    usual = [_APART / 2.0 if hand.side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE]
-    return np.where(hand.present[:, None], usual if hand.transl is None else hand.transl, np.nan)
 
 
 def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
@@ -156,34 +146,25 @@ def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
     return np.array([0.0, 0.0, VIRTUAL_DISTANCE + 2.0 * reach]) - middle
 
 
-def fit_of(hand: PosedHand) -> TrackFit:
-    """A posed hand as a solver would give it."""
-    there = hand.present[:, None]
-    assert hand.transl is not None
-    return TrackFit(
-        betas=np.zeros(NUM_BETAS) if hand.betas is None else hand.betas,
-        global_orient=np.where(there, hand.global_orient, np.nan),
-        hand_pose=np.where(there, hand.hand_pose, np.nan),
-        transl=np.where(there, hand.transl, np.nan),
-        converged=hand.present,
-    )
-
-
 def seen_of(
-    model: HandModel, fit: TrackFit, side: Side, intrinsics: Intrinsics, fps: float, score: np.ndarray | None
+    model: HandModel,
+    motion: HandMotion,
+    intrinsics: Intrinsics,
+    fps: float,
+    score: np.ndarray | None = None,
 ) -> DetectedTrack:
-    """What a detector that errs nowhere would see of fitted hands: with it a take's hand can be fitted again.
+    """What a detector that errs nowhere would see of a hand: with it a take's hand can be fitted again.
     `score` (T,): how sure each frame is; None: certain."""
-    count, rows = len(fit.transl), np.flatnonzero(fit.present)
+    count, rows = len(motion.transl), np.flatnonzero(motion.present)
     points = np.empty((len(rows), NUM_KEYPOINTS, 3))
     if len(rows):
         chain = Chain(model, detector_landmarks())
-        betas, far = np.tile(fit.betas, (len(rows), 1)), fit.transl[rows, 2]
-        posed = fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
-        points = chain.points(chain.state(betas, *posed, far))
+        orient, pose, transl = (each[rows] for each in motion.pose)
+        betas = np.tile(motion.betas, (len(rows), 1))
+        points = chain.points(chain.state(betas, orient, pose, transl, transl[:, 2]))
     certain = np.ones(count) if score is None else np.nan_to_num(score, nan=0.5).clip(0.0, 1.0)
     found: list[HandDetection | None] = [None] * count
     for row, hand in zip(rows, points, strict=True):
-        seen = _seen_point_by_point(side, hand, 0.001, intrinsics)
+        seen = _seen_point_by_point(motion.side, hand, 0.001, intrinsics)
         found[row] = replace(seen, score=float(certain[row]))
-    return DetectedTrack(side, tuple(found), fps, calibrated=False)
+    return DetectedTrack(motion.side, tuple(found), fps, calibrated=False)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
@@ -12,20 +10,6 @@ from handfit_core.geometry.rotations import turn_from_axis
 _ITERATIONS = 10
 _MIN_DEPTH = 0.05
 """metres; nothing is placed nearer to the camera"""
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedHand:
-    """One hand in the camera frame."""
-
-    betas: np.ndarray
-    """(10,)"""
-    global_orient: np.ndarray
-    """(3,) radians"""
-    hand_pose: np.ndarray
-    """(45,) radians"""
-    transl: np.ndarray
-    """(3,) metres"""
 
 
 def turn_to_ray(intrinsics: Intrinsics, pixel: np.ndarray) -> np.ndarray:

@@ -30,7 +30,7 @@ from handfit_core.edit import (
 )
 from handfit_core.edit.recent import Recent
 from handfit_core.errors import Cancelled, HandfitError, HandModelError, OptionError, ProtocolError
-from handfit_core.fit.fast import fit_frames, fit_track
+from handfit_core.fit.fast import fit_track
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.chain import Chain
@@ -47,6 +47,7 @@ from tests.core.fit.detections import (
     poses,
     seen,
 )
+from tests.core.fit.frames import fit_frames
 
 Parameters = tuple[np.ndarray, ...]
 """betas (N, 10), global_orient (N, 3), hand_pose (N, 45), transl (N, 3)"""
