@@ -20,6 +20,7 @@ from handfit_core.fit.observation import Kept, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model.anatomy import BEND, LAST_BEND, MIDDLE_BEND
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_KEYPOINTS, PALM_KEYPOINTS
 
@@ -42,8 +43,6 @@ _FIRST_PIN_SIGMA: Final = 0.02
 """Expected error of pins in the first round, in parts of the hand's size"""
 _UNSEEN_SIGMA: Final = 1e9
 """pixels: expected error of points that are neither pinned nor kept"""
-_BENDS: Final = [2, 5, 8]
-"""Indices of the bends among a finger's nine angles"""
 _BACK: Final = 1
 """The axis of the root that points out of the back of the hand"""
 _KNUCKLE: Final = 9
@@ -159,7 +158,8 @@ def _with_neighbours_bends(
     alike[0], alike[:, 0], alike[0, 0] = 0.0, 0.0, 1.0  # the thumb goes its own way
     share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
     followed = own[0, left]
-    followed[:, _BENDS] += share @ (found - own)[0][known][:, _BENDS]
+    bends = [BEND, MIDDLE_BEND, LAST_BEND]
+    followed[:, bends] += share @ (found - own)[0][known][:, bends]
     least, most = (end[left] for end in fitter.angle_bounds)
     angles = found.copy()
     angles[0, left] = np.clip(followed, np.minimum(least, own[0, left]), np.maximum(most, own[0, left]))

@@ -10,8 +10,8 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation, SelfContact
-from handfit_core.fit.terms.coupling import MIDDLE_BEND
 from handfit_core.geometry.crossing import CROSSING, CROSSING_STARTS, Crossing
+from handfit_core.hand_model.anatomy import MIDDLE_BEND
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import Surface
 from handfit_core.skeleton import TIP_KEYPOINTS

@@ -21,6 +21,8 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
+SPREAD, BEND, MIDDLE_BEND, LAST_BEND = 1, 2, 5, 8
+"""Indices among a finger's nine angles: of the knuckle, and of the joints beyond it"""
 LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
 """The calibration: landmark offsets, and the pose prior that belongs to them"""
 

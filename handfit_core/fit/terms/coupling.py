@@ -6,10 +6,9 @@ import numpy as np
 
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms.rows import FINGERS, Rows
+from handfit_core.hand_model.anatomy import LAST_BEND, MIDDLE_BEND
 from handfit_core.hand_model.chain import Posed
 
-MIDDLE_BEND, LAST_BEND = 5, 8
-"""Indices among a finger's nine angles"""
 SIGMA = float(np.radians(18.0))
 """radians"""
 

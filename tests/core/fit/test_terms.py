@@ -24,18 +24,17 @@ from handfit_core.fit.terms import (
     reprojection,
 )
 from handfit_core.fit.terms.limits import (
-    BEND,
     BENT_SPREAD_SHARE,
     CLOSED_HAND_MARGIN,
     PASSIVE_RANGE,
     SIGMA,
-    SPREAD,
 )
 from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
 from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
 from handfit_core.fit.terms.shape import WEIGHT as SHAPE_WEIGHT
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.anatomy import BEND, SPREAD
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
 from tests.core.fit.differences import by_each, close, random
 from tests.core.fit.hands import MIRROR, OFFSETS, chain_of, kept_near, make_state, observe
@@ -46,7 +45,7 @@ COVARIANCE = ROOT @ ROOT.swapaxes(-1, -2)
 MEAN = random(5, 9, seed=1, scale=0.3)
 RATES = random(10, seed=5) * 0.01
 
-TERMS: list[Term] = [
+EACH_TERM: list[Term] = [
     reprojection,
     depth,
     Limits("right"),
@@ -58,7 +57,9 @@ TERMS: list[Term] = [
     Shape(random(10, seed=6), RATES, 0.3),
     Shape(random(10, seed=6), RATES, 0.3, measured=False),
 ]
-every_term = pytest.mark.parametrize("term", TERMS, ids=lambda t: getattr(t, "__name__", type(t).__name__))
+every_term = pytest.mark.parametrize(
+    "term", EACH_TERM, ids=lambda t: getattr(t, "__name__", type(t).__name__)
+)
 
 
 def hands(batch: int = 3, spread: float = 0.8) -> tuple[Posed, Observation]:
