@@ -16,12 +16,12 @@ from handfit_core.edit.free import is_free, pose_from_pins
 from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import Cancelled
-from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, smooth_track
+from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
+from handfit_core.fit.settings import SOLVER, TERMS
 from handfit_core.fit.solution import Solution
-from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import State
@@ -423,7 +423,7 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     posed = hand.posed
     points = np.ones((len(hand), NUM_KEYPOINTS, 3))
     points[posed] = landmark_points(model, hand.betas, *(getattr(hand, n)[posed] for n in START_ARRAYS))
-    behind = points[..., 2].min(axis=1) <= NEAREST
+    behind = points[..., 2].min(axis=1) <= TERMS.nearest
     points[behind] = 1.0
     return posed & ~behind, points
 
@@ -465,8 +465,8 @@ def _as_stand_in(seen: Landmarked) -> Landmarked:
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Chunks of the frames `rows`, and their indices in it."""
-    for first in range(0, len(rows), CHUNK):
-        part = np.arange(first, min(first + CHUNK, len(rows)))
+    for first in range(0, len(rows), SOLVER.chunk_frames):
+        part = np.arange(first, min(first + SOLVER.chunk_frames, len(rows)))
         yield rows[part], part
 
 

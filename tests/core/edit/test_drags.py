@@ -16,7 +16,7 @@ import pytest
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineResult, landmark_points, refit_each
 from handfit_core.edit.pins import REACHED_PIXELS
-from handfit_core.fit.terms.interpenetration import COMPRESSION, EDIT_SIGMA
+from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
     anatomical_angles,
@@ -96,7 +96,7 @@ def pressed(hand: Hand, keypoint: int, result: RefineResult) -> bool:
     """Whether the finger lies on another part of the hand, which keeps it from its pin: a sigma deeper than
     flesh gives, and than in the capture, where fingers that are side by side may press each other."""
     before, now = (depths_of(hand, keypoint, pose) for pose in (hand.pose[2], result.hand_pose))
-    return bool((now > np.maximum(before, COMPRESSION) + EDIT_SIGMA).any())
+    return bool((now > np.maximum(before, TERMS.compression) + TERMS.edit_penetration_sigma).any())
 
 
 def depths_of(hand: Hand, keypoint: int, pose: np.ndarray) -> np.ndarray:
