@@ -45,9 +45,10 @@ from handfit_core.fit.terms import (
     reprojection,
 )
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.anatomy import LANDMARKS_FILE
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
-from handfit_core.hand_model.landmarks import FILE, Landmarks, detector_landmarks
+from handfit_core.hand_model.landmarks import Landmarks, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import NUM_BETAS
@@ -95,7 +96,7 @@ class FastFitter:
     ) -> None:
         self.model = model
         self.chain = Chain(model, landmarks or detector_landmarks())
-        with np.load(FILE, allow_pickle=False) as arrays:
+        with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
         limits = Limits(model.side, model.name)

@@ -13,12 +13,25 @@ from handfit_core.detect.keypoints import check_crowd
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import TAKE_LIMITS
 
-VIRTUAL_SIZE: Final = (1920, 1080)
-"""Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
-VIRTUAL_DISTANCE: Final = 0.8
-"""Metres from that camera to hands that have no place of their own"""
+
+@dataclass(frozen=True)
+class Virtual:
+    """The camera that is taken for hands that no picture belongs to."""
+
+    size: tuple[int, int] = (1920, 1080)
+    """Pixels of its picture"""
+    distance: float = 0.8
+    """Metres to hands that have no place of their own"""
+    nearest: float = 0.25
+    """Metres to the nearest hand"""
+    apart: float = 0.35
+    """Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m
+    towards the other hand from its origin, are 0.15 m apart"""
+
+
+VIRTUAL: Final = Virtual()
 
 
 @array_dataclass
@@ -142,7 +155,7 @@ class Recording:
             raise ValueError("it has no frames")
         if np.any(np.diff(numbers) <= 0):
             raise ValueError("its frames' numbers do not increase")
-        if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
+        if not TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps:
             raise ValueError(f"its frame rate is {self.fps:g}")
         if self.size is not None and not all(0 < side < 1 << 24 for side in self.size):
             raise ValueError(f"its pictures have {self.size[0]}x{self.size[1]} pixels")

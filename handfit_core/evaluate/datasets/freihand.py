@@ -13,15 +13,12 @@ from handfit_core.evaluate.labels import Dataset, Labels, MeshLabel, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-KIND = "freihand"
 LAYOUT = (
     "FreiHAND's layout: training/rgb/00000000.jpg ..., training_K.json, training_xyz.json, and likewise "
     "evaluation/rgb, evaluation_K.json, evaluation_xyz.json (also *_scale.json, *_verts.json)"
 )
 SPLITS = ("evaluation", "training")
 
-TRAINING_LABELS = 32560
-"""The released training set shows each of them four times, before other backgrounds."""
 
 _COPIES = 4
 
@@ -62,7 +59,7 @@ def read(root: Path, split: str | None = None) -> Dataset:
     )
     return Dataset(
         name=f"FreiHAND ({split})",
-        kind=KIND,
+        kind="freihand",
         root=root,
         entries=entries,
         problems=problems,
@@ -80,7 +77,8 @@ def _picture_limit(split: str, count: int, pictures: Iterable[Path]) -> int:
     be wrong and pair pictures with others' labels, so copies are trusted only where they are complete.
     """
     last = 1 + max((int(p.stem) for p in pictures if p.stem.isascii() and p.stem.isdigit()), default=-1)
-    complete = count == TRAINING_LABELS or (count > 0 and last % count == 0 and last <= _COPIES * count)
+    # The released training set shows each of them four times, before other backgrounds.
+    complete = count == 32560 or (count > 0 and last % count == 0 and last <= _COPIES * count)
     return _COPIES * count if split == "training" and complete else count
 
 

@@ -14,13 +14,11 @@ from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Prob
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_KEYPOINTS
 
-KIND = "ho3d"
 LAYOUT = (
     "HO-3D's layout: train/ABF10/rgb/0000.png (v3: .jpg), train/ABF10/meta/0000.pkl, train.txt, and the "
     "same for evaluation with evaluation.txt and evaluation_xyz.json (also evaluation_verts.json)"
 )
 SPLITS = ("evaluation", "train")
-FPS = 30.0
 
 OPENGL_TO_CAMERA = np.array([1.0, -1.0, -1.0])
 """HO-3D's points are in OpenGL's frame: y up, z backward."""
@@ -71,17 +69,17 @@ def read(root: Path, split: str | None = None) -> Dataset:
         for frame in frames:
             picture = sequence.pictures.get(frame)
             if picture is None:
-                problems.append(Problem(reading.NO_PICTURE, f"{sequence.folder / 'rgb' / frame}.*"))
+                problems.append(Problem(reading.PROBLEMS.no_picture, f"{sequence.folder / 'rgb' / frame}.*"))
             elif frame not in sequence.metas:
-                problems.append(Problem(reading.NO_LABEL, str(picture)))
+                problems.append(Problem(reading.PROBLEMS.no_label, str(picture)))
             else:
                 meta = sequence.folder / "meta" / f"{frame}.pkl"
                 read = partial(_labels, meta, rows.get(f"{name}/{frame}"), hidden)
-                time = (_number(frame) - _number(frames[0])) / FPS
+                time = (_number(frame) - _number(frames[0])) / 30.0
                 entries.append(Entry(f"{name}/{frame}", picture, read, clip=name, time=time))
     return Dataset(
         name=f"HO-3D ({split})",
-        kind=KIND,
+        kind="ho3d",
         root=root,
         entries=entries,
         problems=tuple(problems),

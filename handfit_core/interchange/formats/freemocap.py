@@ -24,7 +24,6 @@ from handfit_core.interchange.tables import columns_of, hands_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
 _HAND_FILE: Final = re.compile(r"(?:^|.*_)(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
-_OUTPUT: Final = "output_data"
 _SIGMA: Final = 0.005
 """Metres that triangulated points are expected to be off"""
 _TO_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -42,7 +41,7 @@ def _arrays(document: Document) -> list[Path]:
     """The files of hands in a folder, or in its output_data; the file itself."""
     if not document.is_folder:
         return [document.path] if _side_of(document.path) else []
-    for folder in (document, Document(document.path / _OUTPUT)):
+    for folder in (document, Document(document.path / "output_data")):
         found = [file for file in folder.files(".npy") if _side_of(file)]
         if found:
             return found

@@ -28,7 +28,6 @@ _WRISTS: Final[dict[Side, slice]] = {"left": slice(60, 63), "right": slice(63, 6
 _RATES: Final = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate")
 _PRESENT: Final = "hands_present"
 """(T, 2) bool, of our files only: frames in which the left and the right hand was seen"""
-_BETAS: Final = 16
 
 
 def _recognises(document: Document) -> bool:
@@ -96,7 +95,7 @@ def _write(take: Take, path: Path) -> None:
     arrays: dict[str, Any] = {
         "trans": np.zeros((len(poses), 3)),
         "gender": np.array("neutral"),
-        "betas": np.zeros(_BETAS),
+        "betas": np.zeros(16),
         "poses": poses,
         "mocap_frame_rate": np.array(frames.fps),
         "surface_model_type": np.array("smplx"),

@@ -15,7 +15,7 @@ import pytest
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineResult, landmark_points, refit_each
-from handfit_core.edit.pins import REACHED_PIXELS
+from handfit_core.edit.settings import PINS
 from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
@@ -208,7 +208,7 @@ def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
         if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, keypoint, one):
             continue
         missed = distance(one.landmarks_2d[0, keypoint], hand.before[keypoint] + by)
-        if abs(missed - REACHED_PIXELS) < 0.1:  # the palm moves, or it does not
+        if abs(missed - PINS.reached_pixels) < 0.1:  # the palm moves, or it does not
             continue
         between = distance(one.landmarks_2d, other.landmarks_2d).max()
         assert between < max(1.0, 0.01 * hand.size), (hand.side, by)
