@@ -26,19 +26,13 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""
 
-
-Y_UP: Final = np.diag([1.0, -1.0, -1.0])
-"""To the camera frame from a world whose y axis points up, seen against its z axis: as SMPL's people stand"""
-Z_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""To the camera frame from a world whose z axis points up, seen along its y axis"""
-
-MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 
 Counted = Literal["flat", "mean"]
 """What poses count from: the flat hand, or the mean pose of MANO"""
@@ -187,7 +181,11 @@ def seen_from(
 
 UNTOLD_WORLD: Final = "its world was taken to be z-up, which it does not tell"
 
-_UPS: Final = (("y-up", 1, 1.0, Y_UP), ("z-up", 2, 1.0, Z_UP), ("the camera's, y-down", 1, -1.0, np.eye(3)))
+_UPS: Final = (
+    ("y-up", 1, 1.0, UP_AXES["y"]),
+    ("z-up", 2, 1.0, UP_AXES["z"]),
+    ("the camera's, y-down", 1, -1.0, np.eye(3)),
+)
 
 
 def standing(pelvis: np.ndarray, assumed: list[str]) -> np.ndarray:

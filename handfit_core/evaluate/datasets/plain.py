@@ -20,10 +20,6 @@ from handfit_core.hand_model import OPEN_HAND, load_model
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
 
 INDEX = "index.json"
-LAYOUT = (
-    "the plain layout: pictures, and index.json with a list of "
-    '{"file", "hand", "joints_3d_mm", "keypoints_2d_px", "K"}; see docs/data-sets.md'
-)
 DEFAULT_FPS = 25.0
 
 _MANO_SHAPES = {"betas": NUM_BETAS, "global_orient": 3, "hand_pose": 45, "transl": 3}
@@ -41,11 +37,11 @@ def read(root: Path) -> Dataset:
     Raises DatasetError where the index is missing, damaged, or of another form.
     """
     path = root / INDEX
-    index = reading.read_json(path, LAYOUT)
+    index = reading.read_json(path, READER.layout)
     whole: dict[str, Any] = index if isinstance(index, dict) else {"pictures": index}
     items, fps, notes = whole.get("pictures"), whole.get("fps", DEFAULT_FPS), whole.get("notes", [])
     if not isinstance(items, list):
-        raise DatasetError(f"{path}: it holds no list of pictures; expected {LAYOUT}")
+        raise DatasetError(f"{path}: it holds no list of pictures; expected {READER.layout}")
     if not _is_number(fps) or fps <= 0:
         raise DatasetError(f"{path}: fps is {fps!r}, expected pictures per second, as in 25")
     if not (isinstance(notes, list) and all(isinstance(note, str) for note in notes)):
@@ -231,4 +227,9 @@ def _mesh(hand: dict[str, Any], side: Side | None, file: str) -> MeshLabel | Non
     return MeshLabel(lambda: model.posed(**found).vertices, digests)
 
 
-READER = Reader(LAYOUT, recognises, read)
+READER = Reader(
+    "the plain layout: pictures, and index.json with a list of "
+    '{"file", "hand", "joints_3d_mm", "keypoints_2d_px", "K"}; see docs/data-sets.md',
+    recognises,
+    read,
+)

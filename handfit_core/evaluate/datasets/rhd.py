@@ -12,10 +12,6 @@ from handfit_core.evaluate.labels import Dataset, HandLabel, Labels, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
-LAYOUT = (
-    "RHD's layout (RHD_published_v2): training/color/00000.png ..., training/anno_training.pickle, and "
-    "the same for evaluation"
-)
 SPLITS = ("evaluation", "training")
 
 _ORDER = [0, *(1 + 4 * finger + 3 - joint for finger in range(5) for joint in range(4))]
@@ -36,12 +32,12 @@ def read(root: Path, split: str | None = None) -> Dataset:
     The split's pickle is read now, as it alone says which labels there are; the arrays in it only when
     asked for. Raises DatasetError, OptionError.
     """
-    split = reading.split_of(root, split, SPLITS, "{0}/anno_{0}.pickle", "{0}", LAYOUT)
+    split = reading.split_of(root, split, SPLITS, "{0}/anno_{0}.pickle", "{0}", READER.layout)
     folder = root / split / "color"
     if not folder.is_dir():
-        raise reading.lacks(root, f"{split}/color", LAYOUT)
+        raise reading.lacks(root, f"{split}/color", READER.layout)
     path = root / split / f"anno_{split}.pickle"
-    annotations = reading.read_pickle(path, LAYOUT)
+    annotations = reading.read_pickle(path, READER.layout)
 
     entries, problems = reading.paired(
         split,
@@ -79,4 +75,10 @@ def _labels(annotation: Any, where: str) -> Labels:
     return Labels(tuple(hands), intrinsics)
 
 
-READER = Reader(LAYOUT, recognises, read, has_splits=True)
+READER = Reader(
+    "RHD's layout (RHD_published_v2): training/color/00000.png ..., training/anno_training.pickle, and "
+    "the same for evaluation",
+    recognises,
+    read,
+    has_splits=True,
+)

@@ -18,6 +18,7 @@ from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import SIDES
 
 _OF_CLIPS: Final = re.compile(r"(\d+)\.hands\.json")
@@ -63,7 +64,9 @@ def _read(document: Document, asked: Asked) -> Recording:
                     raise Unfit(f"hand_poses must be 0 (left) and 1 (right), and has {index[:40]}")
                 found.append(_hand(number, int(index), pose, asked))
     frames = np.array(sorted(numbers))
-    posed = [mano.seen_from(hand, asked, mano.Z_UP) for hand in mano.followed(found, frames, asked, assumed)]
+    posed = [
+        mano.seen_from(hand, asked, UP_AXES["z"]) for hand in mano.followed(found, frames, asked, assumed)
+    ]
     fps = mano.rate(told, asked)
     return mano.recording_of("hot3d", document, fps, frames, posed, asked, assumed, chosen=True)
 

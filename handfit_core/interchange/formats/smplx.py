@@ -14,6 +14,7 @@ from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame, written
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
@@ -89,7 +90,7 @@ def _write(take: Take, path: Path) -> None:
     present = np.zeros((len(poses), 2), dtype=bool)
     for side, hand in frames.hands.items():
         poses[:, _HANDS[165][side]] = hand.hand_pose
-        turned = mano.Y_UP @ rotvec_to_rotmat(hand.global_orient)
+        turned = UP_AXES["y"] @ rotvec_to_rotmat(hand.global_orient)
         poses[:, _WRISTS[side]] = rotmat_to_rotvec(turned)
         present[:, SIDES.index(side)] = hand.present
     arrays: dict[str, Any] = {
