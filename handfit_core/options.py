@@ -24,7 +24,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.take import MOST_HANDS
+from handfit_core.take import TAKE_LIMITS
 
 HandChoice = Literal["auto", "left", "right", "both"]
 HandMean = Literal["auto", "flat", "mean"]
@@ -299,7 +299,7 @@ class CaptureOptions:
         "how many hands to keep at most, the surest first",
         "N",
         least=1,
-        most=MOST_HANDS,
+        most=TAKE_LIMITS.max_hands,
         by_default=f"all of a photo, {CLIP_HANDS} of a clip",
     )
     regions: tuple[Region, ...] = _option(

@@ -34,8 +34,6 @@ from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotve
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 
 FORMAT_VERSION: Final = 1
-_DECIMALS: Final = 8
-"""Decimals to which corrections are rounded, so that the .blend holds exactly what was applied"""
 
 _MIN_CHANGE: Final = 0.01
 """radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
@@ -115,7 +113,8 @@ class Correction:
         object.__setattr__(self, "spread", float(self.spread))
         for name in declared(self):
             value = np.asarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, np.round(value, _DECIMALS))
+            # Rounded, so that the .blend holds exactly what was applied
+            object.__setattr__(self, name, np.round(value, 8))
         check_arrays(self, ValueError)
 
 

@@ -14,7 +14,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side, can_touch
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import TAKE_LIMITS
 
 START_ARRAYS: Final = ("global_orient", "hand_pose", "transl")
 """The pose to start from"""
@@ -67,8 +67,10 @@ class RefineHand:
         check_arrays(self, OptionError, T=len(self.detections))
         if (np.isnan(self.pins).sum(axis=-1) == 1).any():
             raise OptionError("pins must have x and y in pixels, or NaN for both where a point is not pinned")
-        if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
-            raise OptionError(f"fps must lie between {SMALLEST_FPS:g} and {LARGEST_FPS:g}, not {self.fps}")
+        if not TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps:
+            raise OptionError(
+                f"fps must lie between {TAKE_LIMITS.min_fps:g} and {TAKE_LIMITS.max_fps:g}, not {self.fps}"
+            )
         OPTIONS["smoothing"].read(self.smoothing)
         if self.touches is not None:
             for row, point in np.argwhere(~np.isnan(self.touches)).tolist():

@@ -116,7 +116,9 @@ def _code() -> str:
 
     layer = Path(skeleton.__file__).parent / "layer" / "__init__.py"  # which needs torch to be imported
     of_models = (anatomy, chain, data, landmarks, surface, layer)
-    learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE, doubt.FILE)]
+    learnt = [
+        hashlib.sha256(f.read_bytes()).hexdigest() for f in (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
+    ]
     of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
     code = code_digest(*of_solvers, methods, *of_models)
     return "|".join([code, *learnt])

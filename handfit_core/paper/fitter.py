@@ -24,20 +24,9 @@ from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.paper.placement import place, turn_to_ray
+from handfit_core.paper.settings import PAPER
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.solvers import OnFrame, ShouldStop, never
-
-MM = 1000.0
-
-MAX_ITERATIONS = 500
-"""As in the published code."""
-
-PRIOR_TOLERANCE = 1e-5
-"""Relative change of the cost at which the variant with a prior stops; scipy's own, which the published
-experiments use, costs more iterations for a thousandth of the cost."""
-
-SHAPE_FRAMES = 8
-"""So many frames, evenly spread over a clip, decide the hand's one shape."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +42,7 @@ class PaperOptions:
     loss: str
     """mse, geman_mcclure or huber"""
     tips: bool
-    """count the fingertips again, with `losses.TIP_WEIGHT`"""
+    """count the fingertips again, with `tip_weight`"""
     anatomical_stage: bool = False
     """a second stage with joint limits and the 2D error only"""
     pose_prior: bool = False
@@ -166,7 +155,7 @@ class PaperFitter:
             else:
                 orient, pose = self._prior.unwhiten(variables)
             shape = variables[None, 48:] if fixed is None else fixed
-            residual = (self._layer.keypoints(shape, orient, pose) - target) * MM
+            residual = (self._layer.keypoints(shape, orient, pose) - target) * 1000.0
             return variables, residual, pose
 
         def main_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -241,9 +230,9 @@ class PaperFitter:
     def _minimise(self, cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray):
         from scipy.optimize import minimize
 
-        options: dict[str, float] = {"maxiter": MAX_ITERATIONS}
+        options: dict[str, float] = {"maxiter": PAPER.max_iterations}
         if self._prior is not None:
-            options["ftol"] = PRIOR_TOLERANCE
+            options["ftol"] = PAPER.prior_tolerance
         with one_thread():
             return minimize(cost, first, jac=True, method=self._options.method, options=options)
 
@@ -252,7 +241,7 @@ def _shape_of_clip(
     fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
 ) -> np.ndarray:
     """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
-    chosen = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
+    chosen = np.linspace(0, len(keypoints) - 1, min(PAPER.shape_frames, len(keypoints))).round().astype(int)
     shapes: list[np.ndarray] = []
     for i in chosen:
         shapes.append(fitter.fit(keypoints[i]).betas)
