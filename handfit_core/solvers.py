@@ -18,6 +18,10 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.registry import Registry
 
+USUAL_SMOOTHING: Final = 1.0
+MOST_SMOOTHING: Final = 10.0
+"""Strengths of smoothing; 0 takes every frame by itself"""
+
 OnFrame = Callable[[], None]
 """Called once for every frame that is done; may raise to end the run with nothing."""
 
@@ -88,7 +92,9 @@ def solver_names() -> tuple[str, ...]:
     return SOLVERS.names()
 
 
-def get_solver(name: str, smoothing: float = 1.0, hand_length: float | None = None) -> TrackSolver:
+def get_solver(
+    name: str, smoothing: float = USUAL_SMOOTHING, hand_length: float | None = None
+) -> TrackSolver:
     """The solver of that name, ready to fit; `smoothing` and `hand_length` as the options of those names.
 
     Raises OptionError where there is no such solver, and where a package that it needs is not installed.

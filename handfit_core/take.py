@@ -99,8 +99,6 @@ class HandTrack(HandMotion):
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
         finite where there is a hand."""
-        if self.side not in SIDES:
-            raise TakeError(f"a hand's side must be left or right, not {shortly(self.side)}")
         check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):

@@ -7,8 +7,9 @@ from typing import Final, Self
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass
-from handfit_core.skeleton import FINGERS, NUM_BETAS, Side
+from handfit_core.arrays import array, array_dataclass, value
+from handfit_core.doors.values import one_of
+from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side
 
 POSE_ARRAYS: Final = ("global_orient", "hand_pose", "transl")
 _LARGEST_BETA: Final = 1e3
@@ -22,7 +23,7 @@ class HandMotion:
     joint, camera frame (x right, y down, z forward), metres.
     """
 
-    side: Side
+    side: Side = value(one_of(*SIDES))
     betas: np.ndarray = array(NUM_BETAS, finite="all", most=_LARGEST_BETA)
     """One shape for all frames"""
     global_orient: np.ndarray = array("T", 3, finite="present")
@@ -51,5 +52,8 @@ class HandMotion:
 
     def posed_at(self, there: np.ndarray) -> Self:
         """The hand with its pose in those of its frames (T,) bool alone."""
-        rows = (np.where(there[:, None], rows, np.nan) for rows in self.pose)
-        return replace(self, **dict(zip(POSE_ARRAYS, rows, strict=True)))
+        return self.with_pose(*(np.where(there[:, None], rows, np.nan) for rows in self.pose))
+
+    def with_pose(self, *pose: np.ndarray) -> Self:
+        """The hand with another `pose`."""
+        return replace(self, **dict(zip(POSE_ARRAYS, pose, strict=True)))

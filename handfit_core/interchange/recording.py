@@ -7,9 +7,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, check_arrays
+from handfit_core.arrays import array, array_dataclass, check_arrays, value
 from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import check_crowd
+from handfit_core.doors.values import one_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.hand_model.motion import HandMotion
@@ -69,7 +70,7 @@ def known(numbers: np.ndarray) -> np.ndarray:
 class PointsHand:
     """One hand's keypoints in space over a recording's T frames."""
 
-    side: Side
+    side: Side = value(one_of(*SIDES))
     points: np.ndarray = array("T", NUM_KEYPOINTS, 3)
     """metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
     on_joints: bool = True
@@ -152,8 +153,6 @@ class Recording:
                 raise ValueError("its hands are in frames that it does not have")
             check_crowd(numbers[self.seen.row])
         for hand in (*self.points, *self.posed):
-            if hand.side not in SIDES:
-                raise ValueError("a hand's side is neither left nor right")
             check_arrays(hand, ValueError, "its array ", T=count)
 
     @property

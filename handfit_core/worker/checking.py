@@ -119,7 +119,7 @@ def synthetic_fit_error_mm(side: Side = "right") -> float:
     seen = fitter.observe([d for d in hand.detections if d is not None], hand.intrinsics)
     betas, *pose = fitter.chain.parameters(fitter.solve_pictures(seen)[1].state)
     found = model.keypoints(betas[0], *pose)[0]
-    true = model.keypoints(None, hand.global_orient, hand.hand_pose, hand.transl)[0]
+    true = model.keypoints(None, *hand.pose)[0]
     laid = align(found, true, with_scale=True).apply(found)
     return float(np.linalg.norm(laid - true, axis=1).mean() * 1e3)
 

@@ -92,7 +92,7 @@ def _write(take: Take, path: Path) -> None:
         poses[:, _HANDS[165][side]] = hand.hand_pose
         turned = UP_AXES["y"] @ rotvec_to_rotmat(hand.global_orient)
         poses[:, _WRISTS[side]] = rotmat_to_rotvec(turned)
-        present[:, SIDES.index(side)] = hand.present
+        present[:, SIDES.index(side)] = frames.present[side]
     arrays: dict[str, Any] = {
         "trans": np.zeros((len(poses), 3)),
         "gender": np.array("neutral"),

@@ -15,7 +15,7 @@ import numpy as np
 
 from handfit_core.doors.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.motion import HandMotion
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame, written
@@ -169,9 +169,10 @@ def _write(take: Take, path: Path) -> None:
         "flat_hand_mean": np.array(True),
     }
     for side, hand in frames.hands.items():
-        for name in ("global_orient", "hand_pose", "transl", "betas", "present"):
-            value = getattr(hand, name)
-            arrays[f"{side}_{name}"] = value[None] if name == "betas" else value
+        for name, rows in zip(POSE_ARRAYS, hand.pose, strict=True):
+            arrays[f"{side}_{name}"] = rows
+        arrays[f"{side}_betas"] = hand.betas[None]
+        arrays[f"{side}_present"] = frames.present[side]
     written(path, arrays)
 
 
