@@ -16,14 +16,16 @@ from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, Final, Literal, get_args
 
-from handfit_core.detect.detector import Quality
+from handfit_core.detect.detector import DETECTORS, Quality
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.interchange.readers import READERS
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, Side
+from handfit_core.solvers import solver_names
 from handfit_core.take import TAKE_LIMITS
 
 HandChoice = Literal["auto", "left", "right", "both"]
@@ -253,20 +255,14 @@ def _regions(given: Any) -> tuple[Region, ...]:
 
 
 def _solvers() -> Iterable[str]:
-    from handfit_core.solvers import solver_names
-
     return solver_names()
 
 
 def _readers() -> Iterable[str]:
-    from handfit_core.interchange.readers import READERS
-
     return READERS.names()
 
 
 def _detectors() -> Iterable[str]:
-    from handfit_core.detect.detector import DETECTORS
-
     return DETECTORS.names()
 
 

@@ -16,6 +16,13 @@ from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, S
 from handfit_core.solvers import ShouldStop, never
 
 
+def _solving():
+    """The module that solves, which is slow to load: Blender does not need it to start."""
+    from handfit_core.edit import solving
+
+    return solving
+
+
 def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bool = False) -> RefineResult:
     """Every frame by itself, with the shape as it is.
 
@@ -30,10 +37,8 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
 
     Raises HandModelError.
     """
-    from handfit_core.edit import solving  # slow to load
-
     model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.solve_each(hand, model, guess, draft=draft))
+    return _result(hand, model, _solving().solve_each(hand, model, guess, draft=draft))
 
 
 def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResult:
@@ -46,10 +51,8 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResu
 
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
-    from handfit_core.edit import solving  # slow to load
-
     model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.solve_range(hand, model, should_stop))
+    return _result(hand, model, _solving().solve_range(hand, model, should_stop))
 
 
 def warm_up(model: str = OPEN_HAND) -> None:
@@ -57,9 +60,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
 
     Raises HandModelError if there is no hand of either side in `model`.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    solving.load()
+    _solving().load()
     errors: list[HandModelError] = []
     for side in SIDES:
         try:
