@@ -33,7 +33,6 @@ from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.parts import Parts
 from handfit_core.pipeline import Progress, ProgressCallback, capture_to_file, detect_to_file
 from handfit_core.version import __version__
-from handfit_core.worker.server import serve
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -167,6 +166,8 @@ def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:
 
 
 def _worker(args: argparse.Namespace) -> int:
+    from handfit_core.worker.server import serve  # which no other command needs
+
     serve(args.threads)
     return 0
 

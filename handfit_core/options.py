@@ -254,18 +254,6 @@ def _regions(given: Any) -> tuple[Region, ...]:
     return tuple(each if isinstance(each, Region) else Region.of(each) for each in given)
 
 
-def _solvers() -> Iterable[str]:
-    return solver_names()
-
-
-def _readers() -> Iterable[str]:
-    return READERS.names()
-
-
-def _detectors() -> Iterable[str]:
-    return DETECTORS.names()
-
-
 def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
     """A field of `CaptureOptions`, and what belongs to it."""
     return dataclasses.field(
@@ -308,7 +296,7 @@ class CaptureOptions:
         by_default="none; the first frame; as it looks",
     )
     only_regions: bool = _option(False, _flag, "keep the hands of the regions, and no others")
-    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=_detectors)
+    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=DETECTORS.names)
     threshold: float = _option(
         0.5,
         _number,
@@ -342,7 +330,7 @@ class CaptureOptions:
         most=64,
         by_default="one a core, at most 8",
     )
-    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=_solvers)
+    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=solver_names)
     model: str | None = _option(
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
     )
@@ -402,7 +390,7 @@ class CaptureOptions:
         _text,
         "the format of hands or keypoints of another program",
         "NAME",
-        choices=_readers,
+        choices=READERS.names,
         by_default="recognised",
     )
     person: int | None = _option(

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import get_args
 
 from handfit_core.errors import OptionError
-from handfit_core.evaluate.datasets import open_dataset
-from handfit_core.evaluate.flat import Flat
 from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
 from handfit_core.files import check_writable, path_of
 from handfit_core.options import CaptureOptions, add_options
@@ -63,7 +61,9 @@ def _evaluate(args: argparse.Namespace) -> int:
             f"evaluate's report needs {' and '.join(missing)}, which this Python lacks; "
             f"run `python -m pip install {' '.join(REPORTS_NEED)}`"
         )
-    # These need the packages of above.
+    # Other commands need none of these, and reports need the packages of above.
+    from handfit_core.evaluate.datasets import open_dataset
+    from handfit_core.evaluate.flat import Flat
     from handfit_core.evaluate.report import write_report
     from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate

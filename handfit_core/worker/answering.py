@@ -21,7 +21,6 @@ from handfit_core.pipeline import capture_to_file, detect_to_file
 from handfit_core.retiming import check_rate, is_other_rate
 from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
-from handfit_core.worker import checking
 from handfit_core.worker.protocol import FoundHand
 from handfit_core.worker.runner import OnProgress
 
@@ -49,10 +48,11 @@ def answer(
             return find(message)
         case "sheet":
             return sheet(message)
-        case "warm":
-            return checking.warm(message, should_stop)
         case _:
-            return checking.check(should_stop)
+            from handfit_core.worker import checking  # slow to load, with all that fits hands
+
+            warm = message["request"] == "warm"
+            return checking.warm(message, should_stop) if warm else checking.check(should_stop)
 
 
 def capture(
