@@ -16,15 +16,16 @@ from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, Final, Literal, get_args
 
-from handfit_core.detect.detector import Quality
+from handfit_core.detect.detector import DETECTORS, Quality
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.interchange.readers import READERS
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
+from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
 from handfit_core.take import TAKE_LIMITS
 
 HandChoice = Literal["auto", "left", "right", "both"]
@@ -253,24 +254,6 @@ def _regions(given: Any) -> tuple[Region, ...]:
     return tuple(each if isinstance(each, Region) else Region.of(each) for each in given)
 
 
-def _solvers() -> Iterable[str]:
-    from handfit_core.solvers import solver_names
-
-    return solver_names()
-
-
-def _readers() -> Iterable[str]:
-    from handfit_core.interchange.readers import READERS
-
-    return READERS.names()
-
-
-def _detectors() -> Iterable[str]:
-    from handfit_core.detect.detector import DETECTORS
-
-    return DETECTORS.names()
-
-
 def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
     """A field of `CaptureOptions`, and what belongs to it."""
     return dataclasses.field(
@@ -313,7 +296,7 @@ class CaptureOptions:
         by_default="none; the first frame; as it looks",
     )
     only_regions: bool = _option(False, _flag, "keep the hands of the regions, and no others")
-    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=_detectors)
+    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=DETECTORS.names)
     threshold: float = _option(
         0.5,
         _number,
@@ -347,7 +330,7 @@ class CaptureOptions:
         most=64,
         by_default="one a core, at most 8",
     )
-    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=_solvers)
+    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=solver_names)
     model: str | None = _option(
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
     )
@@ -407,7 +390,7 @@ class CaptureOptions:
         _text,
         "the format of hands or keypoints of another program",
         "NAME",
-        choices=_readers,
+        choices=READERS.names,
         by_default="recognised",
     )
     person: int | None = _option(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -113,7 +114,7 @@ def hands_of(table: Table) -> TableHands:
     return TableHands(numbers, hands, _rate(table, frames), named_sides, counted)
 
 
-def _column(table: Table, names: list[str]) -> str | None:
+def _column(table: Table, names: Iterable[str]) -> str | None:
     plain_names = {plain(name): name for name in reversed(table.columns)}
     return next((plain_names[name] for name in names if name in plain_names), None)
 

@@ -116,10 +116,11 @@ class PaperFitter:
     """Fits one hand model, frame by frame. Keeps the torch layer between frames."""
 
     def __init__(self, model: HandModel, options: PaperOptions) -> None:
+        # These need torch, without which the experiments still have names and titles.
         import torch
 
         from handfit_core.layer import HandLayer
-        from handfit_core.paper import losses
+        from handfit_core.paper import anatomical, losses, prior
 
         self._torch = torch
         self._options = options
@@ -129,14 +130,12 @@ class PaperFitter:
         self._loss = losses.with_tips(loss) if options.tips else loss
         self._plain_mse = losses.mse
         if options.anatomical_stage:
-            from handfit_core.paper.anatomical import AnatomicalPenalty
-
-            self._penalty = AnatomicalPenalty(anatomical_axes(model), joint_limits(model.side, model.name))
+            self._penalty = anatomical.AnatomicalPenalty(
+                anatomical_axes(model), joint_limits(model.side, model.name)
+            )
         self._prior = None
         if options.pose_prior:
-            from handfit_core.paper.prior import RelaxedPrior
-
-            self._prior = RelaxedPrior(model)
+            self._prior = prior.RelaxedPrior(model)
 
     def fit(
         self, keypoints: np.ndarray, *, betas: np.ndarray | None = None, start: FrameFit | None = None
@@ -210,7 +209,7 @@ class PaperFitter:
         placed = HandMotion(side, fit.betas, orient[None], fit.hand_pose[None], transl[None])
         if not self._options.camera_stage:
             return placed
-        from handfit_core.paper.through_camera import refine
+        from handfit_core.paper.through_camera import refine  # needs torch
 
         assert self._prior is not None, "the camera stage works on the prior's variables"
         with one_thread():
