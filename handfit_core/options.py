@@ -24,7 +24,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.solvers import solver_names
+from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
 from handfit_core.take import TAKE_LIMITS
 
 HandChoice = Literal["auto", "left", "right", "both"]
@@ -340,12 +340,12 @@ class CaptureOptions:
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
     )
     smoothing: float = _option(
-        1.0,
+        USUAL_SMOOTHING,
         _number,
         "how smooth motion is, for solvers that smooth: 0 takes every frame by itself, at most 10",
         "S",
         least=0.0,
-        most=10.0,
+        most=MOST_SMOOTHING,
     )
     hand_length: float | None = _option(
         None,

@@ -23,9 +23,10 @@ from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
-from handfit_core.skeleton import FINGERS, NUM_BETAS, NUM_KEYPOINTS, SIDES, Side, can_touch, other_side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, can_touch, other_side
 from handfit_core.slices import run_to_completion
 
 FORMAT_NAME = "handfit-take"
@@ -44,7 +45,6 @@ class TakeLimits:
     """times the size of a larger file that its arrays may have"""
     max_error: float = 1e30
     """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
-    max_beta: float = 1e3
     min_fps: float = 1e-3
     max_fps: float = 1e6
     max_side: int = 1 << 24
@@ -57,26 +57,14 @@ TAKE_LIMITS: Final = TakeLimits()
 
 
 @array_dataclass
-class HandTrack:
-    """One hand over a take's T frames.
+class HandTrack(HandMotion):
+    """One hand over a take's T frames: its motion, and what was detected.
 
     Float arrays but `placed` and `touches` hold NaN in the frames where neither `detected` nor `filled` is
     True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`,
     `world_landmarks`, `right_side`), and `expected_error`, also where only `filled` is.
-
-    Model parameters are MANO's: axis-angle in radians relative to the flat hand (hands_mean is not
-    added), root rotation about the wrist joint, camera frame (x right, y down, z forward), metres.
     """
 
-    side: Side
-    betas: np.ndarray = array(NUM_BETAS, finite="all", most=TAKE_LIMITS.max_beta)
-    """One shape for the whole take"""
-    global_orient: np.ndarray = array("T", 3, finite="present")
-    """radians"""
-    hand_pose: np.ndarray = array("T", 45, finite="present")
-    """radians"""
-    transl: np.ndarray = array("T", 3, finite="present")
-    """metres; the wrist lies at the shaped model's wrist + transl"""
     joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, finite="present")
     """metres, the fitted model's keypoints in MediaPipe's order"""
     keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected")
@@ -88,12 +76,6 @@ class HandTrack:
     """The detector's confidence in this hand, 0..1"""
     filled: np.ndarray | None = array("T", kind="b", default=None)
     """Frames of short gaps, bridged from their neighbours; None: there are none"""
-    doubtful: np.ndarray | None = array("T", kind="b", default=None)
-    """Frames whose pose may well be wrong; None: nobody looked"""
-    expected_error: np.ndarray | None = array("T", len(FINGERS), default=None)
-    """metres that each finger, thumb first, is likely to be off once the hand is laid over the true
-    one; NaN where nobody can tell, as where a person has corrected the pose, or in all frames, where the
-    keypoints are of a source for which that is not known; None: nobody looked"""
     keypoints_depth: np.ndarray | None = array("T", NUM_KEYPOINTS, finite="detected", default=None)
     """pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not kept"""
     world_landmarks: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, finite="detected", default=None)
@@ -117,8 +99,6 @@ class HandTrack:
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
         finite where there is a hand."""
-        if self.side not in SIDES:
-            raise TakeError(f"a hand's side must be left or right, not {shortly(self.side)}")
         check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):

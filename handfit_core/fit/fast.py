@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -50,38 +50,10 @@ from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import Landmarks, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import NUM_BETAS
-from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
-
-
-@dataclass(frozen=True, eq=False)
-class FrameFits:
-    """B independent fits, in the camera frame."""
-
-    betas: np.ndarray
-    """(B, 10)"""
-    global_orient: np.ndarray
-    """(B, 3) radians"""
-    hand_pose: np.ndarray
-    """(B, 45) radians"""
-    transl: np.ndarray
-    """(B, 3) metres"""
-    solution: Solution
-    evidence: np.ndarray
-    """(B, 5, 6) features of their errors, see `doubt.evidence`"""
-    error_factor: np.ndarray
-    """(B,) factors of the expected error, see `doubt.expected_error`"""
-
-    @property
-    def expected_error(self) -> np.ndarray:
-        """(B, 5) metres that each finger is likely to be off."""
-        return expected_error(self.evidence, self.error_factor)
-
-    @property
-    def doubtful(self) -> np.ndarray:
-        """(B,) bool: hands whose expected error is large, see `doubt.doubtful`."""
-        return doubtful(self.expected_error)
+from handfit_core.solvers import OnFrame, ShouldStop, never
 
 
 class FastFitter:
@@ -178,6 +150,11 @@ class FastFitter:
         found = (self.solve_each(solid.select(rows), plain.state.select(rows)) for rows in chosen)
         return seen, plain.replaced(coupled, Solution.collect(len(coupled), found))
 
+    def solve_pictures(self, seen: Observation) -> tuple[Observation, Solution]:
+        """B pictures of hands solved independently, each with a shape of its own; the observation as
+        `solve_solid` gives it."""
+        return self.solve_solid(seen, self.solve_each(self.problem(seen, "each"), self.start(seen)))
+
     def _coupling_terms(self, seen: Observation) -> tuple[Interpenetration | OrdinalDepth | Contact, ...]:
         """The terms that couple two parts of a hand."""
         ordinal = () if seen.self_contact is None else (self._ordinal_depth,)
@@ -201,26 +178,6 @@ def fitter_of(
     return FastFitter(model, hand_length, landmarks)
 
 
-def fit_frames(
-    model: HandModel,
-    detections: Sequence[HandDetection],
-    intrinsics: Intrinsics,
-    hand_length: float | None = None,
-) -> FrameFits:
-    """Fit B pictures of a hand independently, each with a shape of its own. `hand_length`: see
-    `FastFitter`."""
-    fitter = fitter_of(model, hand_length)
-    seen = fitter.observe(detections, intrinsics)
-    plain = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
-    seen, solution = fitter.solve_solid(seen, plain)
-    return FrameFits(
-        *fitter.chain.parameters(solution.state),
-        solution=solution,
-        evidence=evidence(seen, fitter.chain.points(solution.state), side_logits(detections, model.side)),
-        error_factor=crop_spread_factor(detections) * lifted_thumb_factor(seen),
-    )
-
-
 def fit_track(
     smoothing: float,
     model: HandModel,
@@ -229,7 +186,7 @@ def fit_track(
     on_frame: OnFrame,
     should_stop: ShouldStop = never,
     hand_length: float | None = None,
-) -> TrackFit:
+) -> HandMotion:
     """Fit a tracked hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
 
     Gaps up to `max_gap_seconds` are filled. `should_stop` is asked after every `chunk_frames` frames;
@@ -246,8 +203,7 @@ def fit_track(
         track.detections.forget_corrections()
     cuts = detect_cuts(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
-        solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
-        seen, solution = fitter.solve_solid(seen, solution)
+        seen, solution = fitter.solve_pictures(seen)
         frames, state = found, solution.state
     else:
         solution = _clip(fitter, seen, should_stop)
@@ -263,18 +219,16 @@ def fit_track(
     for chunk in slices(len(rows)):
         points = fitter.chain.points(state.select(rows[chunk]))
         features[chunk] = evidence(seen.select(chunk), points, np.full(len(points), side_logit))
-    converged = solution.converged
     error_factor = error_factor[: len(found)] * lifted_thumb_factor(seen)
     del seen, solution
     expected = temporal_mean(expected_error(features, error_factor), Times.between(found, cuts, track.fps))
     betas, orient, pose, transl = fitter.chain.parameters(state)
-    return TrackFit(
+    return HandMotion(
+        side=model.side,
         betas=betas[0],
         global_orient=scatter(orient, frames, count),
         hand_pose=scatter(pose, frames, count),
         transl=scatter(transl, frames, count),
-        converged=scatter(converged, found, count, False),
-        filled=scatter(True, np.setdiff1d(frames, found), count, False),
         doubtful=scatter(doubtful(expected), found, count, False) if track.calibrated else None,
         expected_error=scatter(expected, found, count) if track.calibrated else None,
     )

@@ -14,7 +14,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST
+from handfit_core.arrays import LARGEST, array_dataclass
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.doors.values import Unfit
 from handfit_core.errors import OptionError
@@ -24,8 +25,9 @@ from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, 
 from handfit_core.hand_model.axes import mirrored_pose
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND, load_model
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
+from handfit_core.interchange.recording import Asked, Recording, known, usual_place
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS
@@ -135,21 +137,22 @@ def from_directions(coefficients: np.ndarray, side: Side, asked: Asked) -> np.nd
     return coefficients @ model.hands_components[: coefficients.shape[1]]
 
 
-def shape_of(betas: Any, asked: Asked, assumed: list[str]) -> np.ndarray | None:
-    """(10,) coefficients of MANO's shape, the median of several rows; None with the open hand, which has
-    other shapes: `assumed` then says so. Raises Unfit."""
+def shape_of(betas: Any, asked: Asked, assumed: list[str]) -> np.ndarray:
+    """(10,) coefficients of MANO's shape, the median of several rows; zeros, the mean shape, where none are
+    known, and with the open hand, which has other shapes: `assumed` then says so. Raises Unfit."""
+    mean_shape = np.zeros(NUM_BETAS)
     if betas is None or np.size(betas) == 0:
-        return None
+        return mean_shape
     row = np.asarray(betas, dtype=np.float64)
     if row.shape[-1] < NUM_BETAS:
         raise Unfit(f"betas must be {NUM_BETAS} numbers, not {row.shape[-1]}")
     rows = numbers("betas", row[..., :NUM_BETAS], NUM_BETAS)
     rows = rows[known(rows)]
     if not len(rows) or not np.any(rows):
-        return None
+        return mean_shape
     if asked.model is None or asked.model == OPEN_HAND:
         tell(assumed, "the shapes (betas) are MANO's and are left out, as the open hand has other ones")
-        return None
+        return mean_shape
     return np.asarray(np.median(rows, axis=0))
 
 
@@ -163,16 +166,17 @@ def tell(assumed: list[str], phrase: str) -> None:
 
 
 def seen_from(
-    hand: PosedHand, asked: Asked, rotation: np.ndarray, translation: np.ndarray | None = None
-) -> PosedHand:
-    """A hand of another frame in the camera's: x_camera = rotation x + translation.
+    hand: HandMotion, asked: Asked, rotation: np.ndarray, translation: np.ndarray | None = None
+) -> HandMotion:
+    """A hand of another frame in the camera's: x_camera = rotation x + translation. A place that is not
+    told stays so.
 
     rotation: (3, 3) or (T, 3, 3); translation: (3,) or (T, 3) metres. MANO's root turns about the wrist,
     which does not lie at the origin of the model: with J the wrist of the model, the new transl is
     R (J + transl) + t - J.
     """
     turned = rotmat_to_rotvec(rotation @ rotvec_to_rotmat(hand.global_orient))
-    if hand.transl is None:
+    if is_nowhere(hand):
         return replace(hand, global_orient=turned)
     wrist = load_model(asked.model, hand.side).shaped(hand.betas).joints[0]
     place = (rotation @ (hand.transl + wrist)[..., None])[..., 0] - wrist
@@ -225,6 +229,15 @@ def wrist_of_body(pelvis: np.ndarray, body_pose: np.ndarray, side: Side) -> np.n
     return rotmat_to_rotvec(turned)
 
 
+def of_body(side: Side, pelvis: np.ndarray, body_pose: np.ndarray, hand_pose: np.ndarray) -> HandMotion:
+    """A hand of a body, turned as its wrist is; where that lies is not known without the body's model.
+
+    pelvis (T, 3), body_pose (T, 63) and hand_pose (T, 45) axis-angle.
+    """
+    orient = wrist_of_body(pelvis, body_pose, side)
+    return HandMotion(side, np.zeros(NUM_BETAS), orient, hand_pose, nowhere(len(orient)))
+
+
 NO_PLACE: Final = (
     "where the wrists are is not known without the body's model: each hand stays in its place, and only turns"
 )
@@ -233,20 +246,25 @@ NO_PLACE: Final = (
 # Hands frame by frame
 
 
-@dataclass(frozen=True, eq=False)
-class FoundHand:
-    """One hand in one frame."""
+NO_SHAPE: Final = np.full(NUM_BETAS, np.nan)
+"""The betas of a `FoundHand` whose file does not tell them"""
+
+
+def nowhere(count: int) -> np.ndarray:
+    """(T, 3) the transl of hands whose place is not told: at infinity, until `recording_of` places them."""
+    return np.full((count, 3), np.inf)
+
+
+def is_nowhere(hand: HandMotion) -> bool:
+    """Whether a hand's place is not told, in one of its frames at least."""
+    return bool(np.isinf(hand.transl).any())
+
+
+@array_dataclass
+class FoundHand(HandMotion):
+    """One hand in one frame (T = 1). Its betas are the file's."""
 
     frame: int
-    side: Side
-    global_orient: np.ndarray
-    """(3,) radians, camera frame"""
-    hand_pose: np.ndarray
-    """(45,) radians, relative to the flat hand"""
-    transl: np.ndarray | None = None
-    """(3,) metres, camera frame"""
-    betas: np.ndarray | None = None
-    """(10,), the file's"""
     person: int | None = None
     """Whose it is, where the file tells"""
 
@@ -267,15 +285,16 @@ class _Followed:
 
 def _seen_at(hand: FoundHand) -> np.ndarray:
     """(3,) its direction, and the logarithm of its depth, which is known least; zeros if it is nowhere."""
-    if hand.transl is None:
+    (place,) = hand.transl
+    if is_nowhere(hand):
         return np.zeros(3)
-    depth = max(abs(float(hand.transl[2])), 1e-6)
-    return np.array([hand.transl[0] / depth, hand.transl[1] / depth, np.log(depth)])
+    depth = max(abs(float(place[2])), 1e-6)
+    return np.array([place[0] / depth, place[1] / depth, np.log(depth)])
 
 
 def followed(
     found: Iterable[FoundHand], frames: np.ndarray, asked: Asked, assumed: list[str]
-) -> tuple[PosedHand, ...]:
+) -> tuple[HandMotion, ...]:
     """Hands of single frames as hands over all of them, those of one person, where one is asked for.
 
     A hand is the one that was closest to it last, among those of its side; there are as many of a side as
@@ -340,19 +359,12 @@ def _assign(hands: list[FoundHand], known_ones: list[_Followed], tracks: list[_F
         taken[i].add(hand)
 
 
-def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str]) -> PosedHand:
-    count = len(frames)
-    orient, pose, transl = (np.full((count, n), np.nan) for n in (3, POSE, 3))
+def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str]) -> HandMotion:
     rows = np.searchsorted(frames, sorted(track.hands))
     hands = [track.hands[frame] for frame in sorted(track.hands)]
-    orient[rows] = [hand.global_orient for hand in hands]
-    pose[rows] = [hand.hand_pose for hand in hands]
-    placed = all(hand.transl is not None for hand in hands)
-    if placed:
-        transl[rows] = [hand.transl for hand in hands]
-    betas = [hand.betas for hand in hands if hand.betas is not None]
-    shape = shape_of(np.array(betas), asked, assumed) if betas else None
-    return PosedHand(track.side, orient, pose, transl if placed else None, shape)
+    poses = (np.concatenate([hand.pose[i] for hand in hands]) for i in range(len(POSE_ARRAYS)))
+    shape = shape_of(np.array([hand.betas for hand in hands]), asked, assumed)
+    return HandMotion(track.side, shape, *(scatter(each, rows, len(frames)) for each in poses))
 
 
 # A wrong mean, or a mirror that is missing
@@ -360,7 +372,7 @@ def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str
 _FINGERS: Final = np.array([j - 1 for f, joints in FINGER_JOINTS.items() if f != "thumb" for j in joints])
 
 
-def beyond_range(hand: PosedHand) -> float:
+def beyond_range(hand: HandMotion) -> float:
     """Radians that the four fingers' bends lie beyond what joints can do: the median over the frames of the
     mean over 12 joints. 0 for a hand that is nowhere."""
     poses = hand.hand_pose[hand.present]
@@ -375,7 +387,7 @@ def beyond_range(hand: PosedHand) -> float:
     return float(np.median(off.mean(axis=1)))
 
 
-def doubts(hands: Sequence[PosedHand], asked: Asked, mirrored_by: str = "") -> list[str]:
+def doubts(hands: Sequence[HandMotion], asked: Asked, mirrored_by: str = "") -> list[str]:
     """Phrases for hands whose fingers bend as no finger can, and would not if they were read another way:
     with the mean pose, without it, or, where `mirrored_by` says what to do then, a left hand in a mirror."""
     phrases: list[str] = []
@@ -414,7 +426,7 @@ def doubts(hands: Sequence[PosedHand], asked: Asked, mirrored_by: str = "") -> l
     return phrases
 
 
-def _how(hand: PosedHand) -> str:
+def _how(hand: HandMotion) -> str:
     axes = anatomical_axes(load_model(None, hand.side))
     poses = hand.hand_pose[hand.present].reshape(-1, 15, 3)
     bends = anatomical_angles(rotvec_to_rotmat(poses), axes)[:, _FINGERS, 2]
@@ -429,19 +441,20 @@ def rate(told: Any, asked: Asked) -> float:
     return asked.rate if told is None else float(numbers("the frame rate", told, 1)[0, 0])
 
 
-def only(hand: PosedHand, there: np.ndarray) -> PosedHand:
+def only(hand: HandMotion, there: np.ndarray) -> HandMotion:
     """The hand in those of its frames (T,) bool. Raises Unfit for another number of them."""
     if len(there) != len(hand.hand_pose):
         raise Unfit(
             f"it tells for {len(there)} frames whether there is a hand, and has {len(hand.hand_pose)}"
         )
-    keep = there[:, None]
-    return replace(
-        hand,
-        global_orient=np.where(keep, hand.global_orient, np.nan),
-        hand_pose=np.where(keep, hand.hand_pose, np.nan),
-        transl=None if hand.transl is None else np.where(keep, hand.transl, np.nan),
-    )
+    return hand.posed_at(there)
+
+
+def _placed(hand: HandMotion) -> HandMotion:
+    """The hand at the usual place where its own is not told."""
+    if not is_nowhere(hand):
+        return hand
+    return replace(hand, transl=np.tile(usual_place(hand.side), (len(hand.transl), 1)))
 
 
 def recording_of(
@@ -449,7 +462,7 @@ def recording_of(
     document: Document,
     fps: float,
     frames: np.ndarray,
-    posed: Iterable[PosedHand],
+    posed: Iterable[HandMotion],
     asked: Asked,
     assumed: Iterable[str],
     *,
@@ -462,7 +475,7 @@ def recording_of(
     are already those of the person asked for; else there is one person. Raises Unfit."""
     if not chosen and asked.person not in (None, 1):
         raise Unfit(f"there is no person {asked.person}: it has 1")
-    hands = tuple(hand for hand in posed if hand.present.any())
+    hands = tuple(hand for hand in map(_placed, posed) if hand.present.any())
     if not hands:
         raise Unfit("there is no hand in any of its frames")
     return Recording(

@@ -13,9 +13,10 @@ import numpy as np
 from handfit_core.arrays import arrays_of
 from handfit_core.errors import InputError, PictureSizeError
 from handfit_core.files import shown
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
-from handfit_core.interchange.recording import VIRTUAL, Asked, PointsHand, PosedHand, Recording
+from handfit_core.interchange.recording import VIRTUAL, Asked, PointsHand, Recording
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media, pictures_in
 from handfit_core.media.settings import MEDIA
@@ -233,7 +234,7 @@ def at_rows(recording: Recording, rows: np.ndarray, numbers: np.ndarray) -> Reco
     )
 
 
-def _hand_at(hand: PointsHand | PosedHand, rows: np.ndarray) -> Any:
+def _hand_at(hand: PointsHand | HandMotion, rows: np.ndarray) -> Any:
     def at(array: np.ndarray) -> np.ndarray:
         taken = np.array(array, dtype=np.float64)[rows]
         taken[rows < 0] = np.nan

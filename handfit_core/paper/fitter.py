@@ -22,10 +22,11 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import Similarity, align
 from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
 from handfit_core.hand_model.data import HandModel
-from handfit_core.paper.placement import PlacedHand, place, turn_to_ray
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
+from handfit_core.paper.placement import place, turn_to_ray
 from handfit_core.paper.settings import PAPER
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
-from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
+from handfit_core.solvers import OnFrame, ShouldStop, never
 
 
 @dataclass(frozen=True)
@@ -194,8 +195,8 @@ class PaperFitter:
 
     def place(
         self, fit: FrameFit, keypoints: np.ndarray, intrinsics: Intrinsics, *, fit_shape: bool
-    ) -> PlacedHand:
-        """Place a fitted hand before a camera, where it meets (21, 3) keypoints in pixels best.
+    ) -> HandMotion:
+        """Place a fitted hand (T = 1) before a camera, where it meets (21, 3) keypoints in pixels best.
 
         With `camera_stage`, pose (and shape, if `fit_shape`) are refined there.
         """
@@ -203,7 +204,9 @@ class PaperFitter:
         towards = turn_to_ray(intrinsics, pixels.mean(axis=0))
         orient = rotmat_to_rotvec(towards @ rotvec_to_rotmat(fit.root_rotation))
         points = self._layer.model.keypoints(fit.betas, orient, fit.hand_pose, np.zeros(3))
-        placed = PlacedHand(fit.betas, orient, fit.hand_pose, place(points, pixels, intrinsics))
+        transl = place(points, pixels, intrinsics)
+        side = self._layer.model.side
+        placed = HandMotion(side, fit.betas, orient[None], fit.hand_pose[None], transl[None])
         if not self._options.camera_stage:
             return placed
         from handfit_core.paper.through_camera import refine  # needs torch
@@ -253,7 +256,7 @@ def fit_track(
     intrinsics: Intrinsics,
     on_frame: OnFrame,
     should_stop: ShouldStop = never,
-) -> TrackFit:
+) -> HandMotion:
     """Fit every detected frame with one shape and place the hand before the camera.
 
     The paper fits single pictures. A clip's hand has one shape: the median of the shapes that a few
@@ -264,14 +267,12 @@ def fit_track(
     found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
     shape = _shape_of_clip(fitter, list(found.values()), should_stop) if len(found) > 1 else None
     fit_shape = shape is None
-    placed: list[PlacedHand] = []
-    converged: list[bool] = []
+    placed: list[HandMotion] = []
     previous: FrameFit | None = None
     for keypoints in found.values():
         start = previous if options.warm_start else None
         fit = previous = fitter.fit(keypoints, betas=shape, start=start)
         placed.append(fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape))
-        converged.append(fit.converged)
         if fit_shape:
             shape = placed[-1].betas
         on_frame()
@@ -279,10 +280,5 @@ def fit_track(
             break
     assert shape is not None, "a track has at least one detection"
     frames, count = list(found)[: len(placed)], len(track.detections)
-    return TrackFit(
-        betas=shape,
-        global_orient=scatter([hand.global_orient for hand in placed], frames, count),
-        hand_pose=scatter([hand.hand_pose for hand in placed], frames, count),
-        transl=scatter([hand.transl for hand in placed], frames, count),
-        converged=scatter(converged, frames, count, False),
-    )
+    poses = (np.concatenate([hand.pose[i] for hand in placed]) for i in range(len(POSE_ARRAYS)))
+    return HandMotion(model.side, shape, *(scatter(rows, frames, count) for rows in poses))

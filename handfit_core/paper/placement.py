@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis
 from handfit_core.paper.settings import PAPER
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedHand:
-    """One hand in the camera frame."""
-
-    betas: np.ndarray
-    """(10,)"""
-    global_orient: np.ndarray
-    """(3,) radians"""
-    hand_pose: np.ndarray
-    """(45,) radians"""
-    transl: np.ndarray
-    """(3,) metres"""
 
 
 def turn_to_ray(intrinsics: Intrinsics, pixel: np.ndarray) -> np.ndarray:

@@ -11,9 +11,9 @@ import numpy as np
 import torch
 
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.layer import HandLayer
 from handfit_core.paper.losses import Loss
-from handfit_core.paper.placement import PlacedHand
 from handfit_core.paper.prior import RelaxedPrior
 from handfit_core.paper.settings import PAPER
 
@@ -24,11 +24,11 @@ def refine(
     loss: Loss,
     keypoints: np.ndarray,
     intrinsics: Intrinsics,
-    start: PlacedHand,
+    start: HandMotion,
     *,
     fit_shape: bool,
-) -> PlacedHand:
-    """Refine a placed hand against (21, 3) keypoints in pixels with depth.
+) -> HandMotion:
+    """Refine a placed hand (T = 1) against (21, 3) keypoints in pixels with depth.
 
     The shape changes only where `fit_shape` says so.
     """
@@ -40,7 +40,7 @@ def refine(
     target_depth = target[:, 2] - target[:, 2].mean()
     first_points = layer.model.keypoints(start.betas, start.global_orient, start.hand_pose, start.transl)
     # So many metres one pixel spans at the hand; fixed, or the hand could shrink its errors by moving.
-    metres = torch.tensor(first_points[:, 2].mean() / np.array([intrinsics.fx, intrinsics.fy]))
+    metres = torch.tensor(first_points[..., 2].mean() / np.array([intrinsics.fx, intrinsics.fy]))
     fixed_betas = torch.tensor(start.betas)[None]
     first_transl = torch.tensor(start.transl)
 
@@ -59,14 +59,15 @@ def refine(
         assert variables.grad is not None
         return total.item(), variables.grad.numpy()
 
-    parts = [np.zeros(3), prior.whiten(start.global_orient, start.hand_pose)]
+    parts = [np.zeros(3), prior.whiten(start.global_orient[0], start.hand_pose[0])]
     first = np.concatenate(parts + ([start.betas] if fit_shape else []))
     options = {"maxiter": PAPER.camera_iterations, "ftol": PAPER.camera_tolerance}
     found = minimize(cost, first, jac=True, method="L-BFGS-B", options=options).x
     orient, pose = prior.unwhiten(torch.tensor(found[3:]))
-    return PlacedHand(
+    return HandMotion(
+        side=start.side,
         betas=found[51:] if fit_shape else start.betas,
-        global_orient=orient[0].numpy(),
-        hand_pose=pose[0].numpy(),
+        global_orient=orient.numpy(),
+        hand_pose=pose.numpy(),
         transl=start.transl + PAPER.transl_scale * found[:3],
     )

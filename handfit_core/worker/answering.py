@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from handfit_core import edit
+from handfit_core.arrays import packed
 from handfit_core.detection import find_in_frame
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError, PictureSizeError
@@ -150,11 +151,13 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
         "width": frame.rgb.shape[1],
         "height": frame.rgb.shape[0],
         "hands": [
-            FoundHand(
-                hand.given_side or hand.likely_side,
-                hand.score if hand.certainty is None else hand.certainty,
-                hand.keypoints_2d,
-            ).to_message()
+            packed(
+                FoundHand(
+                    hand.given_side or hand.likely_side,
+                    hand.score if hand.certainty is None else hand.certainty,
+                    hand.keypoints_2d,
+                )
+            )
             for hand in hands
         ],
     }

@@ -23,7 +23,7 @@ from handfit_core.detect.opening import open_detector
 from handfit_core.edit import warm_up
 from handfit_core.edit.refit import seen_hand
 from handfit_core.errors import Cancelled, HandfitError, OptionError
-from handfit_core.fit.fast import fit_frames
+from handfit_core.fit.fast import fitter_of
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND, load_model
 from handfit_core.options import CaptureOptions
@@ -115,9 +115,11 @@ def synthetic_fit_error_mm(side: Side = "right") -> float:
 
     model = load_model(None, side)
     hand = seen_hand(model, OPEN_HAND, side)
-    fits = fit_frames(model, [d for d in hand.detections if d is not None], hand.intrinsics)
-    found = model.keypoints(fits.betas[0], fits.global_orient, fits.hand_pose, fits.transl)[0]
-    true = model.keypoints(None, hand.global_orient, hand.hand_pose, hand.transl)[0]
+    fitter = fitter_of(model)
+    seen = fitter.observe([d for d in hand.detections if d is not None], hand.intrinsics)
+    betas, *pose = fitter.chain.parameters(fitter.solve_pictures(seen)[1].state)
+    found = model.keypoints(betas[0], *pose)[0]
+    true = model.keypoints(None, *hand.pose)[0]
     laid = align(found, true, with_scale=True).apply(found)
     return float(np.linalg.norm(laid - true, axis=1).mean() * 1e3)
 

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, check_arrays, packed_arrays, unpacked_arrays
-from handfit_core.doors.values import Unfit, number, shortly, text, whole
+from handfit_core.arrays import array, array_dataclass, check_arrays, unpacked, value
+from handfit_core.doors.values import Unfit, flag, listed, number, one_of, shortly, text, whole
 from handfit_core.errors import ProtocolError
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
@@ -29,7 +29,7 @@ LONGEST_REQUEST: Final = 1 << 28
 """bytes of a request's line; a range of an hour needs about half of it"""
 
 LONGEST_EVENT: Final = 1 << 27
-"""bytes of an event's line; the answer to a range of an hour has 115 MB"""
+"""bytes of an event's line; the answer to a range of an hour has 59 MB"""
 
 _MAX_TEXT_CHARS: Final = 1 << 24
 """characters of a text in an event"""
@@ -83,16 +83,12 @@ def _word(name: str, value: Any) -> str:
     return text(name, value, _MAX_WORD_CHARS)
 
 
-def _words(name: str, value: Any) -> list[str]:
-    if not isinstance(value, list):
-        raise Unfit(f"{name} must be a list, not {shortly(value)}")
-    return [_word(name, word) for word in value]
+def _words(name: str, value: Any) -> tuple[str, ...]:
+    return listed(name, value, _word)
 
 
-def _numbers(name: str, value: Any) -> list[int]:
-    if not isinstance(value, list):
-        raise Unfit(f"{name} must be a list, not {shortly(value)}")
-    return [whole(name, each) for each in value]
+def _numbers(name: str, value: Any) -> tuple[int, ...]:
+    return listed(name, value, whole)
 
 
 def _text(name: str, value: Any) -> str:
@@ -107,37 +103,24 @@ def _count(name: str, value: Any) -> int:
 class FoundHand:
     """One of the hands in the answer to a `find` request."""
 
-    side: Side
-    certainty: float
+    side: Side = value(one_of(*SIDES))
+    certainty: float = value(number)
     """How sure it is that this is a hand, 0..1"""
     keypoints: np.ndarray = array(NUM_KEYPOINTS, 2, finite="all", sent=np.float32)
     """pixels of the upright picture"""
 
-    def to_message(self) -> dict[str, Any]:
-        """As JSON's types."""
-        return {"side": self.side, "certainty": self.certainty, **packed_arrays(self)}
-
     @classmethod
     def of_message(cls, message: Any) -> FoundHand:
-        """The inverse of `to_message`. Raises Unfit and ProtocolError."""
-        if not isinstance(message, dict) or message.get("side") not in SIDES:
-            raise Unfit("hands must have a side each, left or right")
-        certainty = number("certainty", message.get("certainty"))
-        found = cls(message["side"], certainty, **unpacked_arrays(cls, message))
+        """The inverse of `packed`. Raises Unfit and ProtocolError."""
+        if not isinstance(message, dict):
+            raise Unfit(f"a hand must be an object, not {shortly(message)}")
+        found = cls(**unpacked(cls, message))
         check_arrays(found)
         return found
 
 
-def _hands(name: str, value: Any) -> list[FoundHand]:
-    if not isinstance(value, list):
-        raise Unfit(f"{name} must be a list, not {shortly(value)}")
-    return [FoundHand.of_message(hand) for hand in value]
-
-
-def _flag(name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise Unfit(f"{name} must be true or false, not {shortly(value)}")
-    return value
+def _hands(name: str, value: Any) -> tuple[FoundHand, ...]:
+    return listed(name, value, lambda _, hand: FoundHand.of_message(hand))
 
 
 _EVENTS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
@@ -151,7 +134,7 @@ _EVENTS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
 """Event -> its fields that a client reads, and how each is checked; `id` comes on top"""
 
 _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
-    "capture": {"stopped": _flag},
+    "capture": {"stopped": flag},
     "probe": {
         "kind": _word,
         "width": _count,
@@ -166,7 +149,7 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
     "sheet": {"frames": _numbers},
     "refit": {"seconds": number},
     "warm": {},
-    "check": {"report": _text, "ok": _flag},
+    "check": {"report": _text, "ok": flag},
 }
 """Kind of request -> the fields of its `done` event that a client reads, and how each is checked"""
 

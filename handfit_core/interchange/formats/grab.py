@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 
 from handfit_core.doors.values import Unfit
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
-from handfit_core.skeleton import SIDES, Side
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.skeleton import NUM_BETAS, SIDES, Side
 
 
 def _recognises(document: Document) -> bool:
@@ -31,7 +32,8 @@ def _read(document: Document, asked: Asked) -> Recording:
         transl = mano.numbers("transl", params["transl"], 3)
         if len(transl) != len(orient):
             raise Unfit(f"transl has {len(transl)} rows where {len(orient)} are expected")
-        posed.append(mano.seen_from(PosedHand(side, orient, pose, transl), asked, turn))
+        hand = HandMotion(side, np.zeros(NUM_BETAS), orient, pose, transl)
+        posed.append(mano.seen_from(hand, asked, turn))
     assumed.append("the subject's own shape (vtemp) is left out")
     told = document.value("framerate")
     fps = mano.rate(120.0 if told is None else told, asked)

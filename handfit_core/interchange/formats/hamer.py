@@ -197,7 +197,7 @@ def _read(document: Document, asked: Asked, name: str, mirrored: bool) -> Record
             if mirrored
             else "left hands were taken as left ones already, as WiLoR-mini's are",
         )
-    camera = _camera(focals, size, assumed) if posed and posed[0].transl is not None else None
+    camera = _camera(focals, size, assumed) if posed and not mano.is_nowhere(posed[0]) else None
     fps = asked.rate
     return mano.recording_of(
         name,
@@ -238,30 +238,23 @@ def _hands_of(part: _Part, asked: Asked, mirrored: bool, assumed: list[str]) -> 
     orient = mano.rotations("global_orient", values["global_orient"], 1, count)
     pose = mano.rotations("hand_pose", values["hand_pose"], 15, count)
     place = _of(values, _NAMES["place"])
-    transl = None if place is None else mano.numbers("pred_cam_t_full", place, 3)
-    if transl is not None and len(transl) != count:
+    transl = mano.nowhere(count) if place is None else mano.numbers("pred_cam_t_full", place, 3)
+    if len(transl) != count:
         raise Unfit(f"pred_cam_t_full has {len(transl)} rows where {count} are expected")
-    if transl is None:
+    if place is None:
         mano.tell(assumed, "where the hands are is not told (pred_cam_t_full): each stays in its place")
     betas = values.get("betas")
-    shapes = None if betas is None else mano.numbers("betas", betas, 10)
+    shapes = np.empty((0, 10)) if betas is None else mano.numbers("betas", betas, 10)
     found = []
     for row, frame in enumerate(_frames(part, count, right, assumed)):
         side = "right" if right[row] else "left"
-        hand = orient[row : row + 1], pose[row : row + 1]
+        one = slice(row, row + 1)
+        hand = orient[one], pose[one]
         if side == "left" and mirrored:
             hand = mano.left_of_right(*hand)
         flat = mano.from_flat(hand[1], side, asked, "flat")
-        found.append(
-            mano.FoundHand(
-                frame,
-                side,
-                hand[0][0],
-                flat[0],
-                None if transl is None else transl[row],
-                None if shapes is None or len(shapes) != count else shapes[row],
-            )
-        )
+        shape = shapes[row] if len(shapes) == count else mano.NO_SHAPE
+        found.append(mano.FoundHand(side, shape, hand[0], flat, transl[one], frame))
     return found
 
 

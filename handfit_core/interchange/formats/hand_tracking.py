@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.arrays import LARGEST
+from handfit_core.batch import scatter
 from handfit_core.doors.values import Unfit, number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -24,14 +25,15 @@ from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL, bone_frames
 from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.numbered import check_count, told_twice
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
+from handfit_core.interchange.recording import Asked, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.transfer import palm_frame
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS
 
 _FINGER: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
@@ -186,7 +188,7 @@ def _numbers(told: Any, names: str) -> list[float]:
     return [number(name, value, -LARGEST, LARGEST) for name, value in zip(names, told, strict=False)]
 
 
-def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> PosedHand:
+def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> HandMotion:
     """The pose of tracked joints. Directions and twists of fingers are the joints' own; how the hand is
     turned is told by where its knuckles and its wrist are, as wrists' axes differ between makers."""
     needed = list(_OURS.values())
@@ -225,16 +227,12 @@ def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> 
         [np.swapaxes(whole[:, PARENTS[j]], -1, -2) @ whole[:, j] for j in range(1, NUM_JOINTS)], axis=1
     )
 
-    def spread(values: np.ndarray) -> np.ndarray:
-        found = np.full((len(there), values.shape[-1]), np.nan)
-        found[there] = values
-        return found
-
-    return PosedHand(
+    return HandMotion(
         side,
-        spread(rotmat_to_rotvec(whole[:, 0])),
-        spread(rotmat_to_rotvec(local).reshape(len(places), -1)),
-        spread(transl),
+        np.zeros(NUM_BETAS),
+        scatter(rotmat_to_rotvec(whole[:, 0]), there, len(there)),
+        scatter(rotmat_to_rotvec(local).reshape(len(places), -1), there, len(there)),
+        scatter(transl, there, len(there)),
     )
 
 

@@ -91,16 +91,14 @@ def _hand(frame: int, index: int, pose: dict[str, Any], asked: Asked) -> mano.Fo
     coefficients = mano.numbers("pose", given, 15)[:1]
     wrist = pose["wrist_xform"]
     if isinstance(wrist, dict):
-        orient = rotmat_to_rotvec(quat_to_rotmat(mano.numbers("q_wxyz", wrist["q_wxyz"], 4)))[0]
-        transl = mano.numbers("t_xyz", wrist["t_xyz"], 3)[0]
+        orient = rotmat_to_rotvec(quat_to_rotmat(mano.numbers("q_wxyz", wrist["q_wxyz"], 4)))[:1]
+        transl = mano.numbers("t_xyz", wrist["t_xyz"], 3)[:1]
     else:
-        both = mano.numbers("wrist_xform", wrist, 6)[0]
-        orient, transl = both[:3], both[3:]
-    betas = pose.get("betas")
+        both = mano.numbers("wrist_xform", wrist, 6)[:1]
+        orient, transl = both[:, :3], both[:, 3:]
+    betas = mano.numbers("betas", pose["betas"], 10)[0] if pose.get("betas") is not None else mano.NO_SHAPE
     flat = mano.from_flat(mano.from_directions(coefficients, side, asked), side, asked, "mean")
-    return mano.FoundHand(
-        frame, side, orient, flat[0], transl, None if betas is None else mano.numbers("betas", betas, 10)[0]
-    )
+    return mano.FoundHand(side, betas, orient, flat, transl, frame)
 
 
 READER = Reader(

@@ -13,7 +13,7 @@ from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame, written
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import SIDES, Side
@@ -52,7 +52,7 @@ def _read(document: Document, asked: Asked) -> Recording:
     posed = []
     for side in SIDES:
         flat = mano.from_flat(hands[side], side, asked, "mean" if beat else "flat")
-        hand = PosedHand(side, mano.wrist_of_body(pelvis, body, side), flat)
+        hand = mano.of_body(side, pelvis, body, flat)
         if present is not None:
             there = mano.numbers(_PRESENT, present, 2)[:, SIDES.index(side)] > 0.0
             hand = mano.only(hand, there)
@@ -92,7 +92,7 @@ def _write(take: Take, path: Path) -> None:
         poses[:, _HANDS[165][side]] = hand.hand_pose
         turned = UP_AXES["y"] @ rotvec_to_rotmat(hand.global_orient)
         poses[:, _WRISTS[side]] = rotmat_to_rotvec(turned)
-        present[:, SIDES.index(side)] = hand.present
+        present[:, SIDES.index(side)] = frames.present[side]
     arrays: dict[str, Any] = {
         "trans": np.zeros((len(poses), 3)),
         "gender": np.array("neutral"),

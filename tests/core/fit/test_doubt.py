@@ -10,11 +10,12 @@ import pytest
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import doubt
-from handfit_core.fit.fast import fit_frames, fit_track, fitter_of
+from handfit_core.fit.fast import fit_track, fitter_of
 from handfit_core.fit.gaps import Times
 from handfit_core.skeleton import SIDES, Side
 from scripts.train_doubt import calibrated
 from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, mirrored, model_of, poses, seen
+from tests.core.fit.frames import fit_frames
 
 COUNT = 16
 

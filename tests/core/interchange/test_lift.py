@@ -196,16 +196,14 @@ def test_a_take_of_such_keypoints_is_refitted_as_it_was_fitted() -> None:
         RefineHand(
             "right",
             kept.betas,
+            *kept.pose,
             CAMERA,
             tuple(kept.detection(row) for row in range(30)),
             np.full((30, 21, 2), np.nan),
-            kept.global_orient,
-            kept.hand_pose,
-            kept.transl,
             np.zeros(NUM_JOINTS, dtype=bool),
             OPEN_HAND,
         )
     )
-    apart = np.linalg.norm(again.joints_3d - kept.joints_3d, axis=-1)
+    apart = np.linalg.norm(model.keypoints(again.betas, *again.pose) - kept.joints_3d, axis=-1)
     assert apart.mean() < 0.002
     assert apart.max() < 0.008

@@ -101,7 +101,7 @@ def test_events_that_are_of_the_protocol(message: dict[str, Any], request_kind: 
         ({"event": "done", **PROBED, "width": True}, "probe", "width must be a whole number"),
         ({"event": "done", "kind": "photo"}, "probe", "width must be a whole number"),
         ({"event": "done", **FOUND, "hands": {}}, "find", "hands must be a list"),
-        ({"event": "done", **FOUND, "hands": [{"side": []}]}, "find", "a side each, left or right"),
+        ({"event": "done", **FOUND, "hands": [{"side": []}]}, "find", "side must be left or right"),
         (
             {"event": "done", **FOUND, "hands": [{"side": "left"}]},
             "find",
