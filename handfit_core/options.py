@@ -20,7 +20,6 @@ from handfit_core.detect.detector import DETECTORS, Quality
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.interchange.readers import READERS
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
@@ -254,6 +253,12 @@ def _regions(given: Any) -> tuple[Region, ...]:
     return tuple(each if isinstance(each, Region) else Region.of(each) for each in given)
 
 
+def _readers() -> Iterable[str]:
+    from handfit_core.interchange.readers import READERS  # which Blender does not need to start
+
+    return READERS.names()
+
+
 def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
     """A field of `CaptureOptions`, and what belongs to it."""
     return dataclasses.field(
@@ -390,7 +395,7 @@ class CaptureOptions:
         _text,
         "the format of hands or keypoints of another program",
         "NAME",
-        choices=READERS.names,
+        choices=_readers,
         by_default="recognised",
     )
     person: int | None = _option(
