@@ -38,7 +38,7 @@ from handfit_core.options import CROWD, CaptureOptions, HandChoice
 from handfit_core.parts import Parts
 from handfit_core.skeleton import SIDES
 from handfit_core.solvers import ShouldStop
-from handfit_core.take import MOST_HANDS
+from handfit_core.take import TAKE_LIMITS
 
 Chosen = TypeVar("Chosen", DetectedTrack, HandMotion)
 
@@ -249,10 +249,10 @@ def _chosen(options: CaptureOptions, hands: Sequence[Chosen]) -> list[Chosen]:
     if hands and not kept:
         raise NoHandFoundError(f"there is no {options.hands} hand in this input; take hands 'auto'")
     kept = kept[: options.max_hands]
-    if len(kept) > MOST_HANDS:
+    if len(kept) > TAKE_LIMITS.max_hands:
         raise OptionError(
-            f"there are {len(kept)} hands in this input, and a take holds at most {MOST_HANDS}: keep the "
-            "first ones with --max-hands, or one person's with --person"
+            f"there are {len(kept)} hands in this input, and a take holds at most {TAKE_LIMITS.max_hands}: "
+            "keep the first ones with --max-hands, or one person's with --person"
         )
     return list(kept)
 
@@ -283,7 +283,7 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
         tracks, count = link_and_count(
             seen.frames,
             hands,
-            min(MOST_HANDS, max(most or MOST_HANDS, len(options.regions))),
+            min(TAKE_LIMITS.max_hands, max(most or TAKE_LIMITS.max_hands, len(options.regions))),
             _rate(media, seen.numbers),
             tuple(holes),
             only_shown=options.only_regions,

@@ -34,22 +34,28 @@ from handfit_core.slices import run_to_completion
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
 
-MAX_FILE_BYTES: Final = 1 << 31
-"""of a take; 10 000 frames of two hands have 20 MB"""
 
-_MOST_MEMORY: Final = 400_000_000
-"""bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
-_MOST_PACKED: Final = 50
-"""times the size of a larger file that its arrays may have"""
+@dataclass(frozen=True)
+class TakeLimits:
+    """What a take may hold, so that reading a file can fill neither the memory nor a scene."""
 
-_LARGEST_ERROR: Final = 1e30
-"""pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
-SMALLEST_FPS: Final = 1e-3
-LARGEST_FPS: Final = 1e6
-_LARGEST_SIDE: Final = 1 << 24
-"""pixels of a picture"""
-MOST_HANDS: Final = 200
-"""of a take"""
+    max_file_bytes: int = 1 << 31
+    """of a take; 10 000 frames of two hands have 20 MB"""
+    max_memory_bytes: int = 400_000_000
+    """bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
+    max_packed: int = 50
+    """times the size of a larger file that its arrays may have"""
+    max_error: float = 1e30
+    """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
+    min_fps: float = 1e-3
+    max_fps: float = 1e6
+    max_side: int = 1 << 24
+    """pixels of a picture"""
+    max_hands: int = 200
+    """of a take"""
+
+
+TAKE_LIMITS: Final = TakeLimits()
 
 
 @array_dataclass
@@ -65,7 +71,7 @@ class HandTrack(HandMotion):
     """metres, the fitted model's keypoints in MediaPipe's order"""
     keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected")
     """pixels, as detected"""
-    reprojection_error: np.ndarray = array("T", finite="detected", most=_LARGEST_ERROR)
+    reprojection_error: np.ndarray = array("T", finite="detected", most=TAKE_LIMITS.max_error)
     """pixels: mean distance from the projected joints_3d to keypoints_2d"""
     detected: np.ndarray = array("T", kind="b")
     score: np.ndarray = array("T", finite="detected")
@@ -201,13 +207,16 @@ class Take:
         if not self.source.files:
             raise TakeError("a take must name the pictures that it was made from")
         sizes = (self.width, self.height)
-        if not (SMALLEST_FPS <= self.fps <= LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)):
+        if not (
+            TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps
+            and all(0 < side <= TAKE_LIMITS.max_side for side in sizes)
+        ):
             raise TakeError(
                 f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
                 f"{self.width}x{self.height} pixels"
             )
-        if len(self.hands) > MOST_HANDS:
-            raise TakeError(f"a take holds at most {MOST_HANDS} hands, not {len(self.hands)}")
+        if len(self.hands) > TAKE_LIMITS.max_hands:
+            raise TakeError(f"a take holds at most {TAKE_LIMITS.max_hands} hands, not {len(self.hands)}")
         for track in self.hands:
             track.check(count)
 
@@ -259,7 +268,7 @@ class Take:
         """Read a take. Raises TakeError for anything that is not a take this version understands."""
         path = Path(path)
         try:
-            data = read_file(path, MAX_FILE_BYTES)
+            data = read_file(path, TAKE_LIMITS.max_file_bytes)
         except FileNotFoundError as error:
             raise TakeError(f"{shown(path)}: there is no such take file") from error
         except (OSError, ValueError) as error:
@@ -277,7 +286,7 @@ class Take:
         """`from_bytes` array by array, for programs that must not stand still: each step takes some
         milliseconds, even in takes of ten thousand frames. Returns the take."""
         try:
-            archive = NpzArchive(data, max(_MOST_MEMORY, _MOST_PACKED * len(data)))
+            archive = NpzArchive(data, max(TAKE_LIMITS.max_memory_bytes, TAKE_LIMITS.max_packed * len(data)))
             header = archive.header()
             if header.get("format") != FORMAT_NAME:
                 raise NotNpz("is of another format")
@@ -343,8 +352,8 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
     if source.get("kind") not in SOURCE_KINDS:
         raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
-    if len(sides) > MOST_HANDS or not all(side in SIDES for side in sides):
-        raise ValueError(f"sides must be at most {MOST_HANDS}, each left or right")
+    if len(sides) > TAKE_LIMITS.max_hands or not all(side in SIDES for side in sides):
+        raise ValueError(f"sides must be at most {TAKE_LIMITS.max_hands}, each left or right")
     if set(camera) != {"fx", "fy", "cx", "cy"}:
         raise ValueError("intrinsics must be fx, fy, cx and cy")
     return {
@@ -370,7 +379,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
 def is_take(path: str | os.PathLike[str]) -> bool:
     """Whether a file looks like a take, and not like another program's .npz. Raises nothing."""
     try:
-        with opened_file(path, MAX_FILE_BYTES) as stream:
+        with opened_file(path, TAKE_LIMITS.max_file_bytes) as stream:
             return {"header", "frame_numbers"} <= names_of(stream)
     except (OSError, ValueError, NotNpz):
         return False

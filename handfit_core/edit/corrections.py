@@ -45,8 +45,6 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 FORMAT_VERSION: Final = 1
 _ALWAYS_KEPT: Final = ("pins", "spread", "added_key")
 """What every correction's text has; of other values and arrays, what is not empty"""
-_DECIMALS: Final = 8
-"""Decimals to which corrections are rounded, so that the .blend holds exactly what was applied"""
 
 _MIN_CHANGE: Final = 0.01
 """radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
@@ -139,7 +137,8 @@ class Correction:
             object.__setattr__(self, name, each.kind(name, getattr(self, name)))
         for name in declared(self):
             numbers = np.asarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, np.round(numbers, _DECIMALS))
+            # Rounded, so that the .blend holds exactly what was applied
+            object.__setattr__(self, name, np.round(numbers, 8))
         check_arrays(self, ValueError)
 
 

@@ -15,7 +15,7 @@ from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import TAKE_LIMITS
 
 
 def _camera(name: str, given: Any) -> Intrinsics:
@@ -63,7 +63,7 @@ class RefineHand(HandMotion):
     too. In frames without a pose nothing is locked"""
     model: str = value(_model, default=OPEN_HAND)
     """`open-hand`, or the path of the user's model file or folder"""
-    fps: float = value(number, default=25.0, least=SMALLEST_FPS, most=LARGEST_FPS)
+    fps: float = value(number, default=25.0, least=TAKE_LIMITS.min_fps, most=TAKE_LIMITS.max_fps)
     """Frames per second"""
     smoothing: float = value(number, default=USUAL_SMOOTHING, least=0.0, most=MOST_SMOOTHING)
     """For re-fitting a range"""

@@ -16,6 +16,13 @@ from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, S
 from handfit_core.solvers import ShouldStop, never
 
 
+def _solving():
+    """The module that solves, which is slow to load: Blender does not need it to start."""
+    from handfit_core.edit import solving
+
+    return solving
+
+
 def refit_each(hand: RefineHand, guess: HandMotion | None = None, *, draft: bool = False) -> HandMotion:
     """Every frame by itself, with the shape as it is.
 
@@ -30,9 +37,7 @@ def refit_each(hand: RefineHand, guess: HandMotion | None = None, *, draft: bool
 
     Raises HandModelError.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    return solving.solve_each(hand, kept_model(hand.model, hand.side), guess, draft=draft)
+    return _solving().solve_each(hand, kept_model(hand.model, hand.side), guess, draft=draft)
 
 
 def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> HandMotion:
@@ -45,9 +50,7 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> HandMotion
 
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    return solving.solve_range(hand, kept_model(hand.model, hand.side), should_stop)
+    return _solving().solve_range(hand, kept_model(hand.model, hand.side), should_stop)
 
 
 def warm_up(model: str = OPEN_HAND) -> None:
@@ -55,9 +58,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
 
     Raises HandModelError if there is no hand of either side in `model`.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    solving.load()
+    _solving().load()
     errors: list[HandModelError] = []
     for side in SIDES:
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -15,13 +14,14 @@ from handfit_core.edit import pins as pinning
 from handfit_core.edit.free import is_free, pose_from_pins
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.handles import landmark_points
+from handfit_core.edit.settings import EDITS
 from handfit_core.errors import Cancelled
-from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, smooth_track
+from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
+from handfit_core.fit.settings import SOLVER, TERMS
 from handfit_core.fit.solution import Solution
-from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import State
@@ -29,20 +29,6 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
 from handfit_core.solvers import ShouldStop
-
-STAND_IN_FACTOR: Final = 4.0
-"""Factor of the expected errors of a pose's landmarks where they stand in for a detection among others"""
-MAX_ITERATIONS: Final = 50
-"""More than captures take. Even where they are too few, a drag's result does not depend on its way: from the
-frame's own pose the steps are the same every time"""
-DRAFT_ITERATIONS: Final = 6
-"""Fewer while a point is dragged, as each answer continues from the one before"""
-FREE_DRAFT_ITERATIONS: Final = 10
-"""For drafts of added hands, which start anew each time, from all sides"""
-RESTART_COST_RATIO: Final = 0.9
-"""Share of the first start's cost below which the result of another start is taken"""
-RESTART_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
-"""Other starts of a finger that does not reach its pin: bends of its three joints, in parts of their range"""
 
 
 def load() -> None:
@@ -63,7 +49,7 @@ def solve_each(
     free = posed & is_free(hand.pins) & hand.added
     for row in np.flatnonzero(free):
         own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
-        most = FREE_DRAFT_ITERATIONS if draft else MAX_ITERATIONS
+        most = EDITS.free_draft_iterations if draft else EDITS.max_iterations
         state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[row] = found[0]
@@ -129,7 +115,7 @@ class _Frames(Batch):
             self.posed, self.seen
         )
         left = pinning.displacement(self.pins, seen.pixels)
-        fall_short = (left.max(axis=1) > pinning.REACHED_PIXELS) & ~self.locked[:, 0]
+        fall_short = (left.max(axis=1) > pinning.PINS.reached_pixels) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self.select(palm)
@@ -183,7 +169,7 @@ class _Frames(Batch):
                 start = replace(self.own, angles=self.own.angles + bends)
                 found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
-            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED_PIXELS)
+            short = np.flatnonzero(left.max(axis=1) > pinning.PINS.reached_pixels)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
                 starts = [found.select(short), *some._restart_poses()]
@@ -199,12 +185,12 @@ class _Frames(Batch):
         return found, held
 
     def _restart_poses(self) -> list[State]:
-        """The hands with their fingers bent as in `RESTART_BENDS`, for fingers that are stuck on their
+        """The hands with their fingers bent as in `restart_bends`, for fingers that are stuck on their
         way."""
         model = self.fitter.model
         upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
-        for bends in RESTART_BENDS:
+        for bends in EDITS.restart_bends:
             angles = np.zeros((1, 5, 3, 3))
             angles[0, ..., 2] = np.array(bends) * upper[..., 2]
             states.append(
@@ -264,9 +250,9 @@ class _Frames(Batch):
         # A frame without a pose has nothing to keep.
         turned = pinning.angle_sigma(uncertainty, pinning.hand_sizes(seen.pixels), self._idle)
         turned = np.where(self.posed[:, None], turned, np.inf)
-        limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
+        limits = np.where(self.posed, pinning.PINS.limits_sigma, np.nan)
         near = Kept(kept.wrist, distance_sigma, kept.angles, turned, limits)
-        most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
+        most = EDITS.max_iterations if self.near is None else EDITS.draft_iterations
         observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
@@ -314,7 +300,7 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
             _check(should_stop)
             held = None if everywhere is None else everywhere.select(rows[at])
             start = [plain.select(at)]
-            found = _cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS, solid=True)
+            found = _cheapest(fitter, observed.select(at), start, held, EDITS.max_iterations, solid=True)
             corrected.append(found.state)
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
@@ -420,7 +406,7 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     posed = hand.present
     points = np.ones((len(hand), NUM_KEYPOINTS, 3))
     points[posed] = landmark_points(model, hand.betas, *(rows[posed] for rows in hand.pose))
-    behind = points[..., 2].min(axis=1) <= NEAREST
+    behind = points[..., 2].min(axis=1) <= TERMS.nearest
     points[behind] = 1.0
     return posed & ~behind, points
 
@@ -456,14 +442,17 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
 
 def _as_stand_in(seen: Landmarked) -> Landmarked:
     return Landmarked(
-        seen.pixels, STAND_IN_FACTOR * seen.pixel_sigma, seen.depth, STAND_IN_FACTOR * seen.depth_sigma
+        seen.pixels,
+        EDITS.stand_in_factor * seen.pixel_sigma,
+        seen.depth,
+        EDITS.stand_in_factor * seen.depth_sigma,
     )
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Chunks of the frames `rows`, and their indices in it."""
-    for first in range(0, len(rows), CHUNK):
-        part = np.arange(first, min(first + CHUNK, len(rows)))
+    for first in range(0, len(rows), SOLVER.chunk_frames):
+        part = np.arange(first, min(first + SOLVER.chunk_frames, len(rows)))
         yield rows[part], part
 
 
@@ -521,7 +510,7 @@ def _cheapest(
     if len(starts) == 1:
         return solution
     cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
-    cost[0] *= RESTART_COST_RATIO
+    cost[0] *= EDITS.restart_cost_ratio
     return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 

@@ -28,22 +28,13 @@ from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, Recording, known, usual_place
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
-from handfit_core.take import MOST_HANDS
+from handfit_core.take import TAKE_LIMITS
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""
 
-_LARGEST_ANGLE: Final = 4.0 * np.pi
-_OFF: Final = 0.05
-"""What the elements of R R^T may differ from those of I"""
-
-Y_UP: Final = np.diag([1.0, -1.0, -1.0])
-"""To the camera frame from a world whose y axis points up, seen against its z axis: as SMPL's people stand"""
-Z_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""To the camera frame from a world whose z axis points up, seen along its y axis"""
-
-MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 
 Counted = Literal["flat", "mean"]
 """What poses count from: the flat hand, or the mean pose of MANO"""
@@ -82,7 +73,7 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
     else:
         rotvec = numbers(name, array, 3 * joints)
         angles = np.linalg.norm(rotvec.reshape(len(rotvec), joints, 3), axis=-1)
-        if np.any(angles > _LARGEST_ANGLE):
+        if np.any(angles > 4.0 * np.pi):
             raise Unfit(
                 f"{name} holds turns by {np.nanmax(angles):.0f} radians: these are degrees, or no axis-angle"
             )
@@ -103,7 +94,8 @@ def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
     """Matrices that are rotations but for their rounding. Raises Unfit."""
     there = np.isfinite(matrices).all(axis=(-1, -2))
     product = matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)
-    if np.any(np.abs(product[there]) > _OFF) or np.any(np.linalg.det(matrices[there]) < 0.0):
+    # What the elements of R R^T may differ from those of I
+    if np.any(np.abs(product[there]) > 0.05) or np.any(np.linalg.det(matrices[there]) < 0.0):
         raise Unfit(f"{name} holds matrices that are no rotations")
     return matrices
 
@@ -188,7 +180,11 @@ def seen_from(
 
 UNTOLD_WORLD: Final = "its world was taken to be z-up, which it does not tell"
 
-_UPS: Final = (("y-up", 1, 1.0, Y_UP), ("z-up", 2, 1.0, Z_UP), ("the camera's, y-down", 1, -1.0, np.eye(3)))
+_UPS: Final = (
+    ("y-up", 1, 1.0, UP_AXES["y"]),
+    ("z-up", 2, 1.0, UP_AXES["z"]),
+    ("the camera's, y-down", 1, -1.0, np.eye(3)),
+)
 
 
 def standing(pelvis: np.ndarray, assumed: list[str]) -> np.ndarray:
@@ -310,9 +306,10 @@ def followed(
         for side in SIDES:
             hands = [hand for hand in by_frame[frame] if hand.side == side]
             _assign(hands, [track for track in tracks if track.side == side], tracks, side)
-        if len(tracks) > MOST_HANDS:
+        if len(tracks) > TAKE_LIMITS.max_hands:
             raise Unfit(
-                f"it has more than {MOST_HANDS} hands, and at most so many are read; cut it into parts"
+                f"it has more than {TAKE_LIMITS.max_hands} hands, and at most so many are read; "
+                "cut it into parts"
             )
     if asked.person is not None:
         of_side = {side: [track for track in tracks if track.side == side] for side in SIDES}
@@ -368,9 +365,6 @@ def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str
 # A wrong mean, or a mirror that is missing
 
 _FINGERS: Final = np.array([j - 1 for f, joints in FINGER_JOINTS.items() if f != "thumb" for j in joints])
-_STRONG: Final = np.radians(4.0)
-"""What the bends of the four fingers' joints are beyond their range, on average, in a wrong reading"""
-_MUCH_BETTER: Final = 0.4
 
 
 def beyond_range(hand: HandMotion) -> float:
@@ -394,7 +388,8 @@ def doubts(hands: Sequence[HandMotion], asked: Asked, mirrored_by: str = "") -> 
     phrases: list[str] = []
     for hand in hands:
         now = beyond_range(hand)
-        if now < _STRONG:
+        # What the bends of the four fingers' joints are beyond their range, on average, in a wrong reading
+        if now < np.radians(4.0):
             continue
         mean = load_model(asked.model, hand.side).hands_mean
         others: list[tuple[str, np.ndarray]] = [
@@ -415,7 +410,7 @@ def doubts(hands: Sequence[HandMotion], asked: Asked, mirrored_by: str = "") -> 
                 )
             )
         best, said = min((beyond_range(replace(hand, hand_pose=pose)), said) for said, pose in others)
-        if best < _MUCH_BETTER * now:
+        if best < 0.4 * now:
             tell(phrases, f"the {hand.side} hand's fingers bend {_how(hand)} than fingers can, {said}")
         else:
             tell(

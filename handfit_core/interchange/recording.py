@@ -15,15 +15,25 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
+from handfit_core.take import TAKE_LIMITS
 
-VIRTUAL_SIZE: Final = (1920, 1080)
-"""Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
-VIRTUAL_DISTANCE: Final = 0.8
-"""Metres from that camera to hands that have no place of their own"""
-_APART: Final = 0.35
-"""Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
-the other hand from its origin, are 0.15 m apart"""
+
+@dataclass(frozen=True)
+class Virtual:
+    """The camera that is taken for hands that no picture belongs to."""
+
+    size: tuple[int, int] = (1920, 1080)
+    """Pixels of its picture"""
+    distance: float = 0.8
+    """Metres to hands that have no place of their own"""
+    nearest: float = 0.25
+    """Metres to the nearest hand"""
+    apart: float = 0.35
+    """Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m
+    towards the other hand from its origin, are 0.15 m apart"""
+
+
+VIRTUAL: Final = Virtual()
 
 
 @array_dataclass
@@ -79,7 +89,7 @@ class PointsHand:
 
 def usual_place(side: Side) -> np.ndarray:
     """(3,) metres: the transl, before a virtual camera, of hands whose place is not known."""
-    return np.array([_APART / 2.0 if side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE])
+    return np.array([VIRTUAL.apart / 2.0 if side == "left" else -VIRTUAL.apart / 2.0, 0.0, VIRTUAL.distance])
 
 
 @dataclass(frozen=True)
@@ -130,7 +140,7 @@ class Recording:
             raise ValueError("it has no frames")
         if np.any(np.diff(numbers) <= 0):
             raise ValueError("its frames' numbers do not increase")
-        if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
+        if not TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps:
             raise ValueError(f"its frame rate is {self.fps:g}")
         if self.size is not None and not all(0 < side < 1 << 24 for side in self.size):
             raise ValueError(f"its pictures have {self.size[0]}x{self.size[1]} pixels")

@@ -27,10 +27,6 @@ towards whoever looks, as OpenGL, OpenXR and most motion capture have; z up, y a
 has it"""
 
 _UNITS: Final = {"metres": 1.0, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
-_LIKELY: Final = 1.35
-"""times our mean hand that other hands are long or short, where a unit is guessed by it"""
-_OURS: Final = 2e-4
-"""metres: bones that differ no more from our model's are our model's"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +88,8 @@ def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> 
 def unit_of(metres: float) -> float:
     """The usual unit that is nearest to `metres`, or that itself where none is near."""
     nearest = min(_UNITS.values(), key=lambda unit: abs(np.log(metres / unit)))
-    return nearest if 1.0 / _LIKELY < metres / nearest < _LIKELY else metres
+    # Times our mean hand that other hands are long or short, where a unit is guessed by it
+    return nearest if 1.0 / 1.35 < metres / nearest < 1.35 else metres
 
 
 def name_of_unit(metres: float) -> str:
@@ -124,7 +121,8 @@ def _own_shape(
         betas = betas + np.linalg.lstsq(slopes, wanted - off, rcond=1e-6)[0]
         if np.abs(betas).max() > 20.0:
             return np.zeros(NUM_BETAS)
-    return betas if np.abs(made(betas) - wanted).max() < _OURS else np.zeros(NUM_BETAS)
+    # Metres: bones that differ no more from our model's are our model's
+    return betas if np.abs(made(betas) - wanted).max() < 2e-4 else np.zeros(NUM_BETAS)
 
 
 def _lengths(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -17,25 +16,8 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
-from handfit_core.interchange.recording import (
-    LEAST_POINTS,
-    VIRTUAL_DISTANCE,
-    PointsHand,
-    Recording,
-    known,
-)
+from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL, PointsHand, Recording, known
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
-
-_UNKNOWN_SIGMA: Final = 1e4
-"""pixels: what is known of a point that is missing"""
-_USUAL_SIGMA: Final = 0.002
-"""metres that points are expected to be off where too few frames tell"""
-_SIGMAS: Final = (0.0005, 0.02)
-"""metres: the least and the most that they are told to be"""
-_ENOUGH: Final = 10
-"""frames"""
-_NEAREST: Final = 0.25
-"""Metres from a virtual camera to the nearest hand"""
 
 
 def detected_in(recording: Recording) -> Detected:
@@ -73,10 +55,12 @@ def _sigma_of(points: np.ndarray) -> float:
     lengths = lengths[:, np.isfinite(lengths).any(axis=0)]
     change = np.abs(lengths - np.nanmedian(lengths, axis=0))
     change = change[np.isfinite(change)]
-    if len(points) < _ENOUGH or not len(change):
-        return _USUAL_SIGMA
+    if len(points) < 10 or not len(change):
+        # Metres that points are expected to be off where too few frames tell
+        return 0.002
     # Of a normal distribution's deviations half are less than 0.6745; two ends of a bone err.
-    return float(np.clip(np.median(change) / 0.6745 / np.sqrt(2.0), *_SIGMAS))
+    # Metres: the least and the most that they are told to be
+    return float(np.clip(np.median(change) / 0.6745 / np.sqrt(2.0), 0.0005, 0.02))
 
 
 def _seen_point_by_point(
@@ -91,7 +75,8 @@ def _seen_point_by_point(
     distance = float(along.mean())
     scale = 0.5 * (intrinsics.fx + intrinsics.fy) / distance
     depth = scale * (filled[:, 2] - filled[0, 2])
-    expected = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)
+    # Pixels: what is known of a point that is missing
+    expected = np.where(sure, scale * sigma, 1e4)
     table = np.column_stack([pixels, expected, expected, scale * (along - distance), expected])
     return HandDetection(
         side,
@@ -139,11 +124,11 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
 def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
     """(3,) metres that bring hands at places (N, 3) into a camera's view; zeros for those that stay."""
     low, high = places.min(axis=0), places.max(axis=0)
-    in_view = low[2] >= _NEAREST and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
+    in_view = low[2] >= VIRTUAL.nearest and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
     if in_view or (placed and np.median(places[:, 2]) > 0.0):
         return np.zeros(3)
     middle, reach = (low + high) / 2.0, (high - low).max() / 2.0
-    return np.array([0.0, 0.0, VIRTUAL_DISTANCE + 2.0 * reach]) - middle
+    return np.array([0.0, 0.0, VIRTUAL.distance + 2.0 * reach]) - middle
 
 
 def seen_of(

@@ -24,20 +24,9 @@ from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.paper.placement import place, turn_to_ray
+from handfit_core.paper.settings import PAPER
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.solvers import OnFrame, ShouldStop, never
-
-MM = 1000.0
-
-MAX_ITERATIONS = 500
-"""As in the published code."""
-
-PRIOR_TOLERANCE = 1e-5
-"""Relative change of the cost at which the variant with a prior stops; scipy's own, which the published
-experiments use, costs more iterations for a thousandth of the cost."""
-
-SHAPE_FRAMES = 8
-"""So many frames, evenly spread over a clip, decide the hand's one shape."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +42,7 @@ class PaperOptions:
     loss: str
     """mse, geman_mcclure or huber"""
     tips: bool
-    """count the fingertips again, with `losses.TIP_WEIGHT`"""
+    """count the fingertips again, with `tip_weight`"""
     anatomical_stage: bool = False
     """a second stage with joint limits and the 2D error only"""
     pose_prior: bool = False
@@ -127,10 +116,11 @@ class PaperFitter:
     """Fits one hand model, frame by frame. Keeps the torch layer between frames."""
 
     def __init__(self, model: HandModel, options: PaperOptions) -> None:
+        # These need torch, without which the experiments still have names and titles.
         import torch
 
         from handfit_core.layer import HandLayer
-        from handfit_core.paper import losses
+        from handfit_core.paper import anatomical, losses, prior
 
         self._torch = torch
         self._options = options
@@ -140,14 +130,12 @@ class PaperFitter:
         self._loss = losses.with_tips(loss) if options.tips else loss
         self._plain_mse = losses.mse
         if options.anatomical_stage:
-            from handfit_core.paper.anatomical import AnatomicalPenalty
-
-            self._penalty = AnatomicalPenalty(anatomical_axes(model), joint_limits(model.side, model.name))
+            self._penalty = anatomical.AnatomicalPenalty(
+                anatomical_axes(model), joint_limits(model.side, model.name)
+            )
         self._prior = None
         if options.pose_prior:
-            from handfit_core.paper.prior import RelaxedPrior
-
-            self._prior = RelaxedPrior(model)
+            self._prior = prior.RelaxedPrior(model)
 
     def fit(
         self, keypoints: np.ndarray, *, betas: np.ndarray | None = None, start: FrameFit | None = None
@@ -166,7 +154,7 @@ class PaperFitter:
             else:
                 orient, pose = self._prior.unwhiten(variables)
             shape = variables[None, 48:] if fixed is None else fixed
-            residual = (self._layer.keypoints(shape, orient, pose) - target) * MM
+            residual = (self._layer.keypoints(shape, orient, pose) - target) * 1000.0
             return variables, residual, pose
 
         def main_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -221,7 +209,7 @@ class PaperFitter:
         placed = HandMotion(side, fit.betas, orient[None], fit.hand_pose[None], transl[None])
         if not self._options.camera_stage:
             return placed
-        from handfit_core.paper.through_camera import refine
+        from handfit_core.paper.through_camera import refine  # needs torch
 
         assert self._prior is not None, "the camera stage works on the prior's variables"
         with one_thread():
@@ -241,9 +229,9 @@ class PaperFitter:
     def _minimise(self, cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray):
         from scipy.optimize import minimize
 
-        options: dict[str, float] = {"maxiter": MAX_ITERATIONS}
+        options: dict[str, float] = {"maxiter": PAPER.max_iterations}
         if self._prior is not None:
-            options["ftol"] = PRIOR_TOLERANCE
+            options["ftol"] = PAPER.prior_tolerance
         with one_thread():
             return minimize(cost, first, jac=True, method=self._options.method, options=options)
 
@@ -252,7 +240,7 @@ def _shape_of_clip(
     fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
 ) -> np.ndarray:
     """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
-    chosen = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
+    chosen = np.linspace(0, len(keypoints) - 1, min(PAPER.shape_frames, len(keypoints))).round().astype(int)
     shapes: list[np.ndarray] = []
     for i in chosen:
         shapes.append(fitter.fit(keypoints[i]).betas)

@@ -18,9 +18,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.detect.landmark_model import landmark_model_path, landmarks_2020_path
+from handfit_core.detect.opening import open_detector
+from handfit_core.edit import warm_up
+from handfit_core.edit.refit import seen_hand
 from handfit_core.errors import Cancelled, HandfitError, OptionError
+from handfit_core.fit.fast import fitter_of
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND, load_model
+from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.version import __version__
 from handfit_core.worker.protocol import PROTOCOL
@@ -87,8 +93,6 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
     if not isinstance(model, str):
         raise OptionError(f"a warm request's model must be a path or '{OPEN_HAND}', not {model!r}")
 
-    from handfit_core.edit import warm_up
-
     started = time.perf_counter()
     later = [partial(importlib.import_module, name) for name in _PRELOADED]
     for step in (*later, blank_picture_hands, synthetic_fit_error_mm, partial(warm_up, model)):
@@ -100,8 +104,6 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
 
 def blank_picture_hands() -> int:
     """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
-    from handfit_core.detect.opening import open_detector
-    from handfit_core.options import CaptureOptions
 
     with open_detector(CaptureOptions(plain_detection=True)) as finder:
         return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
@@ -110,8 +112,6 @@ def blank_picture_hands() -> int:
 def synthetic_fit_error_mm(side: Side = "right") -> float:
     """Mean distance in mm of the 21 keypoints that the fast solver finds, from those of the relaxed open hand
     that was projected for it, laid over each other."""
-    from handfit_core.edit.refit import seen_hand
-    from handfit_core.fit.fast import fitter_of
 
     model = load_model(None, side)
     hand = seen_hand(model, OPEN_HAND, side)
@@ -154,15 +154,11 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def _landmark_model() -> str:
-    from handfit_core.detect.landmark_model import landmark_model_path
-
     path = landmark_model_path()
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 
 def _landmarks_2020() -> str:
-    from handfit_core.detect.landmark_model import landmarks_2020_path
-
     if (path := landmarks_2020_path()) is None:
         return "not there or not whole; all works without, but depths are less exact"
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
@@ -192,8 +188,6 @@ def _solver() -> str:
 
 
 def _refitting() -> str:
-    from handfit_core.edit import warm_up
-
     warm_up()
     started = time.perf_counter()
     warm_up()

@@ -24,7 +24,6 @@ from handfit_core.skeleton import SIDES, Side
 
 _LABELS: Final = re.compile(r"labels_(\d+)\.npz")
 _SIZE: Final = (640, 480)
-_MOST_TEXT: Final = 1 << 20
 
 
 def _labels(document: Document) -> list[Path]:
@@ -85,7 +84,7 @@ def _read(document: Document, asked: Asked) -> Recording:
 def _text(path: Path) -> str:
     """A small file beside the labels; nothing where there is none."""
     try:
-        return read_file(path, _MOST_TEXT).decode("utf-8", "replace")
+        return read_file(path, 1 << 20).decode("utf-8", "replace")
     except (OSError, ValueError):
         return ""
 

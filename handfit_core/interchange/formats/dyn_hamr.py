@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.doors.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.axes import mirrored_pose
+from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
@@ -43,7 +43,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         transl = places[track]
         if side == "left":
             orient, pose = mirrored_pose(orient, pose)
-            transl = transl @ mano.MIRROR
+            transl = transl @ MIRROR_X
         pose = mano.from_flat(pose, side, asked, "flat")
         betas = None if shapes is None or len(shapes) != tracks else shapes[track]
         hand = HandMotion(side, mano.shape_of(betas, asked, assumed), orient, pose, transl)

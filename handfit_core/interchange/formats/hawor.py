@@ -19,7 +19,6 @@ from handfit_core.skeleton import SIDES
 
 _FIRST_AND_LAST: Final = re.compile(r"(\d+)_(\d+)")
 _FIVE: Final = ("trans", "rot", "hand_pose", "betas", "valid")
-_MOST_FRAMES: Final = 10_000_000
 
 
 def _folder(document: Document) -> Path | None:
@@ -69,7 +68,7 @@ def _of_folder(document: Document, asked: Asked) -> Recording:
             assert match is not None
             first, last = int(match[1]), int(match[2])
             chunk = Document(path)
-            if not 0 <= last - first < _MOST_FRAMES or not isinstance(chunk.json, dict):
+            if not 0 <= last - first < 10_000_000 or not isinstance(chunk.json, dict):
                 raise Unfit(f"{path.name} must be JSON of the frames in its name, and is {chunk.found}")
             count = last - first + 1
             orient = mano.rotations("init_root_orient", chunk.value("init_root_orient"), 1, count)

@@ -25,8 +25,7 @@ from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 
-_FINGERS: Final = tuple(f"{side}_hand_pose" for side in SIDES)
-_BODY: Final = {"global_orient", "body_pose", *_FINGERS}
+_BODY: Final = {"global_orient", "body_pose", *tuple(f"{side}_hand_pose" for side in SIDES)}
 _FRAME_AND_BOX: Final = re.compile(r"(\d+)_(\d+)")
 
 

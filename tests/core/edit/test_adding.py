@@ -14,7 +14,7 @@ from handfit_core.edit import RefineHand, from_message, landmark_points, refit_e
 from handfit_core.edit.adding import KNUCKLE, WRIST, Seen, laid, with_added
 from handfit_core.errors import OptionError, ProtocolError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
-from handfit_core.fit.terms.limits import STEP_MARGIN
+from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
@@ -139,8 +139,8 @@ def test_poses_are_what_a_hand_can_do(side: Side) -> None:
         result = refit_each(added(side, place, POINTS[6]))
         rotations = rotvec_to_rotmat(result.hand_pose[0].reshape(15, 3))
         angles = anatomical_angles(rotations, anatomical_axes(model))
-        assert np.all(angles < upper + STEP_MARGIN + 1e-6)
-        assert np.all(angles > lower - STEP_MARGIN - 1e-6)
+        assert np.all(angles < upper + TERMS.step_margin + 1e-6)
+        assert np.all(angles > lower - TERMS.step_margin - 1e-6)
 
 
 @pytest.mark.parametrize("side", SIDES)

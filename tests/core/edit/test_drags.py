@@ -15,8 +15,8 @@ import pytest
 
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import landmark_points, refit_each
-from handfit_core.edit.pins import REACHED_PIXELS
-from handfit_core.fit.terms.interpenetration import COMPRESSION, EDIT_SIGMA
+from handfit_core.edit.settings import PINS
+from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
     anatomical_angles,
@@ -97,7 +97,7 @@ def pressed(hand: Hand, keypoint: int, result: HandMotion) -> bool:
     """Whether the finger lies on another part of the hand, which keeps it from its pin: a sigma deeper than
     flesh gives, and than in the capture, where fingers that are side by side may press each other."""
     before, now = (depths_of(hand, keypoint, pose) for pose in (hand.pose[2], result.hand_pose))
-    return bool((now > np.maximum(before, COMPRESSION) + EDIT_SIGMA).any())
+    return bool((now > np.maximum(before, TERMS.compression) + TERMS.edit_penetration_sigma).any())
 
 
 def depths_of(hand: Hand, keypoint: int, pose: np.ndarray) -> np.ndarray:
@@ -209,7 +209,7 @@ def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
         if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, keypoint, one):
             continue
         missed = distance(shown(one)[0, keypoint], hand.before[keypoint] + by)
-        if abs(missed - REACHED_PIXELS) < 0.1:  # the palm moves, or it does not
+        if abs(missed - PINS.reached_pixels) < 0.1:  # the palm moves, or it does not
             continue
         between = distance(shown(one), shown(other)).max()
         assert between < max(1.0, 0.01 * hand.size), (hand.side, by)

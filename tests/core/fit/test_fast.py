@@ -10,7 +10,7 @@ import pytest
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import fit_track
-from handfit_core.fit.gaps import MAX_GAP_SECONDS
+from handfit_core.fit.settings import MOTION
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, warn_of_odd_shapes
 from handfit_core.hand_model.motion import HandMotion
@@ -132,7 +132,7 @@ def test_garbage_is_doubtful() -> None:
 
 
 def test_too_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, max_iterations=1))
     fits = fit_frames(model_of("right"), detections_of("right", poses(4)), CAMERA)
     assert not fits.solution.converged.any()
     assert (fits.solution.iterations == 1).all()
@@ -195,7 +195,7 @@ def test_smoothing_takes_jitter_out() -> None:
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
 def test_short_gaps_are_filled(smoothing: float) -> None:
-    most = int(MAX_GAP_SECONDS * FPS)
+    most = int(MOTION.max_gap_seconds * FPS)
     true, track = clip("right", 40, missing=(0, *range(3, 6), *range(20, 20 + most + 1)))
     found = fitted(track, smoothing)
     expected = np.zeros(40, dtype=bool)
@@ -224,14 +224,14 @@ def test_single_detection() -> None:
 def test_long_clips_are_cut_into_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     _, track = clip("right", 9, noise=2.0)
     whole = fitted(track, 0.0)
-    monkeypatch.setattr(fit, "CHUNK", 4)
+    monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, chunk_frames=4))
     cut = fitted(track, 0.0)
     np.testing.assert_allclose(points_of_track("right", cut), points_of_track("right", whole), atol=1e-4)
 
 
 def test_stopped_clip_keeps_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     _, track = clip("right", 9, missing=(1,), noise=2.0)
-    monkeypatch.setattr(fit, "CHUNK", 3)
+    monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, chunk_frames=3))
     calls: list[int] = []
     answers = iter([False, True])
     found = fit_track(1.0, model_of("right"), track, CAMERA, lambda: calls.append(1), lambda: next(answers))

@@ -11,7 +11,7 @@ from handfit_core.detect.keypoints import MOST_IN_FRAME
 from handfit_core.doors.values import Unfit
 from handfit_core.interchange.mano import NO_SHAPE, POSE, FoundHand, followed
 from handfit_core.interchange.recording import Asked
-from handfit_core.take import MOST_HANDS
+from handfit_core.take import TAKE_LIMITS
 
 
 class Counted(int):
@@ -52,12 +52,12 @@ def test_each_goes_to_the_nearest_that_is_free() -> None:
 
 
 def test_hands_and_persons_are_bounded() -> None:
-    crowd = [hand(1, x) for x in range(MOST_HANDS)]
-    assert len(followed(crowd, np.array([1]), Asked(), [])) == MOST_HANDS
+    crowd = [hand(1, x) for x in range(TAKE_LIMITS.max_hands)]
+    assert len(followed(crowd, np.array([1]), Asked(), [])) == TAKE_LIMITS.max_hands
     with pytest.raises(Unfit, match="more than 200 hands"):
         followed([*crowd, hand(1)], np.array([1]), Asked(), [])
     with pytest.raises(ValueError, match="4001 hands in frame 1, and at most 4000"):
         followed([hand(1)] * (MOST_IN_FRAME + 1), np.array([1]), Asked(), [])
-    strangers = [hand(frame, person=frame) for frame in range(MOST_HANDS + 1)]
+    strangers = [hand(frame, person=frame) for frame in range(TAKE_LIMITS.max_hands + 1)]
     with pytest.raises(Unfit, match="more than 200 hands"):
         followed(strangers, np.arange(len(strangers)), Asked(), [])

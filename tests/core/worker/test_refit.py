@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ def hand() -> RefineHand:
 def test_a_range_is_stopped_once_smoothing_began(
     hand: RefineHand, monkeypatch: pytest.MonkeyPatch, iterations: int
 ) -> None:
-    monkeypatch.setattr(clips, "ITERATIONS", iterations)
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=iterations))
     solve, solved = clips._solve, []
     monkeypatch.setattr(clips, "_solve", lambda *a: solved.append(1) or solve(*a))
     message = {"mode": "range", "hand": to_message(hand)}
