@@ -17,12 +17,14 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from handfit_core.arrays import array, array_dataclass, arrays_of, check_arrays, kept_arrays, reading_arrays
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.doors.npz import NotNpz, NpzArchive, names_of
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
@@ -110,6 +112,24 @@ class HandTrack(HandMotion):
                     raise TakeError(
                         f"the {self.side} hand's touches must name smaller points of other fingers"
                     )
+
+    @classmethod
+    def undetected(cls, motion: HandMotion, model: HandModel) -> HandTrack:
+        """A hand of which nothing was detected, such as one that a person has added: its frames count as
+        filled."""
+        present = motion.present
+        count = len(present)
+        joints = model.keypoints(motion.betas, *(rows[present] for rows in motion.pose))
+        nothing = np.full((count, NUM_KEYPOINTS, 2), np.nan)
+        return cls(
+            **vars(motion),
+            joints_3d=scatter(joints, present, count),
+            keypoints_2d=nothing,
+            reprojection_error=nothing[:, 0, 0],
+            detected=np.zeros(count, dtype=bool),
+            score=nothing[:, 0, 0],
+            filled=present,
+        )
 
     @property
     def added(self) -> bool:

@@ -12,6 +12,7 @@ from handfit_core.hand_model import HandModel, axes
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack
 
@@ -197,28 +198,12 @@ def _keep(
 ) -> None:
     """Add the mirrored track to the collection's take, and say on the armature which one it is."""
     track = hand.track
-    count = len(hand.take.frame_numbers)
-    present = np.asarray(track.present, dtype=bool)
     old_wrist = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
     place = (old_wrist + track.transl) @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
     orient, pose = mirrored_pose(track.global_orient, track.hand_pose)
     transl = place - model.shaped(betas).joints[0]
-    joints = np.full((count, 21, 3), np.nan)
-    joints[present] = model.keypoints(betas, orient[present], pose[present], transl[present])
-    nowhere = np.full(count, np.nan)
-    mirrored = HandTrack(
-        side=model.side,
-        betas=betas,
-        global_orient=orient,
-        hand_pose=pose,
-        transl=transl,
-        joints_3d=joints,
-        keypoints_2d=np.full((count, 21, 2), np.nan),
-        reprojection_error=nowhere,
-        detected=np.zeros(count, dtype=bool),
-        score=nowhere,
-        filled=present,
-    )
+    motion = HandMotion(model.side, betas, orient, pose, transl).posed_at(track.present)
+    mirrored = HandTrack.undetected(motion, model)
     take = replace(
         hand.take,
         hands=(*hand.take.hands, mirrored),

@@ -7,12 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from handfit_core.batch import scatter
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import HandModel
 from handfit_core.hand_model.anatomy import relaxed_pose
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS
 from handfit_core.take import HandTrack, Take
 
@@ -60,28 +62,14 @@ def with_added(
 ) -> Take:
     """The take with one more hand, of the model's side, `laid` into its frame `row` and absent in all others.
     Raises OptionError."""
-    orient, pose, transl = laid(model, take.intrinsics, wrist, knuckle, seen)
-    count = len(take.frame_numbers)
-    here = np.arange(count) == row
-
-    def at_row(values: np.ndarray) -> np.ndarray:
-        return np.where(here.reshape(-1, *[1] * np.ndim(values)), values, np.nan)
-
-    betas, nothing = np.zeros(NUM_BETAS), np.full((count, NUM_KEYPOINTS, 3), np.nan)
+    laid_pose = laid(model, take.intrinsics, wrist, knuckle, seen)
+    pose = (scatter(each[None], [row], len(take.frame_numbers)) for each in laid_pose)
+    motion = HandMotion(model.side, np.zeros(NUM_BETAS), *pose)
+    nothing = np.full((len(take.frame_numbers), NUM_KEYPOINTS, 3), np.nan)
     placed = nothing[..., :2].copy()
     placed[row, [WRIST, KNUCKLE]] = wrist, knuckle
-    track = HandTrack(
-        side=model.side,
-        betas=betas,
-        global_orient=at_row(orient),
-        hand_pose=at_row(pose),
-        transl=at_row(transl),
-        joints_3d=at_row(model.keypoints(betas, orient[None], pose[None], transl[None])[0]),
-        keypoints_2d=nothing[..., :2],
-        reprojection_error=nothing[:, 0, 0],
-        detected=np.zeros(count, dtype=bool),
-        score=nothing[:, 0, 0],
-        filled=here,
+    track = replace(
+        HandTrack.undetected(motion, model),
         keypoints_depth=nothing[..., 0],
         world_landmarks=nothing,
         placed=placed,

@@ -44,26 +44,20 @@ LIMITS: Final = ModelLimits()
 
 @dataclass(frozen=True)
 class ShapedHand:
-    """A hand model in its zero pose (flat hand), after the shape is applied. Metres, model frame."""
-
-    vertices: np.ndarray
-    """(V, 3)"""
-    joints: np.ndarray
-    """(16, 3)"""
-    tips: np.ndarray
-    """(5, 3) fingertips: thumb, index, middle, ring, little"""
-
-
-@dataclass(frozen=True)
-class PosedHand:
-    """A hand after pose and placement, in metres, in the frame that global_orient and transl lead to."""
+    """A hand model after the shape is applied, in metres: in its zero pose (flat hand, model frame), or posed
+    and placed, in the frame that global_orient and transl lead to."""
 
     vertices: np.ndarray
     """(..., V, 3)"""
     joints: np.ndarray
     """(..., 16, 3)"""
-    keypoints: np.ndarray
-    """(..., 21, 3)"""
+    tips: np.ndarray
+    """(..., 5, 3) fingertips: thumb, index, middle, ring, little"""
+
+    @property
+    def keypoints(self) -> np.ndarray:
+        """(..., 21, 3)"""
+        return keypoints_from_joints(self.joints, self.tips)
 
 
 @array_dataclass
@@ -131,7 +125,7 @@ class HandModel:
 
     def posed(
         self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
-    ) -> PosedHand:
+    ) -> ShapedHand:
         """Linear blend skinning as MANO (Romero, Tzionas, Black 2017) defines it.
 
         betas (10,) or None; global_orient (..., 3) and hand_pose (..., 45) axis-angle in radians;
@@ -139,8 +133,7 @@ class HandModel:
         wrist ends at shaped(betas).joints[0] + transl.
         """
         vertices, joints = self._skinned(slice(None), betas, global_orient, hand_pose, transl)
-        tips = vertices[..., self.tip_vertices, :]
-        return PosedHand(vertices, joints, keypoints_from_joints(joints, tips))
+        return ShapedHand(vertices, joints, vertices[..., self.tip_vertices, :])
 
     def keypoints(
         self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray

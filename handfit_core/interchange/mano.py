@@ -100,11 +100,6 @@ def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
     return matrices
 
 
-def left_of_right(global_orient: np.ndarray, hand_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A left hand's parameters of those of the right hand that a mirror at x = 0 shows: (N, 3), (N, 45)."""
-    return mirrored_pose(global_orient, hand_pose)
-
-
 # The user's own MANO file
 
 

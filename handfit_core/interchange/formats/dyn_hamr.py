@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.doors.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.axes import MIRROR_X
+from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
@@ -42,7 +42,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         pose = mano.rotations(pose_name, poses[track], 15, count)
         transl = places[track]
         if side == "left":
-            orient, pose = mano.left_of_right(orient, pose)
+            orient, pose = mirrored_pose(orient, pose)
             transl = transl @ MIRROR_X
         pose = mano.from_flat(pose, side, asked, "flat")
         betas = None if shapes is None or len(shapes) != tracks else shapes[track]

@@ -17,6 +17,7 @@ import numpy as np
 from handfit_core.doors.values import Unfit
 from handfit_core.files import shown
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.axes import mirrored_pose
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.numbered import several_clips
@@ -251,7 +252,7 @@ def _hands_of(part: _Part, asked: Asked, mirrored: bool, assumed: list[str]) -> 
         one = slice(row, row + 1)
         hand = orient[one], pose[one]
         if side == "left" and mirrored:
-            hand = mano.left_of_right(*hand)
+            hand = mirrored_pose(*hand)
         flat = mano.from_flat(hand[1], side, asked, "flat")
         shape = shapes[row] if len(shapes) == count else mano.NO_SHAPE
         found.append(mano.FoundHand(side, shape, hand[0], flat, transl[one], frame))
