@@ -11,9 +11,9 @@ import bpy
 
 from handfit_core.solvers import SOLVERS
 from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.events import Event, WorkerError, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
-from handfit_core.worker.runner import Event, WorkerError, as_error
 
 from . import installation, preferences, properties, verification
 from .cache import remove_temporary_takes

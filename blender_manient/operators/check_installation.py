@@ -10,8 +10,8 @@ import bpy
 
 from handfit_core.errors import HandfitError
 from handfit_core.worker.client import Worker
+from handfit_core.worker.events import Event
 from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
-from handfit_core.worker.runner import Event
 
 from .. import cache, details, preferences, screen, shared_worker, verification
 from ..wording import capitalised
