@@ -8,6 +8,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import importlib
+import importlib.util
 import sys
 import traceback
 from collections.abc import Iterable, Iterator
@@ -87,10 +88,23 @@ def runs() -> bool:
 def _can_run() -> bool:
     installation.note(installation.examine(Path(bpy.utils.user_resource("EXTENSIONS"))))
     importlib.invalidate_caches()  # Blender may just have unpacked it
+    for name in ("numpy", "handfit_core"):
+        if not installation.is_refused() and not _is_importable(name):
+            missing = ModuleNotFoundError(f"no module named {name}", name=name)
+            installation.note(installation.import_fault(missing))
     other = _running_copy()
     if other and not installation.is_refused():
         installation.note(installation.second_copy(other))
     return not installation.is_refused()
+
+
+def _is_importable(name: str) -> bool:
+    """Whether a package can be imported; an empty folder of its name is none."""
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        return False
+    return spec is not None and spec.origin is not None
 
 
 def _register_command() -> None:
