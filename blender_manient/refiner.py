@@ -221,10 +221,10 @@ class Refiner:
         quats = np.full((count, NUM_JOINTS, 4), np.nan)
         locations = np.full((count, 3), np.nan)
         at = result.present
-        quats[at], locations[at] = self.hand.rig.to_bones(
-            self.shaped(), result.global_orient[at], result.hand_pose[at], result.transl[at]
-        )
-        return BonePoses(quats, locations, result.landmarks_2d)
+        quats[at], locations[at] = self.hand.rig.to_bones(self.shaped(), *(rows[at] for rows in result.pose))
+        landmarks = np.full((count, NUM_KEYPOINTS, 2), np.nan)
+        landmarks[at] = self.landmarks(quats[at], locations[at])
+        return BonePoses(quats, locations, landmarks)
 
     def gaps(self, poses: BonePoses, pair: tuple[int, int]) -> np.ndarray:
         """(N,) metres between the skins at two points that can touch; NaN where there is no hand."""

@@ -166,7 +166,7 @@ def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:
 
 
 def _worker(args: argparse.Namespace) -> int:
-    from handfit_core.worker.server import serve
+    from handfit_core.worker.server import serve  # which no other command needs
 
     serve(args.threads)
     return 0

@@ -1,9 +1,9 @@
 """Arrays of dataclasses, declared once: shapes, kinds and bounds. They are checked, sent in messages, kept in
-`.npz` files and read from that declaration.
+`.npz` files and read from that declaration. So are plain values, but for the files.
 
     @array_dataclass
     class Motion:
-        side: Side
+        side: Side = value(one_of(*SIDES))
         betas: np.ndarray = array(10, finite="all")
         hand_pose: np.ndarray = array("T", 45, finite="present")
         present: np.ndarray = array("T", kind="b")
@@ -17,8 +17,8 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from collections.abc import Generator, Mapping
-from dataclasses import MISSING, dataclass, field
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import MISSING, dataclass, field, is_dataclass
 from typing import Any, Final, Literal, TypeVar, dataclass_transform
 
 import numpy as np
@@ -111,10 +111,31 @@ def array(
     return field(default_factory=lambda: np.full(sizes, default), metadata=metadata)
 
 
-@dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(array, field))
+@dataclass(frozen=True)
+class Value:
+    """What one of a dataclass's plain values must be."""
+
+    kind: Callable[..., Any]
+    """Reads a value of that name out of a message, or passes it: `kind(name, value)` raises Unfit. It takes
+    the bounds as well"""
+    bounds: Mapping[str, float]
+
+
+def value(kind: Callable[..., Any], default: Any = MISSING, **bounds: float) -> Any:
+    """A field that holds a plain value, as `Value` says."""
+    return field(default=default, metadata={"value": Value(kind, bounds)})
+
+
+@dataclass_transform(eq_default=False, frozen_default=True, field_specifiers=(array, value, field))
 def array_dataclass(cls: _Class) -> _Class:
     """Make of a class a frozen dataclass, whose fields may be arrays; an object equals none but itself."""
     return dataclass(frozen=True, eq=False)(cls)
+
+
+def declared_values(of: Any) -> dict[str, Value]:
+    """The plain values of a dataclass, or of one of its objects, by their fields' names."""
+    fields = of.__dataclass_fields__.items()
+    return {name: each.metadata["value"] for name, each in fields if "value" in each.metadata}
 
 
 def declared(of: Any) -> dict[str, Array]:
@@ -130,12 +151,14 @@ def arrays_of(of: Any, axis: str | None = None) -> dict[str, Any]:
 
 
 def check_arrays(of: Any, error: type[Exception] = Unfit, where: str = "", **axes: int) -> None:
-    """Raise an `error` that begins with `where` and names the field, unless all arrays of an object are as
-    declared. `axes`: sizes that lettered axes must have."""
+    """Raise an `error` that begins with `where` and names the field, unless all arrays and values of an
+    object are as declared. `axes`: sizes that lettered axes must have."""
     specs = declared(of)
     values = {name: getattr(of, name) for name in specs}
     given = {n: np.asarray(v) for n, v in values.items() if v is not None or not specs[n].optional}
     try:
+        for name, spec in declared_values(of).items():
+            spec.kind(name, getattr(of, name), **spec.bounds)
         for name, value in given.items():
             specs[name].check_form(name, value, axes)
         # Only then, as other arrays say where floats must be finite.
@@ -178,19 +201,29 @@ def unpack(packed: object) -> np.ndarray:
         ) from error
 
 
-def packed_arrays(of: Any) -> dict[str, Any]:
-    """An object's arrays as a message holds them; absent ones are left out."""
+def packed(of: Any) -> dict[str, Any]:
+    """An object's values and arrays as a message holds them; absent arrays are left out."""
+    values = {name: getattr(of, name) for name in declared_values(of)}
+    # A value that is an object, as a camera is, is sent as the list of its fields.
+    plain = {n: list(vars(v).values()) if is_dataclass(v) else v for n, v in values.items()}
     specs = declared(of)
-    return {
+    arrays = {
         name: pack(np.asarray(a, specs[name].dtype(specs[name].sent))) for name, a in arrays_of(of).items()
     }
+    return plain | arrays
 
 
-def unpacked_arrays(cls: type, message: Mapping[str, Any], where: str = "") -> dict[str, np.ndarray]:
-    """The arrays of a dataclass's object out of a message, floats as float64; absent ones are left out where
-    they may be. Raises ProtocolError that begins with `where` and names the field for a lack, and for what is
-    no array of its kind; `check_arrays` looks at the rest."""
-    found = {}
+def unpacked(cls: type, message: Mapping[str, Any], where: str = "") -> dict[str, Any]:
+    """The values and arrays of a dataclass's object out of a message, by their fields' names, floats as
+    float64; those that may be absent and are, are left out. Raises ProtocolError that begins with `where` and
+    names the field for a lack, and for what is not of its kind; `check_arrays` looks at the rest."""
+    found: dict[str, Any] = {}
+    try:
+        for name, each in declared_values(cls).items():
+            if name in message or cls.__dataclass_fields__[name].default is MISSING:
+                found[name] = each.kind(name, message.get(name))
+    except Unfit as error:
+        raise ProtocolError(f"{where}{error}") from error
     for name, spec in declared(cls).items():
         if name not in message:
             if spec.optional:

@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.fit.doubt import DOUBTFUL_ERROR
+from handfit_core.fit.doubt import DOUBT
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS
 from handfit_core.take import HandTrack
@@ -54,9 +54,9 @@ class Scale:
 
 IN_PICTURE: Final = Scale("Error", "% of the hand", 100.0, GOOD_BELOW, FAIR_BELOW)
 """For `relative_errors`"""
-EXPECTED: Final = Scale("Likely error", "mm", 1000.0, 0.008, DOUBTFUL_ERROR)
+EXPECTED: Final = Scale("Likely error", "mm", 1000.0, 0.008, DOUBT.doubtful_error)
 """For `HandTrack.expected_error` of a clip"""
-EXPECTED_OF_STILL: Final = Scale("Likely error", "mm", 1000.0, DOUBTFUL_ERROR, 0.022)
+EXPECTED_OF_STILL: Final = Scale("Likely error", "mm", 1000.0, DOUBT.doubtful_error, 0.022)
 """The same of a still, in which much is expected of a small hand and of one seen edge on, right or wrong, and
 no neighbours in time tell them apart. Of 70 hands drawn over their pictures all 31 below 12 mm are right, as
 are 14 of 32 from there to 22 mm, and none of 7 beyond; in clips, 10 of 11 frames beyond 12 mm are not."""

@@ -15,10 +15,11 @@ from handfit_core.detect.keypoints import DetectedTrack, SideBySide
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.length import warn_of_odd_shapes
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.taking import seen_of
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS
-from handfit_core.solvers import SOLVERS, ShouldStop, TrackFit, get_solver, never
+from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import Found
 from handfit_core.take import HandTrack
 
@@ -85,7 +86,7 @@ def _after(seconds: float) -> ShouldStop:
     return lambda: time.monotonic() > end
 
 
-def _reached(track: DetectedTrack, fit: TrackFit) -> DetectedTrack:
+def _reached(track: DetectedTrack, fit: HandMotion) -> DetectedTrack:
     """The track without the detections that a stopped solver did not come to."""
     if fit.present[track.detected].all():
         return track
@@ -94,17 +95,17 @@ def _reached(track: DetectedTrack, fit: TrackFit) -> DetectedTrack:
 
 
 def _as_detected(
-    model: HandModel, told: HandTrack, fit: TrackFit, fps: float, intrinsics: Intrinsics
+    model: HandModel, told: HandTrack, fit: HandMotion, fps: float, intrinsics: Intrinsics
 ) -> HandTrack:
     """A hand that was fitted to points elsewhere on it, with those that the detector would see: with these it
     can be fitted again."""
-    seen = seen_of(model, fit, told.side, intrinsics, fps, told.score)
+    seen = seen_of(model, fit, intrinsics, fps, told.score)
     rows = [d if there else None for d, there in zip(seen.detections, told.detected, strict=True)]
     clean = hand_track(model, replace(seen, detections=tuple(rows)), fit, intrinsics)
     return replace(clean, reprojection_error=told.reprojection_error, overlapped=told.overlapped)
 
 
-def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics: Intrinsics) -> HandTrack:
+def hand_track(model: HandModel, track: DetectedTrack, fit: HandMotion, intrinsics: Intrinsics) -> HandTrack:
     """What a take keeps of one fitted track: the parameters and what follows from them."""
     # A hand of hours has its arrays once here, and no list of its detections.
     count, seen, present = len(track.detections), track.detected, fit.present
@@ -126,30 +127,22 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: TrackFit, intrinsics
             right_side[row] = d.right_side
         if d.overlapped is not None:
             overlapped[row] = d.overlapped
-    expected = fit.expected_error
-    if expected is None and not track.calibrated:
-        expected = np.full((count, len(FINGERS)), np.nan)
+    if fit.expected_error is None and not track.calibrated:
+        fit = replace(fit, expected_error=np.full((count, len(FINGERS)), np.nan))
     keypoints_2d = points[..., :2]
     there, error = np.flatnonzero(present), np.full(count, np.nan)
     for rows in (there[part] for part in slices(len(there))):
-        posed = fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
-        joints_3d[rows] = model.keypoints(fit.betas, *posed)
+        joints_3d[rows] = model.keypoints(fit.betas, *(each[rows] for each in fit.pose))
         distance = np.linalg.norm(intrinsics.project(joints_3d[rows]) - keypoints_2d[rows], axis=-1)
         error[rows] = distance.mean(axis=-1)
     return HandTrack(
-        side=track.side,
-        betas=fit.betas,
-        global_orient=fit.global_orient,
-        hand_pose=fit.hand_pose,
-        transl=fit.transl,
+        **vars(fit),
         joints_3d=joints_3d,
         keypoints_2d=keypoints_2d,
         reprojection_error=error,
         detected=seen,
         score=score,
         filled=present & ~seen,
-        doubtful=fit.doubtful,
-        expected_error=expected,
         keypoints_depth=points[..., 2],
         world_landmarks=world,
         keypoints_2020=second if np.isfinite(second).any() else None,

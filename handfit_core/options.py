@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, Final, Literal, get_args
 
-from handfit_core.detect.detector import Quality
+from handfit_core.detect.detector import DETECTORS, Quality
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -24,7 +24,8 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.take import MOST_HANDS
+from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
+from handfit_core.take import TAKE_LIMITS
 
 HandChoice = Literal["auto", "left", "right", "both"]
 HandMean = Literal["auto", "flat", "mean"]
@@ -252,22 +253,10 @@ def _regions(given: Any) -> tuple[Region, ...]:
     return tuple(each if isinstance(each, Region) else Region.of(each) for each in given)
 
 
-def _solvers() -> Iterable[str]:
-    from handfit_core.solvers import solver_names
-
-    return solver_names()
-
-
 def _readers() -> Iterable[str]:
-    from handfit_core.interchange.readers import READERS
+    from handfit_core.interchange.readers import READERS  # which Blender does not need to start
 
     return READERS.names()
-
-
-def _detectors() -> Iterable[str]:
-    from handfit_core.detect.detector import DETECTORS
-
-    return DETECTORS.names()
 
 
 def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
@@ -299,7 +288,7 @@ class CaptureOptions:
         "how many hands to keep at most, the surest first",
         "N",
         least=1,
-        most=MOST_HANDS,
+        most=TAKE_LIMITS.max_hands,
         by_default=f"all of a photo, {CLIP_HANDS} of a clip",
     )
     regions: tuple[Region, ...] = _option(
@@ -312,7 +301,7 @@ class CaptureOptions:
         by_default="none; the first frame; as it looks",
     )
     only_regions: bool = _option(False, _flag, "keep the hands of the regions, and no others")
-    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=_detectors)
+    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=DETECTORS.names)
     threshold: float = _option(
         0.5,
         _number,
@@ -346,17 +335,17 @@ class CaptureOptions:
         most=64,
         by_default="one a core, at most 8",
     )
-    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=_solvers)
+    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=solver_names)
     model: str | None = _option(
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
     )
     smoothing: float = _option(
-        1.0,
+        USUAL_SMOOTHING,
         _number,
         "how smooth motion is, for solvers that smooth: 0 takes every frame by itself, at most 10",
         "S",
         least=0.0,
-        most=10.0,
+        most=MOST_SMOOTHING,
     )
     hand_length: float | None = _option(
         None,

@@ -29,10 +29,11 @@ from handfit_core.doors.values import path as checked_path
 from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.files import read_file, samples, shown, why, written_whole
-from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.take import MAX_FILE_BYTES
+from handfit_core.take import TAKE_LIMITS
 from handfit_core.version import __version__
 
 FORMAT_NAME: Final = "handfit-part"
@@ -72,7 +73,7 @@ def chunks_in(media: Media, part: FrameRange | None) -> slice:
             f"a part takes every frame of the clip that lies in it, so {part} must have no step; give the "
             "clip's with --clip-frames"
         )
-    firsts = media.numbers()[::CHUNK_FRAMES]
+    firsts = media.numbers()[:: MEDIA.chunk_frames]
     begin = 0 if part.first is None else bisect_left(firsts, part.first)
     if part.last is None or (media.expected_frames and part.last >= media.first_and_last[1]):
         return slice(begin, None)
@@ -101,7 +102,7 @@ class Part:
     def found(cls, media: Media, options: CaptureOptions, part: slice, chunks: list[Chunk]) -> Part:
         """The part of an opened clip that has those chunks, detected with these options."""
         given = media.given if isinstance(media.given, list) else [str(media.given)]
-        short = bool(chunks) and len(chunks[-1].numbers) < CHUNK_FRAMES
+        short = bool(chunks) and len(chunks[-1].numbers) < MEDIA.chunk_frames
         return cls(
             [str(Path(name).expanduser().absolute()) for name in given],
             fingerprint(media),
@@ -134,7 +135,7 @@ class Part:
     def load(cls, path: str | os.PathLike[str]) -> Part:
         """Read a part. Raises InputError for anything that is none that this version understands."""
         try:
-            data = read_file(path, MAX_FILE_BYTES)
+            data = read_file(path, TAKE_LIMITS.max_file_bytes)
         except (OSError, ValueError) as error:
             raise InputError(f"{shown(path)}: the part cannot be read ({why(error)})") from error
         try:
@@ -271,7 +272,7 @@ class Parts:
         thumbnail = Thumbnail.of(np.broadcast_to(np.uint8(0), (media.height, media.width, 3))).pixels.shape
         for index in range(count):
             chunk = self._chunks[index]
-            fits = chunk.numbers == list(media.numbers(index * CHUNK_FRAMES, len(chunk.numbers)))
+            fits = chunk.numbers == list(media.numbers(index * MEDIA.chunk_frames, len(chunk.numbers)))
             shapes = [each.pixels.shape for each in (chunk.first, chunk.last) if each is not None]
             if not fits or any(shape != thumbnail for shape in shapes):
                 raise InputError(f"{self._where[index]}: the part is damaged; detect it again")
@@ -303,7 +304,7 @@ class Parts:
                 f"the parts end before the clip does; detect what is left, too, with --frames "
                 f"{_number(media, count)}-"
             )
-        if any(len(self._chunks[index].numbers) != CHUNK_FRAMES for index in range(count - 1)):
+        if any(len(self._chunks[index].numbers) != MEDIA.chunk_frames for index in range(count - 1)):
             raise InputError(
                 "the clip has grown between the detection of its parts; detect all of them again"
             )
@@ -317,5 +318,5 @@ def _differing(a: CaptureOptions, b: CaptureOptions, but: Sequence[str]) -> str:
 
 def _number(media: Media, chunk: int) -> int:
     """The number of the first frame of a chunk, or of what would come after the last one."""
-    numbers = media.numbers(chunk * CHUNK_FRAMES, 1)
+    numbers = media.numbers(chunk * MEDIA.chunk_frames, 1)
     return numbers[0] if numbers else media.first_and_last[1] + 1

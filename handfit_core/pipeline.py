@@ -22,8 +22,9 @@ from handfit_core.fitting import fit_hands
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
-from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CaptureOptions
 from handfit_core.parts import Part, Parts, chunks_in
@@ -206,7 +207,7 @@ def detect_to_file(
     numbers = [number for chunk in found for number in chunk.numbers]
     if not numbers:
         log.warning(
-            "no stretch of %d frames begins in frames %s: this part is empty", CHUNK_FRAMES, part or "-"
+            "no stretch of %d frames begins in frames %s: this part is empty", MEDIA.chunk_frames, part or "-"
         )
     return {
         "output": str(path),

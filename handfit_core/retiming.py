@@ -16,15 +16,12 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.take import HandTrack, Take, at_rows
 
-SAME_RATE = 1e-4
-"""of a rate: rates that differ less are the same"""
 LOWEST_RATE, HIGHEST_RATE = 1.0, 120.0
 """frames per second that a clip is retimed to"""
 _ON_ROW = 1e-3
 """source frames within which a moment is that of a row"""
 _ON_KEY = 0.01
 """frames within which a frame is that of a key"""
-_TOLD = ("joints_3d", "expected_error", "placed", "touches")
 _MEASURED = (
     "keypoints_2d",
     "reprojection_error",
@@ -47,7 +44,8 @@ def check_rate(fps: float) -> None:
 
 def is_other_rate(scene_rate: float, fps: float) -> bool:
     """Whether a clip of `fps` frames per second is retimed for a scene of `scene_rate`."""
-    return abs(scene_rate / fps - 1.0) >= SAME_RATE
+    # Rates that differ less are the same
+    return abs(scene_rate / fps - 1.0) >= 1e-4
 
 
 def moments(take: Take, scale: float) -> np.ndarray:
@@ -102,7 +100,10 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
         **{name: kept(pose, there) for name, pose in poses.items()},
         detected=detected,
         filled=filled if filled.any() else None,
-        **{name: kept(getattr(rows, name), there) for name in _TOLD},
+        **{
+            name: kept(getattr(rows, name), there)
+            for name in ("joints_3d", "expected_error", "placed", "touches")
+        },
         **{name: kept(getattr(rows, name), detected) for name in _MEASURED},
     )
 

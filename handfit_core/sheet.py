@@ -28,30 +28,40 @@ from handfit_core.take import HandTrack, Take
 SUFFIX: Final = ".sheet.jpg"
 """What the name of a contact sheet ends with"""
 
-_WIDEST: Final = 2.0
-"""The width of a frame on the sheet in heights, at most: what is wider is shown smaller"""
-_AROUND: Final = 1.6
-"""The size of a close-up in sizes of what it shows"""
-_CLOSE, _CLOSEST = 0.6, 0.05
-"""Parts of a picture: close-ups are smaller than the one, and no smaller than the other"""
-_GAP: Final = 4
-"""pixels between frames"""
-_GROUND: Final = 46
-"""Brightness of the ground where the footage is gone"""
-_FINER: Final = 2
-"""Samples of a pixel along either axis, for the hands"""
-_SUBPIXEL: Final = 4
-"""bits of the corners' places within a sample"""
-_OPACITY: Final = 0.75
-"""How much of the footage a hand covers; the rest lets its outline be compared"""
+
+@dataclass(frozen=True)
+class SheetSettings:
+    """How a contact sheet is laid out, and how hands are drawn on it."""
+
+    widest: float = 2.0
+    """The width of a frame on the sheet in heights, at most: what is wider is shown smaller"""
+    around: float = 1.6
+    """The size of a close-up in sizes of what it shows"""
+    close: float = 0.6
+    """Part of a picture: close-ups are smaller"""
+    closest: float = 0.05
+    """Part of a picture: close-ups are no smaller"""
+    gap: int = 4
+    """pixels between frames"""
+    ground: int = 46
+    """Brightness of the ground where the footage is gone"""
+    finer: int = 2
+    """Samples of a pixel along either axis, for the hands"""
+    subpixel: int = 4
+    """bits of the corners' places within a sample"""
+    opacity: float = 0.75
+    """How much of the footage a hand covers; the rest lets its outline be compared"""
+    nearest: float = 0.01
+    """metres: what reaches closer to the camera has no outline in its picture"""
+    farthest: int = 1 << 14
+    """samples from the sheet's corner, beyond which a corner of a hand may lie anywhere"""
+
+
+SHEET: Final = SheetSettings()
+
+
 _DARK, _LIGHT = np.array([10.0, 40.0, 70.0]), np.array([130.0, 215.0, 255.0])
 """RGB of the hands from shadow to full light: nothing in a picture of a hand has this blue"""
-_LAMP: Final = np.array([-0.45, -0.65, -0.62])
-"""Unit vector to the light in the camera frame: from the left above, behind the camera"""
-_NEAREST: Final = 0.01
-"""metres: what reaches closer to the camera has no outline in its picture"""
-_FARTHEST: Final = 1 << 14
-"""samples from the sheet's corner, beyond which a corner of a hand may lie anywhere"""
 
 
 def write_sheet(
@@ -89,7 +99,7 @@ def write_sheet(
             if not any(map(error_is_known, group)):
                 said = "  not known"
             _write(cell, f"{take.frame_numbers[row]}{said}", doubtful=not good)
-            cells += [cell, np.full((height, _GAP, 3), 255, dtype=np.uint8)]
+            cells += [cell, np.full((height, SHEET.gap, 3), 255, dtype=np.uint8)]
     sheet = np.concatenate(cells[:-1], axis=1)
     encoded = cv2.imencode(".jpg", cv2.cvtColor(sheet, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 82])[1]
     with written_whole(path) as beside:
@@ -115,10 +125,10 @@ class _View:
             return self
         size = np.array([self.width, self.height])
         low, high = np.clip([points.min(axis=0), points.max(axis=0)], 0, size)
-        part = _AROUND * max((high - low) / size)
-        if not 0.0 < part < _CLOSE:
+        part = SHEET.around * max((high - low) / size)
+        if not 0.0 < part < SHEET.close:
             return self
-        wide, tall = np.maximum(np.ceil(max(part, _CLOSEST) * size), 1).astype(int)
+        wide, tall = np.maximum(np.ceil(max(part, SHEET.closest) * size), 1).astype(int)
         left, top = np.clip((low + high - [wide, tall]) / 2.0, 0, size - [wide, tall]).astype(int)
         return _View(int(left), int(top), int(wide), int(tall))
 
@@ -127,16 +137,16 @@ class _View:
         none: (height, W', 3) RGB."""
         import cv2
 
-        scale = min(height / self.height, _WIDEST * height / self.width)
+        scale = min(height / self.height, SHEET.widest * height / self.width)
         size = max(1, round(scale * self.width)), max(1, round(scale * self.height))
-        cell = np.full((height, size[0], 3), _GROUND, dtype=np.uint8)
+        cell = np.full((height, size[0], 3), SHEET.ground, dtype=np.uint8)
         shown = cell[(height - size[1]) // 2 :][: size[1]]
         if picture is not None:
             part = picture[self.top :, self.left :][: self.height, : self.width]
             cv2.resize(part, size, shown, interpolation=cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR)
         lens = take.intrinsics
         values = lens.fx, lens.fy, lens.cx - self.left, lens.cy - self.top
-        _draw_hands(shown, take, row, Intrinsics(*(_FINER * scale * value for value in values)))
+        _draw_hands(shown, take, row, Intrinsics(*(SHEET.finer * scale * value for value in values)))
         return cell
 
 
@@ -189,13 +199,15 @@ def _draw_hands(picture: np.ndarray, take: Take, row: int, camera: Intrinsics) -
     """Draw the hands of a row over a picture (H, W, 3); the camera's pixels are samples."""
     import cv2
 
-    finer = np.zeros((_FINER * picture.shape[0], _FINER * picture.shape[1], 4), dtype=np.uint8)
-    hands = [hand for hand in take.hands if hand.present[row] and hand.joints_3d[row, :, 2].min() > _NEAREST]
+    finer = np.zeros((SHEET.finer * picture.shape[0], SHEET.finer * picture.shape[1], 4), dtype=np.uint8)
+    hands = [
+        hand for hand in take.hands if hand.present[row] and hand.joints_3d[row, :, 2].min() > SHEET.nearest
+    ]
     for hand in sorted(hands, key=lambda hand: -hand.joints_3d[row, :, 2].mean()):
         _draw_hand(finer, hand, row, take.model, camera)
     drawn = cv2.resize(finer, picture.shape[1::-1], interpolation=cv2.INTER_AREA).astype(np.float32)
     # Where a pixel is half covered, its colour is half as well: premultiplied.
-    picture[:] = picture * (1.0 - _OPACITY / 255.0 * drawn[..., 3:]) + _OPACITY * drawn[..., :3]
+    picture[:] = picture * (1.0 - SHEET.opacity / 255.0 * drawn[..., 3:]) + SHEET.opacity * drawn[..., :3]
 
 
 def _draw_hand(finer: np.ndarray, hand: HandTrack, row: int, model: str, camera: Intrinsics) -> None:
@@ -208,26 +220,29 @@ def _draw_hand(finer: np.ndarray, hand: HandTrack, row: int, model: str, camera:
         found = kept_model(model, hand.side)
         posed = found.posed(hand.betas, hand.global_orient[row], hand.hand_pose[row], hand.transl[row])
         corners = posed.vertices[found.faces]
-    if not (corners[..., 2] > _NEAREST).all() or not len(corners):
+    if not (corners[..., 2] > SHEET.nearest).all() or not len(corners):
         ends = _samples(camera.project(hand.joints_3d[row]))
         for end, parent in enumerate(KEYPOINT_PARENTS):
             if parent >= 0:
-                cv2.line(finer, ends[parent], ends[end], (*_LIGHT, 255), 3 * _FINER, shift=_SUBPIXEL)
+                cv2.line(
+                    finer, ends[parent], ends[end], (*_LIGHT, 255), 3 * SHEET.finer, shift=SHEET.subpixel
+                )
         return
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     order = np.argsort(-corners[..., 2].mean(axis=1))  # also of those seen from within, at the wrist's end
-    light = np.maximum(normals[order] @ _LAMP, 0.0)[:, None]
+    # Unit vector to the light in the camera frame: from the left above, behind the camera
+    light = np.maximum(normals[order] @ np.array([-0.45, -0.65, -0.62]), 0.0)[:, None]
     colors = np.column_stack([_DARK + light * (_LIGHT - _DARK), np.full(len(order), 255.0)]).tolist()
     for triangle, color in zip(_samples(camera.project(corners[order])), colors, strict=True):
-        cv2.fillConvexPoly(finer, triangle, color, shift=_SUBPIXEL)
+        cv2.fillConvexPoly(finer, triangle, color, shift=SHEET.subpixel)
 
 
 def _samples(pixels: np.ndarray) -> np.ndarray:
     """Places (..., 2) where (0, 0) is a picture's corner, as OpenCV takes them: in parts of a sample, from
     the middle of the first."""
-    near = np.clip(np.nan_to_num(pixels), -_FARTHEST, _FARTHEST)
-    return ((near - 0.5) * (1 << _SUBPIXEL)).round().astype(np.int32)
+    near = np.clip(np.nan_to_num(pixels), -SHEET.farthest, SHEET.farthest)
+    return ((near - 0.5) * (1 << SHEET.subpixel)).round().astype(np.int32)
 
 
 def _write(cell: np.ndarray, text: str, *, doubtful: bool) -> None:

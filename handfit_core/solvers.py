@@ -11,43 +11,16 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Final, Protocol
 
-import numpy as np
-
 from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.registry import Registry
 
-
-@dataclass(frozen=True, eq=False)
-class TrackFit:
-    """A hand fitted to a whole track, in the camera frame; NaN in frames that are neither detected nor
-    filled."""
-
-    betas: np.ndarray
-    """(10,)"""
-    global_orient: np.ndarray
-    """(T, 3) radians"""
-    hand_pose: np.ndarray
-    """(T, 45) radians"""
-    transl: np.ndarray
-    """(T, 3) metres"""
-    converged: np.ndarray
-    """(T,) bool: False where the optimiser stopped for another reason, or nothing was detected"""
-    filled: np.ndarray | None = None
-    """(T,) bool: frames of short gaps that were bridged from their neighbours; None: there are none"""
-    doubtful: np.ndarray | None = None
-    """(T,) bool: frames whose pose may well be wrong; None where the solver does not tell"""
-    expected_error: np.ndarray | None = None
-    """(T, 5) metres that each finger is likely to be off (`fit.doubt` says what is meant), NaN where nothing
-    was detected; None where the solver does not tell"""
-
-    @property
-    def present(self) -> np.ndarray:
-        """(T,) bool: frames with a hand, detected or filled."""
-        return np.asarray(np.isfinite(self.transl).all(axis=1))
-
+USUAL_SMOOTHING: Final = 1.0
+MOST_SMOOTHING: Final = 10.0
+"""Strengths of smoothing; 0 takes every frame by itself"""
 
 OnFrame = Callable[[], None]
 """Called once for every frame that is done; may raise to end the run with nothing."""
@@ -71,8 +44,9 @@ class TrackSolver(Protocol):
         intrinsics: Intrinsics,
         on_frame: OnFrame,
         should_stop: ShouldStop = never,
-    ) -> TrackFit:
-        """Fit; calls `on_frame` once for every detected frame that was fitted."""
+    ) -> HandMotion:
+        """Fit; calls `on_frame` once for every detected frame that was fitted. What is neither detected nor
+        filled, and what was not reached when it was stopped, is NaN."""
         ...
 
 
@@ -118,7 +92,9 @@ def solver_names() -> tuple[str, ...]:
     return SOLVERS.names()
 
 
-def get_solver(name: str, smoothing: float = 1.0, hand_length: float | None = None) -> TrackSolver:
+def get_solver(
+    name: str, smoothing: float = USUAL_SMOOTHING, hand_length: float | None = None
+) -> TrackSolver:
     """The solver of that name, ready to fit; `smoothing` and `hand_length` as the options of those names.
 
     Raises OptionError where there is no such solver, and where a package that it needs is not installed.

@@ -21,12 +21,12 @@ from handfit_core.detection import detect_frames
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
-from handfit_core.interchange.recording import LEAST_POINTS, PosedHand, Recording
+from handfit_core.interchange.recording import LEAST_POINTS, Recording
 from handfit_core.interchange.taking import (
     before_camera,
     detected_in,
-    fit_of,
     only_present,
     seen_of,
     tracks_of,
@@ -37,10 +37,10 @@ from handfit_core.media.source import Media
 from handfit_core.options import CROWD, CaptureOptions, HandChoice
 from handfit_core.parts import Parts
 from handfit_core.skeleton import SIDES
-from handfit_core.solvers import ShouldStop, TrackFit
-from handfit_core.take import MOST_HANDS
+from handfit_core.solvers import ShouldStop
+from handfit_core.take import TAKE_LIMITS
 
-Chosen = TypeVar("Chosen", DetectedTrack, PosedHand)
+Chosen = TypeVar("Chosen", DetectedTrack, HandMotion)
 
 log = logging.getLogger("handfit")
 
@@ -68,7 +68,7 @@ class Found:
     intrinsics: Intrinsics
     tracks: list[DetectedTrack]
     """One for each hand, over these frames"""
-    fits: list[TrackFit] | None = None
+    fits: list[HandMotion] | None = None
     """The hands as another program has posed them, which are taken as they are; None: the tracks are to be
     fitted"""
 
@@ -149,20 +149,11 @@ class Poses:
             intrinsics = recording.intrinsics  # the hands lie where that camera has them
         numbers = [int(number) for number in recording.frame_numbers]
         posed = _chosen(options, recording.posed)
-        fits = [fit_of(hand) for hand in posed]
         tracks = [
-            seen_of(
-                load_model(options.model, hand.side),
-                fit,
-                hand.side,
-                intrinsics,
-                recording.fps,
-                hand.confidence,
-            )
-            for hand, fit in zip(posed, fits, strict=True)
+            seen_of(load_model(options.model, hand.side), hand, intrinsics, recording.fps) for hand in posed
         ]
         if posed and not options.refit:
-            return Found(numbers, intrinsics, tracks, fits)
+            return Found(numbers, intrinsics, tracks, posed)
         points = _chosen(options, tracks_of(recording, intrinsics))
         return Found(numbers, intrinsics, [*points, *tracks])
 
@@ -258,10 +249,10 @@ def _chosen(options: CaptureOptions, hands: Sequence[Chosen]) -> list[Chosen]:
     if hands and not kept:
         raise NoHandFoundError(f"there is no {options.hands} hand in this input; take hands 'auto'")
     kept = kept[: options.max_hands]
-    if len(kept) > MOST_HANDS:
+    if len(kept) > TAKE_LIMITS.max_hands:
         raise OptionError(
-            f"there are {len(kept)} hands in this input, and a take holds at most {MOST_HANDS}: keep the "
-            "first ones with --max-hands, or one person's with --person"
+            f"there are {len(kept)} hands in this input, and a take holds at most {TAKE_LIMITS.max_hands}: "
+            "keep the first ones with --max-hands, or one person's with --person"
         )
     return list(kept)
 
@@ -292,7 +283,7 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
         tracks, count = link_and_count(
             seen.frames,
             hands,
-            min(MOST_HANDS, max(most or MOST_HANDS, len(options.regions))),
+            min(TAKE_LIMITS.max_hands, max(most or TAKE_LIMITS.max_hands, len(options.regions))),
             _rate(media, seen.numbers),
             tuple(holes),
             only_shown=options.only_regions,

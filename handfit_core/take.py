@@ -23,71 +23,59 @@ from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
-from handfit_core.skeleton import FINGERS, NUM_BETAS, NUM_KEYPOINTS, SIDES, Side, can_touch, other_side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, can_touch, other_side
 from handfit_core.slices import run_to_completion
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
 
-MAX_FILE_BYTES: Final = 1 << 31
-"""of a take; 10 000 frames of two hands have 20 MB"""
 
-_MOST_MEMORY: Final = 400_000_000
-"""bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
-_MOST_PACKED: Final = 50
-"""times the size of a larger file that its arrays may have"""
+@dataclass(frozen=True)
+class TakeLimits:
+    """What a take may hold, so that reading a file can fill neither the memory nor a scene."""
 
-_LARGEST_ERROR: Final = 1e30
-"""pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
-_LARGEST_BETA: Final = 1e3
-SMALLEST_FPS: Final = 1e-3
-LARGEST_FPS: Final = 1e6
-_LARGEST_SIDE: Final = 1 << 24
-"""pixels of a picture"""
-MOST_HANDS: Final = 200
-"""of a take"""
+    max_file_bytes: int = 1 << 31
+    """of a take; 10 000 frames of two hands have 20 MB"""
+    max_memory_bytes: int = 400_000_000
+    """bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
+    max_packed: int = 50
+    """times the size of a larger file that its arrays may have"""
+    max_error: float = 1e30
+    """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
+    min_fps: float = 1e-3
+    max_fps: float = 1e6
+    max_side: int = 1 << 24
+    """pixels of a picture"""
+    max_hands: int = 200
+    """of a take"""
+
+
+TAKE_LIMITS: Final = TakeLimits()
 
 
 @array_dataclass
-class HandTrack:
-    """One hand over a take's T frames.
+class HandTrack(HandMotion):
+    """One hand over a take's T frames: its motion, and what was detected.
 
     Float arrays but `placed` and `touches` hold NaN in the frames where neither `detected` nor `filled` is
     True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`, `keypoints_depth`,
     `world_landmarks`, `right_side`), and `expected_error`, also where only `filled` is.
-
-    Model parameters are MANO's: axis-angle in radians relative to the flat hand (hands_mean is not
-    added), root rotation about the wrist joint, camera frame (x right, y down, z forward), metres.
     """
 
-    side: Side
-    betas: np.ndarray = array(NUM_BETAS, finite="all", most=_LARGEST_BETA)
-    """One shape for the whole take"""
-    global_orient: np.ndarray = array("T", 3, finite="present")
-    """radians"""
-    hand_pose: np.ndarray = array("T", 45, finite="present")
-    """radians"""
-    transl: np.ndarray = array("T", 3, finite="present")
-    """metres; the wrist lies at the shaped model's wrist + transl"""
     joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, finite="present")
     """metres, the fitted model's keypoints in MediaPipe's order"""
     keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected")
     """pixels, as detected"""
-    reprojection_error: np.ndarray = array("T", finite="detected", most=_LARGEST_ERROR)
+    reprojection_error: np.ndarray = array("T", finite="detected", most=TAKE_LIMITS.max_error)
     """pixels: mean distance from the projected joints_3d to keypoints_2d"""
     detected: np.ndarray = array("T", kind="b")
     score: np.ndarray = array("T", finite="detected")
     """The detector's confidence in this hand, 0..1"""
     filled: np.ndarray | None = array("T", kind="b", default=None)
     """Frames of short gaps, bridged from their neighbours; None: there are none"""
-    doubtful: np.ndarray | None = array("T", kind="b", default=None)
-    """Frames whose pose may well be wrong; None: nobody looked"""
-    expected_error: np.ndarray | None = array("T", len(FINGERS), default=None)
-    """metres that each finger, thumb first, is likely to be off once the hand is laid over the true
-    one; NaN where nobody can tell, as where a person has corrected the pose, or in all frames, where the
-    keypoints are of a source for which that is not known; None: nobody looked"""
     keypoints_depth: np.ndarray | None = array("T", NUM_KEYPOINTS, finite="detected", default=None)
     """pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not kept"""
     world_landmarks: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, finite="detected", default=None)
@@ -111,8 +99,6 @@ class HandTrack:
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
         finite where there is a hand."""
-        if self.side not in SIDES:
-            raise TakeError(f"a hand's side must be left or right, not {shortly(self.side)}")
         check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
@@ -201,13 +187,16 @@ class Take:
         if not self.source.files:
             raise TakeError("a take must name the pictures that it was made from")
         sizes = (self.width, self.height)
-        if not (SMALLEST_FPS <= self.fps <= LARGEST_FPS and all(0 < side <= _LARGEST_SIDE for side in sizes)):
+        if not (
+            TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps
+            and all(0 < side <= TAKE_LIMITS.max_side for side in sizes)
+        ):
             raise TakeError(
                 f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
                 f"{self.width}x{self.height} pixels"
             )
-        if len(self.hands) > MOST_HANDS:
-            raise TakeError(f"a take holds at most {MOST_HANDS} hands, not {len(self.hands)}")
+        if len(self.hands) > TAKE_LIMITS.max_hands:
+            raise TakeError(f"a take holds at most {TAKE_LIMITS.max_hands} hands, not {len(self.hands)}")
         for track in self.hands:
             track.check(count)
 
@@ -259,7 +248,7 @@ class Take:
         """Read a take. Raises TakeError for anything that is not a take this version understands."""
         path = Path(path)
         try:
-            data = read_file(path, MAX_FILE_BYTES)
+            data = read_file(path, TAKE_LIMITS.max_file_bytes)
         except FileNotFoundError as error:
             raise TakeError(f"{shown(path)}: there is no such take file") from error
         except (OSError, ValueError) as error:
@@ -277,7 +266,7 @@ class Take:
         """`from_bytes` array by array, for programs that must not stand still: each step takes some
         milliseconds, even in takes of ten thousand frames. Returns the take."""
         try:
-            archive = NpzArchive(data, max(_MOST_MEMORY, _MOST_PACKED * len(data)))
+            archive = NpzArchive(data, max(TAKE_LIMITS.max_memory_bytes, TAKE_LIMITS.max_packed * len(data)))
             header = archive.header()
             if header.get("format") != FORMAT_NAME:
                 raise NotNpz("is of another format")
@@ -343,8 +332,8 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
     if source.get("kind") not in SOURCE_KINDS:
         raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
-    if len(sides) > MOST_HANDS or not all(side in SIDES for side in sides):
-        raise ValueError(f"sides must be at most {MOST_HANDS}, each left or right")
+    if len(sides) > TAKE_LIMITS.max_hands or not all(side in SIDES for side in sides):
+        raise ValueError(f"sides must be at most {TAKE_LIMITS.max_hands}, each left or right")
     if set(camera) != {"fx", "fy", "cx", "cy"}:
         raise ValueError("intrinsics must be fx, fy, cx and cy")
     return {
@@ -370,7 +359,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
 def is_take(path: str | os.PathLike[str]) -> bool:
     """Whether a file looks like a take, and not like another program's .npz. Raises nothing."""
     try:
-        with opened_file(path, MAX_FILE_BYTES) as stream:
+        with opened_file(path, TAKE_LIMITS.max_file_bytes) as stream:
             return {"header", "frame_numbers"} <= names_of(stream)
     except (OSError, ValueError, NotNpz):
         return False

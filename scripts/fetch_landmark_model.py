@@ -41,19 +41,19 @@ def main() -> int:
     parser.add_argument(
         *("-o", "--output"),
         type=Path,
-        help=f"where to write {landmark_model.FILE_NAME} (default: the cache); "
-        f"{landmark_model.FILE_NAME_2020} goes beside it",
+        help=f"where to write {landmark_model.TASK.name} (default: the cache); "
+        f"{landmark_model.NETWORK_2020.name} goes beside it",
     )
     parser.add_argument("--force", action="store_true", help="assemble them even if they are there already")
     args = parser.parse_args()
     first = args.output or landmark_model.cached_path()
-    second = first.with_name(landmark_model.FILE_NAME_2020)
+    second = first.with_name(landmark_model.NETWORK_2020.name)
     try:
         if args.force or not first.is_file():
             assemble(first, args.wheel)
         else:
             print(f"{first}: already there")
-        if args.force or not has_sum(second, landmark_model.SHA256_2020):
+        if args.force or not has_sum(second, landmark_model.NETWORK_2020.sha256):
             assemble_2020(second, args.package)
         else:
             print(f"{second}: already there")
@@ -90,14 +90,20 @@ def _assemble(
 
 def download_wheel(folder: Path) -> Path:
     """Download the pinned wheel with pip. Raises LandmarkModelError."""
-    of_linux = ["--python-version", landmark_model.WHEEL_PYTHON, "--platform", landmark_model.WHEEL_PLATFORM]
+    of_linux = [
+        "--python-version",
+        landmark_model.TASK.wheel_python,
+        "--platform",
+        landmark_model.TASK.wheel_platform,
+    ]
     options = ["--no-deps", "--only-binary=:all:", *of_linux, "--dest", str(folder)]
     try:
-        pip("download", landmark_model.WHEEL_REQUIREMENT, *options)
+        pip("download", landmark_model.TASK.wheel_requirement, *options)
     except BuildError as error:
         raise LandmarkModelError(
-            f"{landmark_model.WHEEL_REQUIREMENT} could not be downloaded ({error}); check the network, or "
-            "download the wheel elsewhere and give it to scripts/fetch_landmark_model.py with --wheel"
+            f"{landmark_model.TASK.wheel_requirement} could not be downloaded ({error}); check the "
+            "network, or download the wheel elsewhere and give it to scripts/fetch_landmark_model.py with "
+            "--wheel"
         ) from error
     return next(folder.glob("*.whl"))
 
@@ -105,7 +111,7 @@ def download_wheel(folder: Path) -> Path:
 def download_package(folder: Path) -> Path:
     """Download the pinned npm package, with npm, or with that of a wheel which pip puts into the empty
     `folder`. Raises LandmarkModelError."""
-    package = f"{landmark_model.NPM_PACKAGE}@{landmark_model.NPM_VERSION}"
+    package = f"{landmark_model.NETWORK_2020.npm_package}@{landmark_model.NETWORK_2020.npm_version}"
     try:
         npm = shutil.which("npm")
         _run([npm] if npm else _npm_of_pip(folder / "npm"), package, folder)

@@ -27,7 +27,8 @@ from handfit_core.errors import HandfitError
 from handfit_core.evaluate.summary import doubt_figures
 from handfit_core.files import written_whole
 from handfit_core.fit import doubt
-from handfit_core.fit.fast import fit_frames
+from handfit_core.fit.doubt import evidence, side_logits
+from handfit_core.fit.fast import fitter_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.skeleton import SIDES
@@ -84,11 +85,14 @@ def fitted(samples: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         chosen, model = [detections[row] for row in rows], model_of(side)
         size = int(samples["size"][0])
         camera = Intrinsics.assumed(size, size)
-        fits = fit_frames(model, chosen, camera)
-        features.append(fits.evidence)
+        fitter = fitter_of(model)
+        seen, solution = fitter.solve_pictures(fitter.observe(chosen, camera))
+        points = fitter.chain.points(solution.state)
+        features.append(evidence(seen, points, side_logits(chosen, side)))
+        betas, *poses = fitter.chain.parameters(solution.state)
         for i, row in enumerate(rows):
-            pose = (values[i : i + 1] for values in (fits.global_orient, fits.hand_pose, fits.transl))
-            joints, true = model.keypoints(fits.betas[i], *pose)[0], samples["joints_3d"][row]
+            pose = (values[i : i + 1] for values in poses)
+            joints, true = model.keypoints(betas[i], *pose)[0], samples["joints_3d"][row]
             off = np.linalg.norm(align(joints, true, with_scale=True).apply(joints) - true, axis=1)
             errors.append(off[1:].reshape(5, 4).mean(axis=1))
     return np.concatenate(features), np.array(errors)

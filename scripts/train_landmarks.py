@@ -25,7 +25,8 @@ sys.path.insert(0, str(ROOT))
 from handfit_core.detect.correction import network
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import written_whole
-from handfit_core.hand_model import landmarks
+from handfit_core.hand_model.anatomy import LANDMARKS_FILE
+from handfit_core.hand_model.landmarks import Landmarks
 from scripts.benchmark.stills import Poses
 
 LEAST_SEED = 100
@@ -113,9 +114,9 @@ def _train(samples: dict[str, np.ndarray], folder: Path, *, install: bool) -> No
 
     offsets = calibrate(samples)
     mean, covariance = pose_prior(samples)
-    weights = train(samples, landmarks.Landmarks(offsets), NETWORK_SEED, lambda line: print(line, flush=True))
+    weights = train(samples, Landmarks(offsets), NETWORK_SEED, lambda line: print(line, flush=True))
     found: dict[Path, dict[str, Any]] = {
-        landmarks.FILE: {"offsets": offsets, "pose_mean": mean, "pose_covariance": covariance},
+        LANDMARKS_FILE: {"offsets": offsets, "pose_mean": mean, "pose_covariance": covariance},
         network.FILE: weights,
     }
     for file, arrays in found.items():

@@ -24,7 +24,6 @@ sys.path.insert(0, str(ROOT))
 
 from handfit_core.errors import HandfitError
 from handfit_core.files import written_whole
-from handfit_core.interchange import lift
 from scripts.training.lift import EPOCHS, poses_of, train
 
 SEED: Final = 500
@@ -51,7 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             angles = arrays["angles"]
         print(f"{len(angles)} poses", flush=True)
         weights: dict[str, Any] = train(angles, NETWORK_SEED, args.epochs, partial(print, flush=True))
-        path = lift.FILE if args.install else args.folder / lift.FILE.name
+        path = (
+            (Path(__file__).parent / "data" / "lift_network.npz")
+            if args.install
+            else args.folder / (Path(__file__).parent / "data" / "lift_network.npz").name
+        )
         with written_whole(path) as beside, open(beside, "wb") as stream:
             np.savez_compressed(stream, **weights)
         print(path)

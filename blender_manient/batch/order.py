@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.detect.landmark_model import VARIABLE
+from handfit_core.detect.landmark_model import TASK
 from handfit_core.errors import OptionError
 from handfit_core.files import is_file, is_folder
 from handfit_core.hand_model.files import files_of_model
@@ -112,7 +112,7 @@ def files_named(options: Mapping[str, Any]) -> list[str]:
     """The files that a plan's options name, those of a hand model's both sides, folders with keypoints, and
     what stands for one that they do not name."""
     named = [(name, str(path)) for each in options.values() for name in _FILES if (path := each.get(name))]
-    named.append(("landmark_model", os.environ.get(VARIABLE) or ""))
+    named.append(("landmark_model", os.environ.get(TASK.variable) or ""))
     found: list[Path] = []
     for name, text in named:
         path = _file_of(text).expanduser()

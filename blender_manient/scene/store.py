@@ -22,7 +22,7 @@ from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
-from handfit_core.media.opening import MAX_FRAME_NUMBER
+from handfit_core.media.settings import MEDIA
 from handfit_core.skeleton import Side
 from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
@@ -254,7 +254,7 @@ def timing_of(collection: bpy.types.Collection) -> Timing:
     """Where the collection's take lies in its scene's time; on its own frames, where the file names a place
     that no timeline reaches."""
     offset, scale = collection.manient.frame_offset, collection.manient.frame_scale
-    farthest = abs(offset) + abs(scale) * MAX_FRAME_NUMBER
+    farthest = abs(offset) + abs(scale) * MEDIA.max_frame_number
     return Timing(offset, scale) if scale and farthest < _BEYOND else Timing()
 
 

@@ -30,8 +30,8 @@ from handfit_core.detect.networks import Networks
 from handfit_core.detect.opening import settings_of
 from handfit_core.detect.regions import detect_frame
 from handfit_core.detect.shot_boundary import Thumbnail
-from handfit_core.media.frame_range import CHUNK_FRAMES
 from handfit_core.media.read_ahead import read_ahead
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Frame, Media
 from handfit_core.options import CaptureOptions
 
@@ -41,7 +41,7 @@ class Chunk:
     """The hands in consecutive frames of a clip."""
 
     numbers: list[int]
-    """Numbers of its frames: fewer than `CHUNK_FRAMES` at the clip's end"""
+    """Numbers of its frames: fewer than `chunk_frames` at the clip's end"""
     frames: list[tuple[HandDetection, ...]]
     tracked: list[TrackedHand]
     """The hands of its last frame"""
@@ -137,7 +137,7 @@ class ClipDetector:
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> Chunk:
         """Detect the hands of the chunk with that index, counted from 0. `on_frame` is called with the count
         of its frames so far; `should_stop` is asked before each, and ends the chunk there."""
-        rows = index * CHUNK_FRAMES, CHUNK_FRAMES
+        rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames
         regions = [
             r for r in self._options.regions if r.frame is None or r.frame in self.media.numbers(*rows)
         ]

@@ -23,13 +23,7 @@ from handfit_core.detect.matching import (
     is_same_hand,
     mean_detection,
 )
-from handfit_core.detect.networks import (
-    AUGMENTATION_TURNS,
-    PALM_INPUT_PX,
-    Networks,
-    augmented_crops,
-    crop_around,
-)
+from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
 from handfit_core.detect.search import SEARCH, Search, tiles
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.skeleton import Side
@@ -252,7 +246,9 @@ class ClipFinder(Detector):
             elif not self._full:
                 hand = lost.last
                 centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
-                crop = Crop.of_square(centre, TRACKING.search_span * max(hand.extent, 8.0), PALM_INPUT_PX)
+                crop = Crop.of_square(
+                    centre, TRACKING.search_span * max(hand.extent, 8.0), NETWORK.palm_input_px
+                )
                 self._start_tracks(self._detect_new(rgb, [crop]), new)
                 lost.search_failed()
         self._lost = [
@@ -319,7 +315,7 @@ def cross_check(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Ha
     if networks.quality != "standard" or hand.keypoints_2020 is None or hand.spread is not None:
         return hand
     apart = disagreement(hand.keypoints[None], hand.keypoints_2020[None])[0]
-    mirrored = list(augmented_crops(hand.keypoints))[len(AUGMENTATION_TURNS)]
+    mirrored = list(augmented_crops(hand.keypoints))[len(NETWORK.augmentation_turns)]
     crops = [mirrored] if apart > TRACKING.max_disagreement else []
     return _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
 

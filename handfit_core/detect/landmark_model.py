@@ -17,10 +17,12 @@ import struct
 import tarfile
 import zipfile
 import zlib
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
+from typing import Final
 
 from handfit_core.detect.tflite import with_image_metadata
 from handfit_core.errors import LandmarkModelError
@@ -28,42 +30,51 @@ from handfit_core.files import cache_dir, is_file, path_of, read_file, shown, wr
 
 log = logging.getLogger("handfit")
 
-FILE_NAME = "hand_landmarker.task"
 
-WHEEL_REQUIREMENT = "mediapipe==0.10.21"
-WHEEL_PLATFORM = "manylinux_2_28_x86_64"
-WHEEL_PYTHON = "3.11"
-WHEEL_SHA256 = "05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3"
+@dataclass(frozen=True)
+class TaskFile:
+    """Where MediaPipe's landmark model is found, and the wheel that it is assembled from."""
 
-_ENTRIES = (
-    ("hand_detector.tflite", "mediapipe/modules/palm_detection/palm_detection_full.tflite"),
-    ("hand_landmarks_detector.tflite", "mediapipe/modules/hand_landmark/hand_landmark_full.tflite"),
-)
-_CALIBRATED = (
-    "1b14e9422c6ad006cde6581a46c8b90dd573c07ab7f3934b5589e7cea3f89a54",
-    "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
-)
-"""SHA-256 of the entries with which the expected errors were calibrated"""
-VARIABLE = "HANDFIT_LANDMARK_MODEL"
-"""Environment variable with the file's path, used where no option gives it"""
+    name: str = "hand_landmarker.task"
+    variable: str = "HANDFIT_LANDMARK_MODEL"
+    """Environment variable with the file's path, used where no option gives it"""
+    wheel_requirement: str = "mediapipe==0.10.21"
+    wheel_platform: str = "manylinux_2_28_x86_64"
+    wheel_python: str = "3.11"
+    wheel_sha256: str = "05dc4a9e593655a79558d05d6227d31018c2537a4bd3362b51e230cf22aecfe3"
+    entries: tuple[tuple[str, str], tuple[str, str]] = (
+        ("hand_detector.tflite", "mediapipe/modules/palm_detection/palm_detection_full.tflite"),
+        ("hand_landmarks_detector.tflite", "mediapipe/modules/hand_landmark/hand_landmark_full.tflite"),
+    )
+    calibrated: tuple[str, str] = (
+        "1b14e9422c6ad006cde6581a46c8b90dd573c07ab7f3934b5589e7cea3f89a54",
+        "11c272b891e1a99ab034208e23937a8008388cf11ed2a9d776ed3d01d0ba00e3",
+    )
+    """SHA-256 of the entries with which the expected errors were calibrated"""
 
-FILE_NAME_2020 = "hand_landmarks_2020.tflite"
-SHA256_2020 = "6d47ecb3139c41326d8c3dba3d60f1faedc3d3ac42658972eeb4d334f9405518"
-VARIABLE_2020 = "HANDFIT_LANDMARKS_2020"
-"""Environment variable with another path of that file, or `none` to go without"""
 
-NPM_PACKAGE = "@mediapipe/hands"
-NPM_VERSION = "0.1.1606863095"
-_MEMBER_2020 = "package/hands_solution_packed_assets.data"
-_BYTES_2020 = range(3877899, 7670519)
-_BYTES_2020_SHA256 = "276abb7cb09c386247ba5b6fc1aa1ebba574a239777c000d5ffb06db997d6ffa"
-_MAX_BYTES_2020 = 100_000_000
-"""Limit of what is read of a file that should be that network"""
-_OUTPUTS_2020 = ("landmarks", "presence", "handedness")
+TASK: Final = TaskFile()
 
-_ALIGNMENT = 4
-_LOCAL_HEADER_SIZE = 30
-_PADDING_FIELD = 0xD935  # the id that Android's zipalign pads with
+
+@dataclass(frozen=True)
+class Network2020:
+    """Where the landmark network of December 2020 is found, and where in its package it lies."""
+
+    name: str = "hand_landmarks_2020.tflite"
+    sha256: str = "6d47ecb3139c41326d8c3dba3d60f1faedc3d3ac42658972eeb4d334f9405518"
+    variable: str = "HANDFIT_LANDMARKS_2020"
+    """Environment variable with another path of that file, or `none` to go without"""
+    npm_package: str = "@mediapipe/hands"
+    npm_version: str = "0.1.1606863095"
+    member: str = "package/hands_solution_packed_assets.data"
+    within: range = range(3877899, 7670519)
+    within_sha256: str = "276abb7cb09c386247ba5b6fc1aa1ebba574a239777c000d5ffb06db997d6ffa"
+    max_bytes: int = 100_000_000
+    """Limit of what is read of a file that should be that network"""
+    outputs: tuple[str, str, str] = ("landmarks", "presence", "handedness")
+
+
+NETWORK_2020: Final = Network2020()
 
 
 def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
@@ -72,17 +83,17 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
     The first that is given or exists of: `explicit`; `$HANDFIT_LANDMARK_MODEL`; the file bundled
     with this package; the one in the cache folder. Raises LandmarkModelError.
     """
-    for named in (explicit, os.environ.get(VARIABLE)):
+    for named in (explicit, os.environ.get(TASK.variable)):
         if named:
             path = Path(named).expanduser()
             if not is_file(path):
                 raise LandmarkModelError(f"{shown(path)}: there is no such landmark model file")
             return path
-    for path in (Path(__file__).parent / "data" / FILE_NAME, cached_path()):
+    for path in (Path(__file__).parent / "data" / TASK.name, cached_path()):
         if path.is_file():
             return path
     raise LandmarkModelError(
-        f"MediaPipe's landmark model ({FILE_NAME}) was not found; run scripts/fetch_landmark_model.py "
+        f"MediaPipe's landmark model ({TASK.name}) was not found; run scripts/fetch_landmark_model.py "
         "once, or name the file with --landmark-model"
     )
 
@@ -90,7 +101,7 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
 def fingerprint(explicit: str | os.PathLike[str] | None = None) -> str:
     """Hashes of the model files and the version of MediaPipe that runs them. Raises LandmarkModelError."""
     model = hashlib.sha256(landmark_model_path(explicit).read_bytes()).hexdigest()
-    second = f"|landmarks of 2020 {SHA256_2020}" if landmarks_2020_path() else ""
+    second = f"|landmarks of 2020 {NETWORK_2020.sha256}" if landmarks_2020_path() else ""
     return f"{model}{second}|mediapipe {version('mediapipe')}"
 
 
@@ -100,10 +111,10 @@ def landmarks_2020_path() -> Path | None:
     The first that is given or exists of: `$HANDFIT_LANDMARKS_2020`; the file bundled with this package; the
     one in the cache folder. A file that is missing, damaged or of another version is a warning, and None.
     """
-    named = os.environ.get(VARIABLE_2020)
+    named = os.environ.get(NETWORK_2020.variable)
     if named == "none":
         return None
-    bundled = Path(__file__).parent / "data" / FILE_NAME_2020
+    bundled = Path(__file__).parent / "data" / NETWORK_2020.name
     places = [path_of(named)] if named else filter(is_file, (bundled, cached_path_2020()))
     path = next(iter(places), None)
     return path if path and _is_landmarks_2020(path) else None
@@ -113,11 +124,11 @@ def landmarks_2020_path() -> Path | None:
 def _is_landmarks_2020(path: Path) -> bool:
     """Whether a file is the landmark network of December 2020. Warns once where it is not."""
     try:
-        found = hashlib.sha256(read_file(path, _MAX_BYTES_2020)).hexdigest()
+        found = hashlib.sha256(read_file(path, NETWORK_2020.max_bytes)).hexdigest()
     except OSError as error:
         what = f"it cannot be read ({error.strerror})"
     else:
-        if found == SHA256_2020:
+        if found == NETWORK_2020.sha256:
             return True
         what = "it is damaged, or of another version"
     log.warning(
@@ -135,7 +146,7 @@ def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
         with zipfile.ZipFile(landmark_model_path(explicit)) as task:
             return all(
                 hashlib.sha256(task.read(name)).hexdigest() == known
-                for (name, _), known in zip(_ENTRIES, _CALIBRATED, strict=True)
+                for (name, _), known in zip(TASK.entries, TASK.calibrated, strict=True)
             )
     except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError):
         return False  # Loading it will raise with the reason.
@@ -143,12 +154,12 @@ def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
 
 def cached_path() -> Path:
     """Where the assembled file is kept between runs."""
-    return cache_dir() / FILE_NAME
+    return cache_dir() / TASK.name
 
 
 def cached_path_2020() -> Path:
     """Where the landmark network of December 2020 is kept between runs."""
-    return cache_dir() / FILE_NAME_2020
+    return cache_dir() / NETWORK_2020.name
 
 
 def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
@@ -162,25 +173,26 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
         found = hashlib.sha256(wheel.read_bytes()).hexdigest()
     except OSError as error:
         raise LandmarkModelError(f"{wheel}: cannot be read ({error.strerror})") from error
-    if found != WHEEL_SHA256:
+    if found != TASK.wheel_sha256:
         raise LandmarkModelError(
-            f"{wheel}: sha256 is {found}, expected {WHEEL_SHA256} ({WHEEL_REQUIREMENT} for Python "
-            f"{WHEEL_PYTHON}, {WHEEL_PLATFORM}); download it again"
+            f"{wheel}: sha256 is {found}, expected {TASK.wheel_sha256} ({TASK.wheel_requirement} for Python "
+            f"{TASK.wheel_python}, {TASK.wheel_platform}); download it again"
         )
     with (
         zipfile.ZipFile(wheel) as source,
         written_whole(destination) as beside,
         zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as task,
     ):
-        for name, member in _ENTRIES:
+        for name, member in TASK.entries:
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             assert task.fp is not None
-            data_start = task.fp.tell() + _LOCAL_HEADER_SIZE + len(name)
+            data_start = task.fp.tell() + 30 + len(name)
             # MediaPipe maps the networks straight from the file; an unaligned one it must copy.
             # The padding is a well-formed extra field (its own 4 bytes keep the alignment), since
             # MediaPipe's zip reader refuses anything else.
-            padding = -data_start % _ALIGNMENT
-            info.extra = struct.pack("<HH", _PADDING_FIELD, padding) + b"\0" * padding
+            padding = -data_start % 4
+            # The id that Android's zipalign pads with
+            info.extra = struct.pack("<HH", 0xD935, padding) + b"\0" * padding
             task.writestr(info, source.read(member))
     return destination
 
@@ -193,22 +205,25 @@ def assemble_2020(package: str | os.PathLike[str], destination: str | os.PathLik
     written.
     """
     package, destination = Path(package), Path(destination)
-    wanted = f"{NPM_PACKAGE} {NPM_VERSION}"
+    wanted = f"{NETWORK_2020.npm_package} {NETWORK_2020.npm_version}"
     try:
-        with tarfile.open(package, "r:gz") as source, source.extractfile(_MEMBER_2020) or BytesIO() as member:
-            member.seek(_BYTES_2020.start)
-            network = member.read(len(_BYTES_2020))
+        with (
+            tarfile.open(package, "r:gz") as source,
+            source.extractfile(NETWORK_2020.member) or BytesIO() as member,
+        ):
+            member.seek(NETWORK_2020.within.start)
+            network = member.read(len(NETWORK_2020.within))
     except KeyError as error:
         raise LandmarkModelError(f"{shown(package)}: this is not npm's {wanted}") from error
     except (OSError, EOFError, tarfile.TarError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
         raise LandmarkModelError(f"{shown(package)}: cannot be read as npm's {wanted} ({reason})") from error
-    if (found := hashlib.sha256(network).hexdigest()) != _BYTES_2020_SHA256:
+    if (found := hashlib.sha256(network).hexdigest()) != NETWORK_2020.within_sha256:
         raise LandmarkModelError(
-            f"{shown(package)}: the network's sha256 is {found}, expected {_BYTES_2020_SHA256} ({wanted}); "
-            "download it again"
+            f"{shown(package)}: the network's sha256 is {found}, expected {NETWORK_2020.within_sha256} "
+            f"({wanted}); download it again"
         )
-    made = with_image_metadata(network, 0.0, 255.0, _OUTPUTS_2020)
+    made = with_image_metadata(network, 0.0, 255.0, NETWORK_2020.outputs)
     with written_whole(destination) as beside:
         beside.write_bytes(made)
     return destination

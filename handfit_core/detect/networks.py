@@ -32,44 +32,44 @@ from handfit_core.errors import LandmarkModelError
 from handfit_core.machine import usable_cores
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
 
-PALM_INPUT_PX: Final = 192
-"""Pixels a side of the palm network's input"""
-HAND_INPUT_PX: Final = 224
-"""Pixels a side of the landmark network's input"""
-DEPTH_SCALE: Final = 0.4
-"""The landmark network's depth, in units of what it gives for x and y"""
 
-SAME_PALM_DISTANCE: Final = 0.35
-"""Sides of their boxes; palms of about one size whose centres are nearer than this are one"""
-PALM_OF_HAND_DISTANCE: Final = 0.2
-"""Sides of its box; a palm's points are on average nearer than this to the landmarks of its hand"""
-_PALM_LANDMARKS: Final = [0, 5, 9, 13, 17, 1, 2]
-"""The landmarks that are a palm's points"""
-PALM_CROP_SPAN: Final = 2.6
-"""Side of the hand's crop, in sides of its palm's box"""
-PALM_CROP_SHIFT: Final = 0.5
-"""Sides of the palm's box by which the crop's centre lies towards the fingers"""
-HAND_CROP_SPAN: Final = 2.0
-"""Side of the hand's crop, in sides of the box of its landmarks, fingertips left out"""
-HAND_CROP_SHIFT: Final = 0.1
-"""Heights of that box by which the crop's centre lies towards the fingers"""
-_BOX_LANDMARKS: Final = [0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18]
-"""The landmarks in that box: all but the outer ones of the fingers"""
+@dataclass(frozen=True)
+class NetworkSettings:
+    """What the palm and the landmark network take and give, and how hands are cropped for them."""
 
-AUGMENTATION_TURNS: Final = (0.0, 0.35, -0.35)
-"""Radians by which the crops of test-time augmentation are turned; the picture and its mirror image have
-each"""
-AUGMENTATION_CROPS: Final = 2 * len(AUGMENTATION_TURNS)
+    palm_input_px: int = 192
+    """Pixels a side of the palm network's input"""
+    hand_input_px: int = 224
+    """Pixels a side of the landmark network's input"""
+    depth_scale: float = 0.4
+    """The landmark network's depth, in units of what it gives for x and y"""
+    same_palm_distance: float = 0.35
+    """Sides of their boxes; palms of about one size whose centres are nearer than this are one"""
+    palm_of_hand_distance: float = 0.2
+    """Sides of its box; a palm's points are on average nearer than this to the landmarks of its hand"""
+    palm_crop_span: float = 2.6
+    """Side of the hand's crop, in sides of its palm's box"""
+    palm_crop_shift: float = 0.5
+    """Sides of the palm's box by which the crop's centre lies towards the fingers"""
+    hand_crop_span: float = 2.0
+    """Side of the hand's crop, in sides of the box of its landmarks, fingertips left out"""
+    hand_crop_shift: float = 0.1
+    """Heights of that box by which the crop's centre lies towards the fingers"""
+    augmentation_turns: tuple[float, float, float] = (0.0, 0.35, -0.35)
+    """Radians by which the crops of test-time augmentation are turned; the picture and its mirror image have
+    each"""
+    augmentation_crops: int = 2 * len(augmentation_turns)
+    mean_bone: float = 0.0385
+    """Metres; mean length of the 20 bones between an average hand's keypoints"""
+    presence_bias_2020: float = 2.5
+    """Logit by which the landmark network of December 2020 gives a higher presence than the present one, for
+    the hands in twenty photos of people and for what are none"""
+    max_threads: int = 4
+    """Each has networks of its own: some 30 MB"""
 
-MEAN_BONE: Final = 0.0385
-"""Metres; mean length of the 20 bones between an average hand's keypoints"""
 
-PRESENCE_BIAS_2020: Final = 2.5
-"""Logit by which the landmark network of December 2020 gives a higher presence than the present one, for the
-hands in twenty photos of people and for what are none"""
+NETWORK: Final = NetworkSettings()
 
-MAX_THREADS: Final = 4
-"""Each has networks of its own: some 30 MB"""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -101,7 +101,7 @@ class Palms:
         for i in range(len(score)):
             apart = np.linalg.norm(centre[kept] - centre[i], axis=-1) / np.maximum(side[kept], side[i])
             size = side[kept] / side[i]
-            if not ((apart < SAME_PALM_DISTANCE) & (size > 0.6) & (size < 1.0 / 0.6)).any():
+            if not ((apart < NETWORK.same_palm_distance) & (size > 0.6) & (size < 1.0 / 0.6)).any():
                 kept.append(i)
         return cls(score[kept], centre[kept], side[kept], points[kept])
 
@@ -111,15 +111,18 @@ class Palms:
 
     def is_of(self, index: int, hand: HandDetection) -> bool:
         """Whether that palm is the hand's."""
-        off = self.points[index] - hand.keypoints_2d[_PALM_LANDMARKS]
-        return float(np.linalg.norm(off, axis=-1).mean()) < PALM_OF_HAND_DISTANCE * float(self.side[index])
+        # These landmarks are a palm's points.
+        off = self.points[index] - hand.keypoints_2d[[0, 5, 9, 13, 17, 1, 2]]
+        return float(np.linalg.norm(off, axis=-1).mean()) < NETWORK.palm_of_hand_distance * float(
+            self.side[index]
+        )
 
     def crop(self, index: int) -> Crop:
         """The crop in which the landmark network predicts that palm's hand."""
         points, side = self.points[index], float(self.side[index])
         up = _unit(points[2] - points[0])
-        centre = self.centre[index] + PALM_CROP_SHIFT * side * up
-        return Crop.of_square(centre, PALM_CROP_SPAN * side, HAND_INPUT_PX, turn=_upright(up))
+        centre = self.centre[index] + NETWORK.palm_crop_shift * side * up
+        return Crop.of_square(centre, NETWORK.palm_crop_span * side, NETWORK.hand_input_px, turn=_upright(up))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,32 +137,35 @@ class Prediction:
 
 def crop_around(keypoints: np.ndarray) -> Crop:
     """The crop in which the landmark network finds landmarks (21, 2 or more) again."""
-    points = keypoints[_BOX_LANDMARKS, :2]
+    # All but the outer landmarks of the fingers
+    points = keypoints[[0, 1, 2, 3, 5, 6, 9, 10, 13, 14, 17, 18], :2]
     knuckles = (keypoints[5, :2] + keypoints[13, :2]) / 2.0
     up = _unit((knuckles + keypoints[9, :2]) / 2.0 - keypoints[0, :2])
     across = np.array([-up[1], up[0]])
     along = np.stack([points @ across, points @ up])
     low, high = along.min(axis=1), along.max(axis=1)
     middle, side = (low + high) / 2.0, float((high - low).max())
-    middle[1] += HAND_CROP_SHIFT * (high - low)[1]
+    middle[1] += NETWORK.hand_crop_shift * (high - low)[1]
     centre = middle[0] * across + middle[1] * up
-    return Crop.of_square(centre, HAND_CROP_SPAN * max(side, 1.0), HAND_INPUT_PX, turn=_upright(up))
+    return Crop.of_square(
+        centre, NETWORK.hand_crop_span * max(side, 1.0), NETWORK.hand_input_px, turn=_upright(up)
+    )
 
 
 def square_around(keypoints: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Centre (2,) and side in pixels, and turn in radians, of the crop around landmarks (21, 2 or more)."""
     upright = crop_around(keypoints)
-    centre = np.linalg.inv(upright.linear) @ (HAND_INPUT_PX / 2.0 - upright.offset)
+    centre = np.linalg.inv(upright.linear) @ (NETWORK.hand_input_px / 2.0 - upright.offset)
     turn = float(np.arctan2(upright.linear[1, 0], upright.linear[0, 0]))
-    return centre, HAND_INPUT_PX / upright.scale, turn
+    return centre, NETWORK.hand_input_px / upright.scale, turn
 
 
 def augmented_crops(keypoints: np.ndarray) -> Iterator[Crop]:
     """The crops of test-time augmentation around landmarks (21, 2 or more): three turns, then mirrored."""
     centre, span, turn = square_around(keypoints)
     for mirrored, upright in ((False, turn), (True, -turn)):
-        for more in AUGMENTATION_TURNS:
-            yield Crop.of_square(centre, span, HAND_INPUT_PX, turn=upright + more, mirrored=mirrored)
+        for more in NETWORK.augmentation_turns:
+            yield Crop.of_square(centre, span, NETWORK.hand_input_px, turn=upright + more, mirrored=mirrored)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
@@ -184,7 +190,7 @@ class Networks:
     ) -> None:
         path = landmark_model_path(landmark_model)
         self.quality: Quality = quality
-        self.threads = min(usable_threads(), MAX_THREADS)
+        self.threads = min(usable_threads(), NETWORK.max_threads)
         """How many run the networks on several crops of a picture"""
         self._landmark_model = landmark_model
         self._pool: ThreadPoolExecutor | None = None
@@ -278,14 +284,14 @@ class Networks:
         return [output.embedding for output in network.embed(image).embeddings]
 
     def detect_palms(self, rgb: np.ndarray, crop: Crop, min_score: float) -> Palms:
-        """The palms in a crop, `PALM_INPUT_PX` wide, of a picture (H, W, 3) uint8 RGB, before non-maximum
+        """The palms in a crop, `palm_input_px` wide, of a picture (H, W, 3) uint8 RGB, before non-maximum
         suppression."""
         boxes, logits = self._run(self._palms, crop.render(rgb))
         chosen = np.flatnonzero(logits >= np.log(min_score / (1.0 - min_score)))
         chosen = chosen[np.argsort(-logits[chosen], kind="stable")]
         numbers = boxes.reshape(-1, 9, 2)[chosen]
-        numbers[:, 0] += PALM_INPUT_PX * _anchors()[chosen]
-        numbers[:, 2:] += PALM_INPUT_PX * _anchors()[chosen][:, None]
+        numbers[:, 0] += NETWORK.palm_input_px * _anchors()[chosen]
+        numbers[:, 2:] += NETWORK.palm_input_px * _anchors()[chosen][:, None]
         inverse = np.linalg.inv(crop.linear)
         return Palms(
             score=1.0 / (1.0 + np.exp(-logits[chosen])),
@@ -295,7 +301,7 @@ class Networks:
         )
 
     def predict(self, rgb: np.ndarray, crop: Crop) -> Prediction:
-        """Run the landmark network on a crop, `HAND_INPUT_PX` wide, of a picture (H, W, 3) uint8 RGB."""
+        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB."""
         pixels = crop.render(rgb)
         if self.is_draft:
             return self._predict_2020(pixels, crop)
@@ -333,17 +339,17 @@ class Networks:
         landmarks, presence, handedness = self._run(self._hand_2020, pixels)
         keypoints, right = _with_depth(landmarks), float(handedness[0])
         bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
-        world = (keypoints - keypoints.mean(axis=0)) * (MEAN_BONE / max(float(bones.mean()), 1e-9))
+        world = (keypoints - keypoints.mean(axis=0)) * (NETWORK.mean_bone / max(float(bones.mean()), 1e-9))
         side = "right" if right >= 0.5 else "left"
         hand = crop.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))
-        odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-PRESENCE_BIAS_2020)
+        odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-NETWORK.presence_bias_2020)
         return Prediction(float(odds / (1.0 + odds)), replace(hand, keypoints_2020=hand.keypoints))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:
     """(63,) output of a landmark network -> (21, 3) pixels of its crop, depth on the scale of x."""
     keypoints = landmarks.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
-    keypoints[:, 2] /= DEPTH_SCALE
+    keypoints[:, 2] /= NETWORK.depth_scale
     return keypoints
 
 

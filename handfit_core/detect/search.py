@@ -15,9 +15,7 @@ from handfit_core.detect.crops import Crop, downscale
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection
 from handfit_core.detect.networks import (
-    AUGMENTATION_CROPS,
-    HAND_INPUT_PX,
-    PALM_INPUT_PX,
+    NETWORK,
     Networks,
     Palms,
     Prediction,
@@ -155,7 +153,7 @@ def tiles(width: int, height: int, divisor: int) -> Iterator[Crop]:
     columns, rows = (max(1, int(np.ceil(2.0 * (side / span - 1.0) + 1.0 - 1e-6))) for side in (width, height))
     for y in _centres(height, span, rows):
         for x in _centres(width, span, columns):
-            yield Crop.of_square(np.array([x, y]), span, PALM_INPUT_PX)
+            yield Crop.of_square(np.array([x, y]), span, NETWORK.palm_input_px)
 
 
 def _centres(side: float, span: float, count: int) -> np.ndarray:
@@ -174,7 +172,7 @@ class Search:
         self._threshold = threshold
         self._divisors = SEARCH.tile_divisors[:1] if plain else SEARCH.tile_divisors
         self._min_palm_score = SEARCH.plain_min_palm_score if plain else SEARCH.min_palm_score
-        self._crop_count = 1 if plain or networks.quality == "draft" else AUGMENTATION_CROPS
+        self._crop_count = 1 if plain or networks.quality == "draft" else NETWORK.augmentation_crops
 
     def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
         """The hands of a picture, the likeliest first."""
@@ -192,7 +190,7 @@ class Search:
             if divisor == 1 and len(self._divisors) > 1:
                 middle, side = np.array([width, height]) / 2.0, max(width, height)
                 crops = [
-                    Crop.of_square(middle, span * side, PALM_INPUT_PX, turn=turn, mirrored=mirrored)
+                    Crop.of_square(middle, span * side, NETWORK.palm_input_px, turn=turn, mirrored=mirrored)
                     for span, turn, mirrored in SEARCH.whole_picture_crops
                 ]
             if crops:
@@ -211,7 +209,7 @@ class Search:
     def detect_new(
         self, rgb: np.ndarray, crops: Sequence[Crop], known: Sequence[HandDetection]
     ) -> list[HandDetection]:
-        """The hands whose palms are in these crops, `PALM_INPUT_PX` wide, without the known ones. A likely
+        """The hands whose palms are in these crops, `palm_input_px` wide, without the known ones. A likely
         one has a single prediction, as tracked hands have."""
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
         found = self._extend(rgb, self._detect_palms(rgb, crops), sure, augment_all=False)
@@ -243,7 +241,7 @@ class Search:
         kept: list[Candidate] = []
         low, high = SEARCH.doubtful_probability
         for candidate in found:
-            if self._crop_count == AUGMENTATION_CROPS and low < candidate.probability < high:
+            if self._crop_count == NETWORK.augmentation_crops and low < candidate.probability < high:
                 hand = candidate.hand
                 if any(is_part_of(hand, c.hand) for c in kept if self._accepts(c)):
                     continue
@@ -263,7 +261,7 @@ class Search:
             if not searched and inside and len(begun) < SEARCH.max_neighbour_searches:
                 begun.append((centre, span))
                 for turn in SEARCH.neighbour_turns:
-                    yield Crop.of_square(centre, span, PALM_INPUT_PX, turn=turn)
+                    yield Crop.of_square(centre, span, NETWORK.palm_input_px, turn=turn)
 
     def _with_rotation_recall(self, rgb: np.ndarray, candidate: Candidate) -> Candidate:
         """The candidate with its rotation recall, or with a bound of it that already rules the hand out."""
@@ -283,7 +281,7 @@ class Search:
         best = 0.0
         turns = (0.0, upright, *(upright + more for more in SEARCH.context_turns))
         span = SEARCH.context_span * hand.extent
-        crops = [Crop.of_square(centre, span, PALM_INPUT_PX, turn=turn) for turn in turns]
+        crops = [Crop.of_square(centre, span, NETWORK.palm_input_px, turn=turn) for turn in turns]
         min_score = SEARCH.context_min_palm_score
         for palms in self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, min_score), crops):
             best = max(best, *(float(palms.score[i]) for i in range(len(palms)) if palms.is_of(i, hand)), 0.0)
@@ -294,7 +292,11 @@ class Search:
     ) -> Iterator[Prediction | None]:
         """The refined predictions for crops of all rotations about a box with that middle and longer side."""
         turns = np.arange(SEARCH.rotations) * (2.0 * np.pi / SEARCH.rotations)
-        crops = [Crop.of_square(middle, span * side, HAND_INPUT_PX, turn=t) for span in spans for t in turns]
+        crops = [
+            Crop.of_square(middle, span * side, NETWORK.hand_input_px, turn=t)
+            for span in spans
+            for t in turns
+        ]
         return self._networks.map(lambda n, crop: refine(n, rgb, crop, SEARCH.box_min_presence), crops)
 
     def _detect_palms(self, rgb: np.ndarray, crops: Sequence[Crop]) -> Palms:

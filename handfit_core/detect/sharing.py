@@ -13,8 +13,8 @@ from typing import Final
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, ChunkedDetector
 from handfit_core.detect.networks import usable_threads
-from handfit_core.media.frame_range import CHUNK_FRAMES
 from handfit_core.media.opening import open_media
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 
@@ -45,7 +45,7 @@ def detect_chunks(
     done = itertools.count(1)
     for index in itertools.count(part.start) if part.stop is None else range(part.start, part.stop):
         found.append(detector.chunk(index, lambda _: on_progress(next(done)), should_stop))
-        if len(found[-1].numbers) < CHUNK_FRAMES:
+        if len(found[-1].numbers) < MEDIA.chunk_frames:
             break
     return [chunk for chunk in found if chunk.numbers]
 
@@ -73,10 +73,10 @@ def _in_threads(
                 index = next(indices)
                 if part.stop is not None and index >= part.stop:
                     return
-                if number > 0 and 0 < detector.media.expected_frames <= index * CHUNK_FRAMES:
+                if number > 0 and 0 < detector.media.expected_frames <= index * MEDIA.chunk_frames:
                     return  # the first thread sees whether the header tells the truth
                 found[index] = own.chunk(index, lambda _: events.put(None), stopped.is_set)
-                if len(found[index].numbers) < CHUNK_FRAMES:
+                if len(found[index].numbers) < MEDIA.chunk_frames:
                     ended.set()
 
     with ThreadPoolExecutor(count, "handfit-detect") as pool:
@@ -102,7 +102,7 @@ def _in_threads(
     chunks: list[Chunk] = []
     while (chunk := found.get(part.start + len(chunks))) is not None:
         chunks.append(chunk)
-        if len(chunk.numbers) < CHUNK_FRAMES:
+        if len(chunk.numbers) < MEDIA.chunk_frames:
             break
     return [chunk for chunk in chunks if chunk.numbers]
 
@@ -119,12 +119,16 @@ def expected_frames(media: Media, part: slice = ALL_CHUNKS) -> int:
     """How many frames those chunks of a clip should have; 0 where the header does not tell."""
     if not media.expected_frames:
         return 0
-    end = media.expected_frames if part.stop is None else min(media.expected_frames, part.stop * CHUNK_FRAMES)
-    return max(end - part.start * CHUNK_FRAMES, 1)
+    end = (
+        media.expected_frames
+        if part.stop is None
+        else min(media.expected_frames, part.stop * MEDIA.chunk_frames)
+    )
+    return max(end - part.start * MEDIA.chunk_frames, 1)
 
 
 def thread_count(asked: int | None, frames: int) -> int:
     """How many threads detect a clip of that many frames (0: unknown): as asked, or one a core, but no more
     than there are chunks."""
     wanted = min(usable_threads(), MAX_THREADS) if asked is None else asked
-    return max(1, min(wanted, -(-frames // CHUNK_FRAMES)) if frames else wanted)
+    return max(1, min(wanted, -(-frames // MEDIA.chunk_frames)) if frames else wanted)

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import math
 import sys
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
+
+T = TypeVar("T")
 
 LONGEST_PATH: Final = 32_767
 """characters: the longest path that any system has (Windows'); Linux's are shorter"""
@@ -51,6 +54,31 @@ def text(name: str, value: Any, longest: int, errors: str = "strict") -> str:
 def path(name: str, value: Any) -> str:
     """A path, also one that Linux has and UTF-8 does not."""
     return text(name, value, LONGEST_PATH, "surrogateescape")
+
+
+def flag(name: str, value: Any) -> bool:
+    """True or false."""
+    if isinstance(value, bool):
+        return value
+    raise Unfit(f"{name} must be true or false, not {shortly(value)}")
+
+
+def listed(name: str, value: Any, kind: Callable[[str, Any], T]) -> tuple[T, ...]:
+    """A list of which each entry is of a kind."""
+    if isinstance(value, list | tuple):
+        return tuple(kind(name, each) for each in value)
+    raise Unfit(f"{name} must be a list, not {shortly(value)}")
+
+
+def one_of(*choices: str) -> Callable[[str, Any], Any]:
+    """The kind of a text that is one of those."""
+
+    def read(name: str, value: Any) -> Any:
+        if isinstance(value, str) and value in choices:
+            return value
+        raise Unfit(f"{name} must be {' or '.join(choices)}, not {shortly(value)}")
+
+    return read
 
 
 def shortly(value: Any) -> str:

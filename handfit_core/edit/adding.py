@@ -21,10 +21,6 @@ WRIST, KNUCKLE = 0, 9
 """The two keypoints that say where a hand lies: the second is the middle finger's knuckle"""
 USUAL_PALM = 0.12
 """Default length of the palm, in parts of the picture's shorter side"""
-_BENT = 0.5
-"""Share of a relaxed hand's bends: so the fingertips lie apart from the knuckles, and can be dragged"""
-_SHORTEST_PALM = 1.0
-"""pixels"""
 
 
 def laid(
@@ -35,9 +31,10 @@ def laid(
     palm is `seen`. Raises OptionError where the two are one point."""
     step = (np.asarray(knuckle, dtype=np.float64) - wrist) / (intrinsics.fx, intrinsics.fy)
     length = float(np.linalg.norm(step))
-    if not length * intrinsics.fx >= _SHORTEST_PALM:
+    if not length * intrinsics.fx >= 1.0:
         raise OptionError("a hand needs a size: drag from its wrist to the knuckle of its middle finger")
-    betas, still, pose = np.zeros(NUM_BETAS), np.zeros((1, 3)), _BENT * relaxed_pose(model)
+    # Half a relaxed hand's bends: so the fingertips lie apart from the knuckles, and can be dragged
+    betas, still, pose = np.zeros(NUM_BETAS), np.zeros((1, 3)), 0.5 * relaxed_pose(model)
     flat = landmark_points(model, betas, still, pose[None], still)[0]
     palm = flat[KNUCKLE] - flat[WRIST]
     # The model's back is up, the camera looks along z.

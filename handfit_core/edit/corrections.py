@@ -28,14 +28,23 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, arrays_of, check_arrays, declared
+from handfit_core.arrays import (
+    array,
+    array_dataclass,
+    arrays_of,
+    check_arrays,
+    declared,
+    declared_values,
+    value,
+)
+from handfit_core.doors.values import Unfit, number
 from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 
 FORMAT_VERSION: Final = 1
-_DECIMALS: Final = 8
-"""Decimals to which corrections are rounded, so that the .blend holds exactly what was applied"""
+_ALWAYS_KEPT: Final = ("pins", "spread", "added_key")
+"""What every correction's text has; of other values and arrays, what is not empty"""
 
 _MIN_CHANGE: Final = 0.01
 """radians, or tenths of a metre, from which a change shows whether a key is the corrected one"""
@@ -46,19 +55,42 @@ Touches = Mapping[int, int]
 """Keypoint index -> the smaller one that it touches, as `RefineHand.touches` has it"""
 
 
+def _pins(_: str, given: Any) -> dict[int, tuple[float, float]]:
+    pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in given.items()}
+    # Only finite numbers of the right shape ever reach keys.
+    if not all(0 <= k < NUM_KEYPOINTS for k in pins) or not np.all(np.isfinite(list(pins.values()))):
+        raise Unfit(f"pins belong to keypoints 0 to {NUM_KEYPOINTS - 1}, at finite places")
+    return pins
+
+
+def _touches(_: str, given: Any) -> dict[int, int]:
+    touches = {int(k): int(other) for k, other in dict(given).items()}
+    if not all(can_touch(*pair) for pair in touches.items()):
+        raise Unfit(f"a keypoint touches a smaller one of another finger; got {touches}")
+    return touches
+
+
+def _spread(name: str, given: Any) -> float:
+    return number(name, float(given), 0.0)
+
+
+def _yes(_: str, given: Any) -> bool:
+    return bool(given)
+
+
 @array_dataclass
 class Correction:
     """The artist's changes to one source frame."""
 
-    pins: Pins
+    pins: Pins = value(_pins)
     """Keypoints that were dragged, and where they belong"""
     rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
     """Axis-angle in radians per bone, in the bone's own posed axes"""
     location: np.ndarray = array(3, finite="all", default=0.0)
     """metres, added to the wrist bone's location"""
-    spread: float = 0.0
+    spread: float = value(_spread, default=0.0)
     """frames over which it fades out, before and after"""
-    added_key: bool = False
+    added_key: bool = value(_yes, default=False)
     """Whether the frame had no key before, so that its key goes with the correction"""
     start_rotation: np.ndarray = array(NUM_JOINTS, 3, finite="all", default=0.0)
     """What its neighbours' corrections did here when it was made: the part of `rotation` that pins
@@ -69,14 +101,14 @@ class Correction:
     """The key's rotations as (w, x, y, z) when it was made, to know the key again; zeros: unknown"""
     place: np.ndarray = array(3, finite="all", default=0.0)
     """metres: the key's location of the wrist when it was made; zeros: unknown"""
-    keyed: bool = False
+    keyed: bool = value(_yes, default=False)
     """Whether the frame was keyed anew, so that without this correction the field is zero there"""
-    posed: bool = False
+    posed: bool = value(_yes, default=False)
     """Whether the artist gave the frame a pose before any pin: then pins are measured against that pose"""
-    touches: Touches = field(default_factory=dict)
-    """Keypoints that were made to touch"""
-    begins: bool = False
+    begins: bool = value(_yes, default=False)
     """Whether a pose begins here that the frames after it may go on with"""
+    touches: Touches = value(_touches, default=())
+    """Keypoints that were made to touch"""
 
     @property
     def is_anchor(self) -> bool:
@@ -101,21 +133,12 @@ class Correction:
         return bool(np.any(self.rotation) or np.any(self.location))
 
     def __post_init__(self) -> None:
-        pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in self.pins.items()}
-        # Only finite numbers of the right shape ever reach keys.
-        if not all(0 <= k < NUM_KEYPOINTS for k in pins) or not np.all(np.isfinite(list(pins.values()))):
-            raise ValueError(f"pins belong to keypoints 0 to {NUM_KEYPOINTS - 1}, at finite places")
-        touches = {int(k): int(other) for k, other in self.touches.items()}
-        if not all(can_touch(*pair) for pair in touches.items()):
-            raise ValueError(f"a keypoint touches a smaller one of another finger; got {touches}")
-        if not (np.isfinite(self.spread) and self.spread >= 0.0):
-            raise ValueError(f"a spread is finite and not negative; got {self.spread}")
-        object.__setattr__(self, "pins", pins)
-        object.__setattr__(self, "touches", touches)
-        object.__setattr__(self, "spread", float(self.spread))
+        for name, each in declared_values(self).items():
+            object.__setattr__(self, name, each.kind(name, getattr(self, name)))
         for name in declared(self):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            object.__setattr__(self, name, np.round(value, _DECIMALS))
+            numbers = np.asarray(getattr(self, name), dtype=np.float64)
+            # Rounded, so that the .blend holds exactly what was applied
+            object.__setattr__(self, name, np.round(numbers, 8))
         check_arrays(self, ValueError)
 
 
@@ -255,14 +278,8 @@ class CorrectionField:
             return ""
         kept = {
             str(frame): {
-                "pins": {str(k): list(place) for k, place in c.pins.items()},
-                "spread": c.spread,
-                "added_key": c.added_key,
-                **({"keyed": True} if c.keyed else {}),
-                **({"posed": True} if c.posed else {}),
-                **({"begins": True} if c.begins else {}),
-                **({"touches": {str(k): other for k, other in c.touches.items()}} if c.touches else {}),
-                **{name: value.tolist() for name, value in arrays_of(c).items() if np.any(value)},
+                **{n: held for n in declared_values(c) if (held := getattr(c, n)) or n in _ALWAYS_KEPT},
+                **{name: rows.tolist() for name, rows in arrays_of(c).items() if np.any(rows)},
             }
             for frame, c in sorted(self.corrections.items())
         }
@@ -338,16 +355,7 @@ def kept_frame(frame: Any) -> float:
 
 
 def _correction(content: Mapping[str, Any]) -> Correction:
-    return Correction(
-        pins={int(k): (place[0], place[1]) for k, place in content["pins"].items()},
-        spread=float(content["spread"]),
-        added_key=bool(content.get("added_key", False)),
-        keyed=bool(content.get("keyed", False)),
-        posed=bool(content.get("posed", False)),
-        begins=bool(content.get("begins", False)),
-        touches={int(k): int(other) for k, other in content.get("touches", {}).items()},
-        **{name: content[name] for name in declared(Correction) if name in content},
-    )
+    return Correction(**{name: content[name] for name in Correction.__dataclass_fields__ if name in content})
 
 
 def fade(part: np.ndarray) -> np.ndarray:

@@ -9,52 +9,27 @@ decides only what pins leave open. Fingers without a pin bend as their neighbour
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.edit import pins as pinning
+from handfit_core.edit.settings import EDITS
 from handfit_core.fit.fast import FastFitter
 from handfit_core.fit.observation import Kept, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model.anatomy import BEND, LAST_BEND, MIDDLE_BEND
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_KEYPOINTS, PALM_KEYPOINTS
-
-MIN_PALM_PINS: Final = 2
-"""Fewer do not tell how a hand lies: then its pose is corrected like a captured one's"""
-_ROLLS: Final = np.radians([0.0, 50.0, -50.0, 180.0, 230.0, 130.0])
-_PITCHES: Final = np.radians([0.0, 45.0, -45.0])
-"""radians about the palm's long axis, and about the one across it in the picture"""
-_MAX_RESIZE: Final = 2.0
-"""Ratio of a start's size to the hand's at most, either way"""
-_PALM_SIGMA: Final = 0.5
-"""Expected error of palm points without a pin, in the picture and in depth, in parts of the hand's size"""
-_DISTANCE_SIGMA: Final = 0.15
-"""Relative deviation of the wrist's distance: a palm that looks short is tilted, or farther away"""
-_TURNED_OVER_COST: Final = 4.0
-"""squared sigmas that the other side of the hand costs"""
-_NEIGHBOUR_BEND_SHARE: Final = 0.7
-"""Share of a finger's bends that the next one takes over; the second next takes over its square"""
-_FIRST_PIN_SIGMA: Final = 0.02
-"""Expected error of pins in the first round, in parts of the hand's size"""
-_UNSEEN_SIGMA: Final = 1e9
-"""pixels: expected error of points that are neither pinned nor kept"""
-_BENDS: Final = [2, 5, 8]
-"""Indices of the bends among a finger's nine angles"""
-_BACK: Final = 1
-"""The axis of the root that points out of the back of the hand"""
-_KNUCKLE: Final = 9
-"""The middle finger's knuckle among the keypoints"""
 
 
 def is_free(pins: np.ndarray) -> np.ndarray:
     """(N, 21, 2) pins in pixels -> (N,) bool: whether they determine how a hand lies, whatever pose it
     has."""
     palm = np.isfinite(pins[:, list(PALM_KEYPOINTS)]).all(axis=2)
-    return np.asarray(palm.sum(axis=1) >= MIN_PALM_PINS)
+    return np.asarray(palm.sum(axis=1) >= EDITS.min_palm_pins)
 
 
 def pose_from_pins(
@@ -78,11 +53,13 @@ def pose_from_pins(
         start = held.put(start)
     points = fitter.chain.points(start)
     loose = pinning.landmarks_of_pose(points, intrinsics)
-    loosely = np.where(np.isin(np.arange(NUM_KEYPOINTS), PALM_KEYPOINTS), _PALM_SIGMA, _UNSEEN_SIGMA)
+    loosely = np.where(
+        np.isin(np.arange(NUM_KEYPOINTS), PALM_KEYPOINTS), EDITS.palm_sigma, EDITS.unseen_sigma
+    )
     sigma = loosely * pinning.hand_sizes(loose.pixels)[:, None]
     seen = Landmarked(
         np.where(at[:, None], pins, loose.pixels),
-        np.where(at[:, None], pinning.PIN_SIGMA, sigma[..., None].repeat(2, axis=2)),
+        np.where(at[:, None], pinning.PINS.pin_sigma, sigma[..., None].repeat(2, axis=2)),
         loose.depth,
         sigma,
         pinned=np.tile(at, (count, 1)),
@@ -90,21 +67,22 @@ def pose_from_pins(
     away = np.linalg.norm(own.wrist) / np.linalg.norm(start.wrist, axis=1, keepdims=True)
     kept = Kept(
         start.wrist * away,
-        np.full(count, _DISTANCE_SIGMA),
+        np.full(count, EDITS.distance_sigma),
         start.angles,
         np.full((count, 5), np.inf),
         np.full(count, np.nan),
     )
     seen = replace(observation_of(seen, intrinsics), kept=kept)
     # Pins that are all but exact are hard to follow from far away, so the best hands come nearer in steps.
-    for nearness, left in ((_FIRST_PIN_SIGMA, 4), (0.2 * _FIRST_PIN_SIGMA, 2), (0.0, 1)):
+    for nearness, left in ((EDITS.first_pin_sigma, 4), (0.2 * EDITS.first_pin_sigma, 2), (0.0, 1)):
         least = nearness * pinning.hand_sizes(seen.pixels)[:, None, None]
         about = replace(seen, pixel_sigma=np.maximum(seen.pixel_sigma, least))
         problem = replace(fitter.problem(about, held=held), angle_bounds=fitter.angle_bounds)
         solution = fitter.solve_each(problem, start, max_iterations)
-        same_side = solution.state.root[..., _BACK] @ own.root[0, :, _BACK]
+        # The axis of the root that points out of the back of the hand
+        same_side = solution.state.root[..., 1] @ own.root[0, :, 1]
         cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf)
-        best = (cost + _TURNED_OVER_COST * (1.0 - same_side) / 2.0).argsort(kind="stable")[:left]
+        best = (cost + EDITS.turned_over_cost * (1.0 - same_side) / 2.0).argsort(kind="stable")[:left]
         start, seen = solution.state.select(best), seen.select(best)
         held = None if held is None else held.select(best)
     return replace(start, angles=_with_neighbours_bends(fitter, start.angles, own.angles, at, locked))
@@ -116,14 +94,14 @@ def _starts(
     """(18,) states: the hand `own` (1), turned to all sides, and each laid over its pins by a turn in the
     picture, a place and a distance."""
     points = fitter.chain.points(own)[0]
-    along = points[_KNUCKLE] - points[0]
+    along = points[9] - points[0]  # from the wrist to the middle finger's knuckle
     across = np.cross(points[0], along)
     turns = np.array(
         [
             rotvec_to_rotmat(pitch * across / np.linalg.norm(across))
             @ rotvec_to_rotmat(roll * along / np.linalg.norm(along))
-            for roll in _ROLLS
-            for pitch in _PITCHES
+            for roll in EDITS.rolls
+            for pitch in EDITS.pitches
         ]
     )
     shapes = (points - points[0]) @ turns.swapaxes(1, 2)
@@ -133,7 +111,7 @@ def _starts(
     shown = shapes[:, at, :2] @ [1.0, 1.0j]
     mean = shown.mean(axis=1, keepdims=True)
     over = ((shown - mean).conj() @ (aim - aim.mean())) / np.square(np.abs(shown - mean)).sum(axis=1)
-    nearness = np.clip(np.abs(over) * points[0, 2], 1.0 / _MAX_RESIZE, _MAX_RESIZE)
+    nearness = np.clip(np.abs(over) * points[0, 2], 1.0 / EDITS.max_resize, EDITS.max_resize)
     distance = points[0, 2] / nearness
     upright = rotvec_to_rotmat(np.angle(over)[:, None] * np.array([0.0, 0.0, 1.0]))
     turns = upright @ turns
@@ -155,11 +133,12 @@ def _with_neighbours_bends(
     with long fingers bent as far from it as their neighbours with a pin make likely."""
     known = np.asarray(at[1:].reshape(5, 4)[:, 1:].any(axis=1))
     left = np.asarray(~(known | locked[JOINTS_BY_FINGER].any(axis=1)))
-    alike = _NEIGHBOUR_BEND_SHARE ** np.abs(np.arange(5)[:, None] - np.arange(5))
+    alike = EDITS.neighbour_bend_share ** np.abs(np.arange(5)[:, None] - np.arange(5))
     alike[0], alike[:, 0], alike[0, 0] = 0.0, 0.0, 1.0  # the thumb goes its own way
     share = alike[left][:, known] @ np.linalg.inv(alike[known][:, known])
     followed = own[0, left]
-    followed[:, _BENDS] += share @ (found - own)[0][known][:, _BENDS]
+    bends = [BEND, MIDDLE_BEND, LAST_BEND]
+    followed[:, bends] += share @ (found - own)[0][known][:, bends]
     least, most = (end[left] for end in fitter.angle_bounds)
     angles = found.copy()
     angles[0, left] = np.clip(followed, np.minimum(least, own[0, left]), np.maximum(most, own[0, left]))

@@ -14,11 +14,14 @@ from handfit_core.hand_model.landmarks import detector_landmarks
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, can_touch
 
-_JOINTS: Final = ("Knuckle", "Middle Joint", "Last Joint", "Tip")
 POINT_NAMES: Final = (
     "Palm",
     *(f"Thumb {name}" for name in ("Root", "Knuckle", "Joint", "Tip")),
-    *(f"{finger.capitalize()} {name}" for finger in FINGERS[1:] for name in _JOINTS),
+    *(
+        f"{finger.capitalize()} {name}"
+        for finger in FINGERS[1:]
+        for name in ("Knuckle", "Middle Joint", "Last Joint", "Tip")
+    ),
 )
 """The 21 keypoints as artists read them, where they touch: the wrist's stands for the whole palm"""
 

@@ -8,26 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.arrays import (
-    LARGEST,
-    array,
-    array_dataclass,
-    arrays_of,
-    check_arrays,
-    packed_arrays,
-    unpacked_arrays,
-)
+from handfit_core.arrays import LARGEST, array, array_dataclass, check_arrays, packed, unpacked
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.doors.values import Unfit, number, path, shortly, whole
-from handfit_core.edit.hand import RefineHand, RefineResult
+from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.recent import Recent
 from handfit_core.edit.refit import refit_each, refit_range
 from handfit_core.errors import Cancelled, OptionError, ProtocolError
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model import OPEN_HAND
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.skeleton import NUM_KEYPOINTS, Side, other_side
 from handfit_core.solvers import ShouldStop
 
 MODES = ("each", "draft", "range")
@@ -93,18 +82,7 @@ class _Detections:
 
 def to_message(hand: RefineHand) -> dict[str, Any]:
     """A hand as JSON's types: the `hand` of a `refit` request, its arrays and its detections' packed."""
-    camera = hand.intrinsics
-    return {
-        "side": hand.side,
-        "model": hand.model,
-        "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
-        "fps": float(hand.fps),
-        "smoothing": float(hand.smoothing),
-        "holes": [int(row) for row in hand.holes],
-        "added": bool(hand.added),
-        **packed_arrays(hand),
-        **packed_arrays(_Detections.of(hand)),
-    }
+    return packed(hand) | packed(_Detections.of(hand))
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
@@ -116,41 +94,16 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     """
     if not isinstance(message, Mapping):
         raise ProtocolError("refit: hand must be an object")
-    side = message.get("side")
-    if side not in SIDES:
-        raise OptionError(f"side must be left or right, not {shortly(side)}")
-    detections = _Detections(**unpacked_arrays(_Detections, message, "refit: ")).of_side(side)
-    camera, holes, model = message.get("intrinsics"), message.get("holes", []), message.get("model")
-    if not isinstance(camera, list) or len(camera) != 4:
-        raise ProtocolError(f"refit: intrinsics must be a list of 4 numbers, not {shortly(camera)}")
-    added = message.get("added", False)
-    if not isinstance(added, bool):
-        raise ProtocolError(f"refit: added must be true or false, not {shortly(added)}")
-    if not isinstance(holes, list):
-        raise ProtocolError(f"refit: holes must be a list of whole numbers, not {shortly(holes)}")
-    try:
-        holes = [number("holes", row) for row in holes]
-        return RefineHand(
-            side=side,
-            intrinsics=Intrinsics(*(number("intrinsics", value) for value in camera)),
-            detections=detections,
-            model=OPEN_HAND if model in (None, "") else path("model", model),
-            fps=number("fps", message.get("fps", 25.0)),
-            smoothing=number("smoothing", message.get("smoothing", CaptureOptions.smoothing)),
-            holes=tuple(whole("holes", int(n) if n.is_integer() else n) for n in holes),
-            added=added,
-            **unpacked_arrays(RefineHand, message, "refit: "),
-        )
-    except Unfit as error:
-        raise ProtocolError(f"refit: {error}") from error
+    fields = unpacked(RefineHand, message, "refit: ")
+    detections = _Detections(**unpacked(_Detections, message, "refit: ")).of_side(fields["side"])
+    return RefineHand(detections=detections, **fields)
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
     """Answer a `refit` request with the fields of its `done` event: {"result": {...}, "seconds": s}.
 
     The request's `mode` is "each", "draft" (see `refit_each`) or "range", its `hand` what `to_message` made.
-    The result's arrays are those of RefineResult, packed as float32. Raises HandfitError; Cancelled when
-    stopped.
+    The result is a HandMotion. Raises HandfitError; Cancelled when stopped.
     """
     mode = message.get("mode", "each")
     if mode not in MODES:
@@ -170,19 +123,15 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
     # A fit that ran away, as one close to the camera can, costs its own frame and no other.
-    arrays = arrays_of(result)
-    lost = np.logical_or.reduce(
-        [(np.abs(a) > LARGEST).reshape(len(a), -1).any(axis=1) for a in arrays.values()]
-    )
-    kept = {n: np.where(lost.reshape(-1, *[1] * (a.ndim - 1)), np.nan, a) for n, a in arrays.items()}
-    return {"result": packed_arrays(RefineResult(**kept)), "seconds": time.perf_counter() - begin}
+    lost = np.logical_or.reduce([(np.abs(rows) > LARGEST).any(axis=1) for rows in result.pose])
+    return {"result": packed(result.posed_at(~lost)), "seconds": time.perf_counter() - begin}
 
 
-def result_from_message(done: Mapping[str, Any], count: int = 1) -> RefineResult:
+def result_from_message(done: Mapping[str, Any], count: int = 1) -> HandMotion:
     """The result in the `done` event of a `refit` request for `count` frames. Raises ProtocolError."""
     result = done.get("result")
     if not isinstance(result, Mapping):
         raise ProtocolError("refit: the answer has no result")
-    found = RefineResult(**unpacked_arrays(RefineResult, result, "refit: the answer's "))
+    found = HandMotion(**unpacked(HandMotion, result, "refit: the answer's "))
     check_arrays(found, ProtocolError, "refit: the answer's ", T=count)
     return found

@@ -7,7 +7,7 @@ along, the wrist takes the palm along. A pin that lies where the point is alread
 
 A pose is corrected in two steps. First the fingers with pins beyond their knuckles go alone, bent no
 farther than joints can be when they are pressed (10 degrees beyond what a person can do with them), or than
-they were; palm and other fingers do not move at all. Where that brings every point to within `REACHED_PIXELS`
+they were; palm and other fingers do not move at all. Where that brings every point to within `reached_pixels`
 of its pin, that is the answer. Else the palm must follow: from that pose, it and the fingers go for what is
 left, and the other fingers ride along. So the palm moves by about as much as
 the fingers fall short, and nothing jumps where they begin to. Pins of the wrist and of knuckles move the
@@ -27,43 +27,9 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.keypoints import Landmarked
+from handfit_core.edit.settings import PINS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import NUM_KEYPOINTS
-
-PIN_SIGMA: Final = 0.2
-"""pixels: expected error of a pin"""
-REACHED_PIXELS: Final = 0.5
-"""Distance from its pin up to which a point has reached it"""
-LIMITS_SIGMA: Final = float(np.radians(0.3))
-"""radians beyond the passive range, see `Kept.limits_sigma`: pins are surer than a capture's landmarks, and
-would bend fingers far beyond it"""
-POSE_SIGMA: Final = 0.005
-"""Expected error in the picture of the landmarks of a pose that is corrected, in parts of the hand's size"""
-POSE_DEPTH_SIGMA: Final = 0.02
-"""Expected error in depth of these landmarks, in parts of the hand's size"""
-MIN_POSE_SIGMA: Final = 0.5
-"""pixels: least expected error of these landmarks"""
-SIGMA_PER_PIXEL: Final = 0.5
-"""Expected error in the picture that a pixel of uncertainty adds"""
-DEPTH_SIGMA_PER_PIXEL: Final = 1.0
-"""Expected error in depth that a pixel of uncertainty adds"""
-WRIST_SHARE: Final = 0.5
-"""Share of the wrist's displacement that is the uncertainty of all other points"""
-HALF_BLEND: Final = 0.05
-"""Uncertainty, in parts of the hand's size, at which a point is half the pose's and half the detector's"""
-DISTANCE_SIGMA: Final = 0.002
-"""Relative deviation of the wrist's distance from the one that is kept"""
-PALM_DISTANCE_SIGMA: Final = 0.5
-"""What a palm pin's displacement adds to that, per hand's size"""
-ANGLE_SIGMA: Final = 8.0
-"""radians: deviation of an uncertain finger's angles from those that are kept, per hand's size of
-uncertainty"""
-IDLE_SHARE: Final = 0.25
-"""Share of that for fingers without pins, which ride on a palm that is moved"""
-MIN_ANGLE_SIGMA: Final = 0.002
-"""radians: least deviation of these angles"""
-NEIGHBOUR_SECONDS: Final = 0.25
-"""Time from a pin's frame to those whose landmarks become uncertain, too; the less, the farther they are"""
 
 _FINGERS: Final = np.arange(1, NUM_KEYPOINTS).reshape(5, 4)
 _PALM: Final = [0, *_FINGERS[:, 0]]
@@ -77,12 +43,12 @@ def landmarks_of_pose(points: np.ndarray, intrinsics: Intrinsics) -> Landmarked:
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
     along = np.einsum("nkc,nc->nk", points, ray / distance)
     depth = (along - distance) * (0.5 * (intrinsics.fx + intrinsics.fy) / distance)
-    sigma = np.maximum(POSE_SIGMA * size, MIN_POSE_SIGMA)
+    sigma = np.maximum(PINS.pose_sigma * size, PINS.min_pose_sigma)
     return Landmarked(
         pixels,
         np.broadcast_to(sigma[..., None], pixels.shape).copy(),
         depth,
-        np.broadcast_to(np.maximum(POSE_DEPTH_SIGMA * size, MIN_POSE_SIGMA), depth.shape).copy(),
+        np.broadcast_to(np.maximum(PINS.pose_depth_sigma * size, PINS.min_pose_sigma), depth.shape).copy(),
     )
 
 
@@ -98,7 +64,7 @@ def propagate(displaced: np.ndarray) -> np.ndarray:
     # The palm turns about the wrist, and all fingers ride on it.
     knuckles = displaced[:, _FINGERS[:, 0]].max(axis=1, keepdims=True)
     uncertainty[:, 1:] = np.maximum(uncertainty[:, 1:], knuckles)
-    return np.maximum(uncertainty, WRIST_SHARE * displaced[:, :1])
+    return np.maximum(uncertainty, PINS.wrist_share * displaced[:, :1])
 
 
 def finger_pins(pins: np.ndarray) -> np.ndarray:
@@ -127,14 +93,14 @@ def hand_sizes(pixels: np.ndarray) -> np.ndarray:
 def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
     """(N,) sigmas of the wrist's distance, relative to it, from (N, 21) displacements of pinned points and
     (N,) sizes of hands in pixels."""
-    return np.hypot(DISTANCE_SIGMA, PALM_DISTANCE_SIGMA * displaced[:, _PALM].max(axis=1) / size)
+    return np.hypot(PINS.distance_sigma, PINS.palm_distance_sigma * displaced[:, _PALM].max(axis=1) / size)
 
 
 def angle_sigma(uncertainty: np.ndarray, size: np.ndarray, idle: np.ndarray) -> np.ndarray:
     """(N, 5) radians, sigmas of the fingers' angles, from (N, 21) pixels of uncertainty and (N,) sizes of
     hands in pixels. `idle`: (N, 5) bool, fingers that neither pins nor touches move by themselves."""
-    of_finger = uncertainty[:, _FINGERS].max(axis=2) * np.where(idle, IDLE_SHARE, 1.0)
-    return np.maximum(ANGLE_SIGMA * of_finger / size[:, None], MIN_ANGLE_SIGMA)
+    of_finger = uncertainty[:, _FINGERS].max(axis=2) * np.where(idle, PINS.idle_share, 1.0)
+    return np.maximum(PINS.angle_sigma * of_finger / size[:, None], PINS.min_angle_sigma)
 
 
 def unmoved_fingers(uncertainty: np.ndarray) -> np.ndarray:
@@ -146,7 +112,7 @@ def propagate_in_time(displaced: np.ndarray, frames: np.ndarray, fps: float) -> 
     """(N, 21) displacements of pinned points, or a share of those in neighbouring frames where that is
     larger: where the detector errs in one frame it errs in the next. `frames`: (N,) rising."""
     spread = displaced.copy()
-    reach = NEIGHBOUR_SECONDS * fps
+    reach = PINS.neighbour_seconds * fps
     for row in np.flatnonzero(displaced.any(axis=1)):
         share = np.clip(1.0 - np.abs(frames - frames[row]) / (reach + 1.0), 0.0, 1.0)
         np.maximum(spread, share[:, None] * displaced[row], out=spread)
@@ -157,12 +123,12 @@ def apply_pins(seen: Landmarked, pins: np.ndarray, uncertainty: np.ndarray) -> L
     """`seen` with pins (N, 21, 2) in their place, and with `uncertainty` (N, 21) in pixels added to the
     expected errors."""
     at = np.asarray(np.isfinite(pins).all(axis=-1))
-    sigma = np.hypot(seen.pixel_sigma, SIGMA_PER_PIXEL * uncertainty[..., None])
+    sigma = np.hypot(seen.pixel_sigma, PINS.sigma_per_pixel * uncertainty[..., None])
     return replace(
         seen,
         pixels=np.where(at[..., None], pins, seen.pixels),
-        pixel_sigma=np.where(at[..., None], PIN_SIGMA, sigma),
-        depth_sigma=np.hypot(seen.depth_sigma, DEPTH_SIGMA_PER_PIXEL * uncertainty),
+        pixel_sigma=np.where(at[..., None], PINS.pin_sigma, sigma),
+        depth_sigma=np.hypot(seen.depth_sigma, PINS.depth_sigma_per_pixel * uncertainty),
         pinned=at,
     )
 
@@ -171,7 +137,7 @@ def blend_to_detection(seen: Landmarked, detected: Landmarked, uncertainty: np.n
     """The landmarks `seen` of a pose, moved towards the `detected` ones the more, the larger their
     `uncertainty` (N, 21) in pixels. Where nothing is detected (NaN) they stay."""
     size = hand_sizes(seen.pixels)[:, None]
-    share = np.square(uncertainty) / (np.square(uncertainty) + np.square(HALF_BLEND * size))
+    share = np.square(uncertainty) / (np.square(uncertainty) + np.square(PINS.half_blend * size))
 
     def between(name: str) -> np.ndarray:
         mine, theirs = getattr(seen, name), getattr(detected, name)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.hand import RefineHand
+from handfit_core.hand_model.motion import HandMotion
 
 
 class Recent:
@@ -13,19 +14,19 @@ class Recent:
 
     def __init__(self) -> None:
         self._key: tuple[object, ...] | None = None
-        self._result: RefineResult | None = None
+        self._result: HandMotion | None = None
 
-    def of(self, hand: RefineHand) -> RefineResult | None:
+    def of(self, hand: RefineHand) -> HandMotion | None:
         """The last result, if it was of the same frame, pose and shape."""
         return self._result if self._key == _key(hand) else None
 
-    def keep(self, hand: RefineHand, result: RefineResult) -> None:
+    def keep(self, hand: RefineHand, result: HandMotion) -> None:
         """Remember a result; of many frames none."""
         self._key, self._result = (_key(hand), result) if len(hand) == 1 else (None, None)
 
 
 def _key(hand: RefineHand) -> tuple[object, ...]:
-    arrays = [hand.betas, *(getattr(hand, name) for name in START_ARRAYS), hand.locked]
+    arrays = [hand.betas, *hand.pose, hand.locked]
     seen = [d.keypoints for d in hand.detections if d is not None]
     numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in (*arrays, *seen))
     return (hand.side, hand.model, hand.intrinsics, len(hand), *numbers)

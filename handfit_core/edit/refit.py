@@ -4,19 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import ShouldStop, never
 
 
-def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bool = False) -> RefineResult:
+def _solving():
+    """The module that solves, which is slow to load: Blender does not need it to start."""
+    from handfit_core.edit import solving
+
+    return solving
+
+
+def refit_each(hand: RefineHand, guess: HandMotion | None = None, *, draft: bool = False) -> HandMotion:
     """Every frame by itself, with the shape as it is.
 
     A frame with a pose is held to that pose, except for what its pins move: without pins it stays exactly
@@ -30,13 +37,10 @@ def refit_each(hand: RefineHand, guess: RefineResult | None = None, *, draft: bo
 
     Raises HandModelError.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.solve_each(hand, model, guess, draft=draft))
+    return _solving().solve_each(hand, kept_model(hand.model, hand.side), guess, draft=draft)
 
 
-def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResult:
+def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> HandMotion:
     """All frames anew from their detections and pins, over time, with the shape as it is.
 
     As a capture does it: smooth as `hand.smoothing` says, short gaps filled from both sides. Pinned
@@ -46,10 +50,7 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> RefineResu
 
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    model = kept_model(hand.model, hand.side)
-    return _result(hand, model, solving.solve_range(hand, model, should_stop))
+    return _solving().solve_range(hand, kept_model(hand.model, hand.side), should_stop)
 
 
 def warm_up(model: str = OPEN_HAND) -> None:
@@ -57,9 +58,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
 
     Raises HandModelError if there is no hand of either side in `model`.
     """
-    from handfit_core.edit import solving  # slow to load
-
-    solving.load()
+    _solving().load()
     errors: list[HandModelError] = []
     for side in SIDES:
         try:
@@ -68,7 +67,9 @@ def warm_up(model: str = OPEN_HAND) -> None:
             errors.append(error)
             continue
         hand = seen_hand(loaded, model, side)
-        hand.pins[0, 8] = hand.keypoints_2d[0, 8] + 10.0  # a fingertip is pulled
+        (seen,) = hand.detections
+        assert seen is not None
+        hand.pins[0, 8] = seen.keypoints_2d[8] + 10.0  # a fingertip is pulled
         refit_each(hand)
     if len(errors) == len(SIDES):
         raise errors[0]
@@ -86,25 +87,4 @@ def seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
         side, 0.9, np.concatenate([pixels, depth], axis=2)[0], (points - points.mean(axis=1))[0]
     )
     locked = np.zeros(NUM_JOINTS, dtype=bool)
-    return RefineHand(side, np.zeros(NUM_BETAS), camera, (detection,), pins, *pose, locked, model)
-
-
-def _result(hand: RefineHand, model: HandModel, pose: dict[str, np.ndarray]) -> RefineResult:
-    """The result of poses, given as the arrays of START_ARRAYS with NaN rows where there is none."""
-    count = len(hand)
-    present = np.isfinite(pose["transl"]).all(axis=1)
-    rows = [pose[name][present] for name in START_ARRAYS]
-    joints = model.keypoints(hand.betas, *rows)
-    projected = scatter(hand.intrinsics.project(joints), present, count)
-    distance = np.linalg.norm(projected - hand.keypoints_2d, axis=-1)
-    known = np.isfinite(distance)
-    error = np.where(known, distance, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    return RefineResult(
-        **pose,
-        joints_3d=scatter(joints, present, count),
-        projected=projected,
-        landmarks_2d=scatter(
-            hand.intrinsics.project(landmark_points(model, hand.betas, *rows)), present, count
-        ),
-        reprojection_error=np.where(known.any(axis=1), error, np.nan),
-    )
+    return RefineHand(side, np.zeros(NUM_BETAS), *pose, camera, (detection,), pins, locked, model)

@@ -27,14 +27,10 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_
 
 LOCATION: Final = NUM_JOINTS
 """`Channels.joint` of the wrist's location"""
-_SMOOTHNESS = 0.03
-"""s above: decides the slopes where no dense frame lies between two keys, and keeps jumps from swinging"""
 _BOUND_SHARE = 0.999
 """Share of a bound that is used, since Blender rounds keys to 32 bits"""
 _NEAREST = 1e-3
 """metres in front of the camera. What lies nearer is not judged in pixels"""
-_THINNINGS = ((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2
-"""Every n-th key, from which one on, is taken away in turn"""
 _SEGMENT_FRAMES = 20
 """Dense frames of which the keys are kept as they were before a thinning, if that left no fewer"""
 
@@ -141,7 +137,8 @@ def simplifying(
     needed = np.zeros(len(frames), dtype=bool)
     needed[[0, -1, *kept]] = True
     best = yield from fit.refined(np.broadcast_to(needed, (fit.groups, len(frames))))
-    for turn, (every, first) in enumerate(_THINNINGS):
+    # Every n-th key, from which one on, is taken away in turn
+    for turn, (every, first) in enumerate(((2, 0), (2, 1), (3, 0), (3, 1), (3, 2)) * 2):
         thinned = best.keys.copy()
         for keys in thinned:
             spare = np.flatnonzero(keys & ~needed)
@@ -338,7 +335,9 @@ def _splines(frames: np.ndarray, dense: np.ndarray, keys: np.ndarray) -> tuple[n
     rest = dense.reshape(-1, 4) - base
 
     total = lambda rows: np.add.reduceat(rows, at[left], axis=0)  # noqa: E731
-    weight = _SMOOTHNESS / h
+    # s above, which decides the slopes where no dense frame lies between two keys, and keeps jumps from
+    # swinging
+    weight = 0.03 / h
     pull = 6.0 * weight * (value[right] - value[left]) / h
     diagonal, beside, wanted = np.zeros((len(at), 1)), np.zeros((len(at), 1)), np.zeros((len(at), 4))
     diagonal[left] += total(rise * rise) + 4.0 * weight

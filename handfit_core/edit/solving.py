@@ -4,44 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.batch import Batch, scatter
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.free import is_free, pose_from_pins
-from handfit_core.edit.hand import START_ARRAYS, RefineHand, RefineResult
+from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.handles import landmark_points
+from handfit_core.edit.settings import EDITS
 from handfit_core.errors import Cancelled
-from handfit_core.fit.fast import CHUNK, FastFitter, fitter_of, smooth_track
+from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
+from handfit_core.fit.settings import SOLVER, TERMS
 from handfit_core.fit.solution import Solution
-from handfit_core.fit.terms.reprojection import NEAREST
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
 from handfit_core.solvers import ShouldStop
-
-STAND_IN_FACTOR: Final = 4.0
-"""Factor of the expected errors of a pose's landmarks where they stand in for a detection among others"""
-MAX_ITERATIONS: Final = 50
-"""More than captures take. Even where they are too few, a drag's result does not depend on its way: from the
-frame's own pose the steps are the same every time"""
-DRAFT_ITERATIONS: Final = 6
-"""Fewer while a point is dragged, as each answer continues from the one before"""
-FREE_DRAFT_ITERATIONS: Final = 10
-"""For drafts of added hands, which start anew each time, from all sides"""
-RESTART_COST_RATIO: Final = 0.9
-"""Share of the first start's cost below which the result of another start is taken"""
-RESTART_BENDS: Final = ((0.0, 0.1, 0.1), (0.5, 0.5, 0.5), (0.9, 0.2, 0.2), (0.2, 0.9, 0.7))
-"""Other starts of a finger that does not reach its pin: bends of its three joints, in parts of their range"""
 
 
 def load() -> None:
@@ -50,27 +37,25 @@ def load() -> None:
 
 
 def solve_each(
-    hand: RefineHand, model: HandModel, guess: RefineResult | None, *, draft: bool = False
-) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, each fitted by itself, as arrays named in START_ARRAYS.
+    hand: RefineHand, model: HandModel, guess: HandMotion | None, *, draft: bool = False
+) -> HandMotion:
+    """All frames (T), each fitted by itself.
 
     `draft`: a few steps from `guess`, or from the frame's own pose where there is none.
     """
-    pose = {name: np.array(getattr(hand, name), dtype=np.float64) for name in START_ARRAYS}
     posed, points = _posed(hand, model)
-    for values in pose.values():
-        values[~posed] = np.nan
+    pose = [np.where(posed[:, None], np.asarray(rows, dtype=np.float64), np.nan) for rows in hand.pose]
     fitter, held = fitter_of(model), posed[:, None] & np.asarray(hand.locked, dtype=bool)
     free = posed & is_free(hand.pins) & hand.added
     for row in np.flatnonzero(free):
         own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
-        most = FREE_DRAFT_ITERATIONS if draft else MAX_ITERATIONS
+        most = EDITS.free_draft_iterations if draft else EDITS.max_iterations
         state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
-        for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
-            pose[name][row] = values[0]
+        for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
+            all_rows[row] = found[0]
     if free[hand.touching].any():
         # From the pose that the pins give them, added hands are fitted like others.
-        hand = replace(hand, **pose)
+        hand = hand.with_pose(*pose)
         posed, points = _posed(hand, model)
     corrected = (hand.pinned.any(axis=1) & ~free) | hand.touching
     rows = np.flatnonzero(np.where(posed, corrected, hand.detected))
@@ -90,8 +75,8 @@ def solve_each(
             seen.select(part), detected.select(part), own, near, _touches(hand, at),
         )  # fmt: skip
         state, held[at] = frames.corrected()
-        for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
-            pose[name][at] = values
+        for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
+            all_rows[at] = found
     return _with_held(hand, held, pose)
 
 
@@ -130,7 +115,7 @@ class _Frames(Batch):
             self.posed, self.seen
         )
         left = pinning.displacement(self.pins, seen.pixels)
-        fall_short = (left.max(axis=1) > pinning.REACHED_PIXELS) & ~self.locked[:, 0]
+        fall_short = (left.max(axis=1) > pinning.PINS.reached_pixels) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
             some = self.select(palm)
@@ -184,7 +169,7 @@ class _Frames(Batch):
                 start = replace(self.own, angles=self.own.angles + bends)
                 found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
             left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
-            short = np.flatnonzero(left.max(axis=1) > pinning.REACHED_PIXELS)
+            short = np.flatnonzero(left.max(axis=1) > pinning.PINS.reached_pixels)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
                 starts = [found.select(short), *some._restart_poses()]
@@ -200,12 +185,12 @@ class _Frames(Batch):
         return found, held
 
     def _restart_poses(self) -> list[State]:
-        """The hands with their fingers bent as in `RESTART_BENDS`, for fingers that are stuck on their
+        """The hands with their fingers bent as in `restart_bends`, for fingers that are stuck on their
         way."""
         model = self.fitter.model
         upper = joint_limits(model.side, model.name).upper[JOINTS_BY_FINGER - 1]  # (5, 3, 3)
         states = []
-        for bends in RESTART_BENDS:
+        for bends in EDITS.restart_bends:
             angles = np.zeros((1, 5, 3, 3))
             angles[0, ..., 2] = np.array(bends) * upper[..., 2]
             states.append(
@@ -265,22 +250,21 @@ class _Frames(Batch):
         # A frame without a pose has nothing to keep.
         turned = pinning.angle_sigma(uncertainty, pinning.hand_sizes(seen.pixels), self._idle)
         turned = np.where(self.posed[:, None], turned, np.inf)
-        limits = np.where(self.posed, pinning.LIMITS_SIGMA, np.nan)
+        limits = np.where(self.posed, pinning.PINS.limits_sigma, np.nan)
         near = Kept(kept.wrist, distance_sigma, kept.angles, turned, limits)
-        most = MAX_ITERATIONS if self.near is None else DRAFT_ITERATIONS
+        most = EDITS.max_iterations if self.near is None else EDITS.draft_iterations
         observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
 
-def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> dict[str, np.ndarray]:
-    """Poses (T rows) of all frames, fitted over time. Frames with pins or touches are fitted twice: without
-    these, which gives the wrist's distance, and with them."""
-    pose = {name: np.full(np.shape(getattr(hand, name)), np.nan) for name in START_ARRAYS}
+def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> HandMotion:
+    """All frames (T), fitted over time. Frames with pins or touches are fitted twice: without these, which
+    gives the wrist's distance, and with them."""
     posed, points = _posed(hand, model)
     edited = hand.pinned.any(axis=1) | hand.touching
     rows = np.flatnonzero(hand.detected | (posed & edited))
     if not len(rows):
-        return pose
+        return HandMotion(hand.side, hand.betas, *(np.full(np.shape(each), np.nan) for each in hand.pose))
     keep = pinning.landmarks_of_pose(points[rows], hand.intrinsics)
     seen = _detected(hand, rows).where(hand.detected[rows], _as_stand_in(keep))
     # Cuts are found before pins are applied, as one of these may lie far away.
@@ -316,20 +300,19 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
             _check(should_stop)
             held = None if everywhere is None else everywhere.select(rows[at])
             start = [plain.select(at)]
-            found = _cheapest(fitter, observed.select(at), start, held, MAX_ITERATIONS, solid=True)
+            found = _cheapest(fitter, observed.select(at), start, held, EDITS.max_iterations, solid=True)
             corrected.append(found.state)
         latest = np.arange(len(rows))
         latest[touched] = len(rows) + np.arange(len(touched))
         frames, state = smoothly(observed, State.concatenate(corrected).select(latest))
-    for name, values in zip(START_ARRAYS, fitter.chain.parameters(state)[1:], strict=True):
-        pose[name][frames] = values
-    pose = _with_held(hand, locked, pose)
+    pose = [scatter(found, frames, len(hand)) for found in fitter.chain.parameters(state)[1:]]
+    motion = _with_held(hand, locked, pose)
     if not hand.touching.any():
-        return pose
+        return motion
     _check(should_stop)
     # Smoothing leaves gaps between points that touch; their fingers close them.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
-    return solve_each(replace(hand, pins=pins, **pose), model, None)
+    return solve_each(replace(hand.with_pose(*motion.pose), pins=pins), model, None)
 
 
 def _corrected(
@@ -382,14 +365,14 @@ def _with_touches(
     return drawn
 
 
-def _with_held(hand: RefineHand, held: np.ndarray, pose: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _with_held(hand: RefineHand, held: np.ndarray, pose: Sequence[np.ndarray]) -> HandMotion:
     """The solver's poses, with the joints `held` (T, 16) bool replaced by the given ones, to the last bit."""
     wrist, fingers = held[:, :1].repeat(3, axis=1), held[:, 1:].repeat(3, axis=1)
-    parts = {"global_orient": wrist, "hand_pose": fingers, "transl": wrist}
-    return {
-        name: np.where(np.isfinite(rows) & parts[name], getattr(hand, name), rows)
-        for name, rows in pose.items()
-    }
+    rows = (
+        np.where(np.isfinite(found) & joints, own, found)
+        for found, joints, own in zip(pose, (wrist, fingers, wrist), hand.pose, strict=True)
+    )
+    return HandMotion(hand.side, hand.betas, *rows)
 
 
 def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
@@ -420,10 +403,10 @@ def _check(should_stop: ShouldStop) -> None:
 def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     """(T,) bool: frames whose pose is in front of the camera; and the landmarks (T, 21, 3) of these poses in
     metres, camera frame, with ones in all other frames."""
-    posed = hand.posed
+    posed = hand.present
     points = np.ones((len(hand), NUM_KEYPOINTS, 3))
-    points[posed] = landmark_points(model, hand.betas, *(getattr(hand, n)[posed] for n in START_ARRAYS))
-    behind = points[..., 2].min(axis=1) <= NEAREST
+    points[posed] = landmark_points(model, hand.betas, *(rows[posed] for rows in hand.pose))
+    behind = points[..., 2].min(axis=1) <= TERMS.nearest
     points[behind] = 1.0
     return posed & ~behind, points
 
@@ -459,28 +442,30 @@ def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
 
 def _as_stand_in(seen: Landmarked) -> Landmarked:
     return Landmarked(
-        seen.pixels, STAND_IN_FACTOR * seen.pixel_sigma, seen.depth, STAND_IN_FACTOR * seen.depth_sigma
+        seen.pixels,
+        EDITS.stand_in_factor * seen.pixel_sigma,
+        seen.depth,
+        EDITS.stand_in_factor * seen.depth_sigma,
     )
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Chunks of the frames `rows`, and their indices in it."""
-    for first in range(0, len(rows), CHUNK):
-        part = np.arange(first, min(first + CHUNK, len(rows)))
+    for first in range(0, len(rows), SOLVER.chunk_frames):
+        part = np.arange(first, min(first + SOLVER.chunk_frames, len(rows)))
         yield rows[part], part
 
 
 def _poses(
     fitter: FastFitter,
     hand: RefineHand,
-    source: RefineHand | RefineResult,
+    source: HandMotion,
     known: np.ndarray,
     rows: np.ndarray,
 ) -> State:
     """The poses of the frames `rows` in `source`; where they are not `known`, a flat hand at the camera."""
     orient, fingers, place = (
-        np.where(known[:, None], np.asarray(getattr(source, name), dtype=np.float64)[rows], 0.0)
-        for name in START_ARRAYS
+        np.where(known[:, None], np.asarray(each, dtype=np.float64)[rows], 0.0) for each in source.pose
     )
     betas = np.broadcast_to(np.asarray(hand.betas, dtype=np.float64), (len(rows), len(hand.betas)))
     return fitter.chain.state(betas, orient, fingers, place, np.zeros(len(rows)))
@@ -489,7 +474,7 @@ def _poses(
 def _start(
     fitter: FastFitter,
     hand: RefineHand,
-    source: RefineHand | RefineResult,
+    source: HandMotion,
     known: np.ndarray,
     observed: Observation,
     rows: np.ndarray,
@@ -525,7 +510,7 @@ def _cheapest(
     if len(starts) == 1:
         return solution
     cost = np.nan_to_num(solution.cost, nan=np.inf, posinf=np.inf).reshape(len(starts), count)
-    cost[0] *= RESTART_COST_RATIO
+    cost[0] *= EDITS.restart_cost_ratio
     return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 

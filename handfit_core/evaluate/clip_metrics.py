@@ -16,8 +16,6 @@ from handfit_core.skeleton import KEYPOINT_PARENTS, WRIST_KEYPOINT
 
 JITTER_ABOVE_HZ: Final = 5.0
 """Faster than hands move on purpose, mostly; what is above is called jitter"""
-_SEGMENT_S = 2.0
-_SHORTEST_RUN_S = 1.0
 
 
 def bone_length_variation(points: np.ndarray) -> float:
@@ -77,13 +75,13 @@ def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
     for point in range(error.shape[1]):
         for run in _runs(valid[:, point]):
             length = run.stop - run.start
-            if length < _SHORTEST_RUN_S * fps:
+            if length < 1.0 * fps:
                 continue
             frequencies, density = welch(
                 error[run, point],
                 fs=fps,
                 window="hann",
-                nperseg=min(length, round(_SEGMENT_S * fps)),
+                nperseg=min(length, round(2.0 * fps)),
                 detrend="linear",
                 axis=0,
             )

@@ -11,6 +11,7 @@ from handfit_core.errors import OptionError
 from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
 from handfit_core.files import check_writable, path_of
 from handfit_core.options import CaptureOptions, add_options
+from handfit_core.pipeline import Progress
 
 REPORTS_NEED = ("pandas", "matplotlib", "jinja2")
 DEFAULT_METHODS = ("raw", "fused", CaptureOptions.solver)
@@ -60,12 +61,12 @@ def _evaluate(args: argparse.Namespace) -> int:
             f"evaluate's report needs {' and '.join(missing)}, which this Python lacks; "
             f"run `python -m pip install {' '.join(REPORTS_NEED)}`"
         )
+    # Other commands need none of these, and reports need the packages of above.
     from handfit_core.evaluate.datasets import open_dataset
     from handfit_core.evaluate.flat import Flat
     from handfit_core.evaluate.report import write_report
     from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
-    from handfit_core.pipeline import Progress
 
     options = EvaluationOptions(
         methods=tuple(name for word in args.solvers for name in word.split(",") if name),

@@ -15,12 +15,17 @@ from pathlib import Path
 
 import numpy as np
 
+from handfit_core import fit, geometry, paper, skeleton, solvers
+from handfit_core.detect import correction
+from handfit_core.detect.correction import network
 from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.evaluate import methods
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.methods import TrackResult, get_method
 from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.fit import doubt
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model import HandModel, anatomy, chain, data, landmarks, load_model, surface
 from handfit_core.skeleton import Side
 from handfit_core.worker.events import THREAD_VARIABLES
 
@@ -116,16 +121,12 @@ def _version(package: str) -> str:
 
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    from handfit_core import fit, geometry, paper, skeleton, solvers
-    from handfit_core.detect import correction
-    from handfit_core.detect.correction import network
-    from handfit_core.evaluate import methods
-    from handfit_core.fit import doubt
-    from handfit_core.hand_model import anatomy, chain, data, landmarks, surface
 
     layer = Path(skeleton.__file__).parent / "layer" / "__init__.py"  # which needs torch to be imported
     of_models = (anatomy, chain, data, landmarks, surface, layer)
-    learnt = [hashlib.sha256(f.read_bytes()).hexdigest() for f in (landmarks.FILE, network.FILE, doubt.FILE)]
+    learnt = [
+        hashlib.sha256(f.read_bytes()).hexdigest() for f in (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
+    ]
     of_solvers = (fit, paper, solvers, correction, geometry, skeleton)
     code = code_digest(*of_solvers, methods, *of_models)
     return "|".join([code, *learnt])

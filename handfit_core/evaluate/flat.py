@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -12,8 +11,6 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import LEAST_POINTS, SeenHands
 from handfit_core.skeleton import NUM_KEYPOINTS
-
-SEED: Final = 0
 
 
 @dataclass(frozen=True)
@@ -26,7 +23,7 @@ class Flat:
     """Of the points, those that are dropped"""
 
 
-def flattened(detections: Sequence[HandDetection], flat: Flat, seed: int = SEED) -> list[HandDetection]:
+def flattened(detections: Sequence[HandDetection], flat: Flat, seed: int = 0) -> list[HandDetection]:
     """The same hands by their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are.
     Their sides are those that the detector held for likelier."""
     if not detections:

@@ -22,6 +22,7 @@ from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.paper import EXPERIMENTS
+from handfit_core.paper.fitter import PaperFitter
 from handfit_core.skeleton import NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS, get_solver, solver_names
 
@@ -135,7 +136,6 @@ def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrin
 def published(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
     """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
     the inverse of its alignment, with no camera anywhere."""
-    from handfit_core.paper.fitter import PaperFitter
 
     model = models[track.side]
     fitter = PaperFitter(model, EXPERIMENTS[solver])

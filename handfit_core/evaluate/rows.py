@@ -255,18 +255,13 @@ def _distance(pixels: np.ndarray, detection: HandDetection) -> float:
     return float(distance) / size
 
 
-_WRIST, _INDEX_KNUCKLE, _LITTLE_KNUCKLE = 0, 5, 17
-EDGE_DEGREES = 30.0
-"""The palm's plane within so many degrees of the line of sight is an edge."""
-
-
 def view_of(joints_3d: np.ndarray, side: Side | None) -> str:
     """How the camera sees the palm of (21, 3) labels in its frame: `palm`, `back`, `edge` or `unknown`.
 
     The palm's plane is that of wrist, index knuckle and little finger's knuckle; `unknown` where one of
     them has no label or the side is not known.
     """
-    wrist, index, little = joints_3d[[_WRIST, _INDEX_KNUCKLE, _LITTLE_KNUCKLE]]
+    wrist, index, little = joints_3d[[0, 5, 17]]
     # Out of the palm, for a right hand.
     normal = np.cross(index - wrist, little - wrist)
     sight = (wrist + index + little) / 3.0
@@ -274,6 +269,7 @@ def view_of(joints_3d: np.ndarray, side: Side | None) -> str:
     if side is None or not np.isfinite(size) or size == 0.0:
         return "unknown"
     towards_camera = -float(normal @ sight) / size * (1.0 if side == "right" else -1.0)
-    if abs(towards_camera) < math.sin(math.radians(EDGE_DEGREES)):
+    # The palm's plane within so many degrees of the line of sight is an edge.
+    if abs(towards_camera) < math.sin(math.radians(30.0)):
         return "edge"
     return "palm" if towards_camera > 0.0 else "back"

@@ -61,8 +61,14 @@ def score(
     once, in order."""
     problems = {} if problems is None else problems
     count = len(rows)
-    per_point = {name: np.full((count, NUM_KEYPOINTS), np.nan) for name in _PER_POINT}
-    per_hand = {name: np.full(count, np.nan) for name in _PER_HAND}
+    per_point = {
+        name: np.full((count, NUM_KEYPOINTS), np.nan)
+        for name in ("camera_error", "epe", "root_error", "pa_error", "error_2d")
+    }
+    per_hand = {
+        name: np.full(count, np.nan)
+        for name in ("pa_mpvpe", "f5", "f15", "penetration", "expected_error", "fit_ms")
+    }
     points_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
     points_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
     detected = np.zeros(count, dtype=bool)
@@ -102,10 +108,6 @@ def score(
         **per_point,
         **per_hand,
     )
-
-
-_PER_POINT = ("camera_error", "epe", "root_error", "pa_error", "error_2d")
-_PER_HAND = ("pa_mpvpe", "f5", "f15", "penetration", "expected_error", "fit_ms")
 
 
 def _strict(row: Row, result: RowResult) -> dict[str, np.ndarray]:

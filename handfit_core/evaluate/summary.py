@@ -16,7 +16,7 @@ from handfit_core.errors import OptionError
 from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
 from handfit_core.evaluate.scores import Comparison, ProtocolName, Scores
-from handfit_core.fit.doubt import DOUBTFUL_ERROR, WRONG
+from handfit_core.fit.doubt import DOUBT
 from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
 
 
@@ -206,7 +206,7 @@ def doubt_figures(expected: np.ndarray, errors: np.ndarray) -> dict[str, float]:
     """How well expected errors (N,) tell of true ones, both in mm; hands without either are left out."""
     known = np.isfinite(expected) & np.isfinite(errors)
     expected, errors = expected[known], errors[known]
-    wrong, doubted = errors > 1000.0 * WRONG, 100.0 * (expected > 1000.0 * DOUBTFUL_ERROR)
+    wrong, doubted = errors > 1000.0 * DOUBT.wrong_error, 100.0 * (expected > 1000.0 * DOUBT.doubtful_error)
     return {
         "doubt_rank": float(pd.Series(expected).corr(pd.Series(errors), method="spearman")),
         "doubted_wrong": _mean(doubted[wrong]),

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.batch import Batch, Index
+from handfit_core.fit.settings import SOLVER
 from handfit_core.hand_model.chain import BETAS
 
 
@@ -74,7 +75,7 @@ class Blocks(Batch):
         mixed = self.finger.reshape(batch, 45, 10 + n)[..., 9:-1]
         reduced = self.hand - mixed.swapaxes(1, 2) @ solved.reshape(batch, 45, n + 1)
         diagonal = np.einsum("bii->bi", reduced[..., :n])
-        diagonal += damping[:, None] * np.einsum("bii->bi", self.hand[..., :n]) + DIAGONAL_FLOOR
+        diagonal += damping[:, None] * np.einsum("bii->bi", self.hand[..., :n]) + SOLVER.diagonal_floor
         if shared_shape:
             of_hand = -_with_one_shape(reduced)
         else:
@@ -89,15 +90,11 @@ class Blocks(Batch):
         return -of_all - (self.hand[..., -1] * of_hand).sum(axis=1)
 
 
-DIAGONAL_FLOOR = 1e-6
-"""Added to every diagonal element in addition to the relative damping"""
-
-
 def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
     damped = matrix.copy()
     diagonal = np.einsum("...ii->...i", damped)
     diagonal *= 1.0 + damping[..., None]
-    diagonal += DIAGONAL_FLOOR
+    diagonal += SOLVER.diagonal_floor
     return damped
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.problem import MotionPrior, Problem
+from handfit_core.fit.settings import SOLVER
 from handfit_core.fit.terms.motion import place_acceleration, rotation_acceleration
 from handfit_core.geometry.rotations import euler_to_rotmat
 from handfit_core.hand_model.chain import State, turns_by_angles
@@ -26,13 +27,6 @@ _BAND = 2 * FRAME_VARIABLES + 2
 """Subdiagonals, down to a rotation's third component two frames on"""
 _HAND = np.r_[0:3, 48:51]
 """Indices of the hand's own variables, without the last of its seven, where depth is zero"""
-ITERATIONS = 8
-TOLERANCE = 3e-3
-"""Relative decrease of the total cost at which to stop"""
-WINDOW_FRAMES = 600
-"""Frames that each window of a long clip adds"""
-_BATCH_FRAMES = 128
-"""Frames whose own matrices are made together; bounds the memory for intermediate arrays"""
 
 
 def smooth_clip(problem: Problem, start: State, before_each: Callable[[], None] = lambda: None) -> State:
@@ -43,11 +37,11 @@ def smooth_clip(problem: Problem, start: State, before_each: Callable[[], None] 
     """
     assert problem.motion is not None
     count, overlap = len(start), problem.motion.overlap
-    if count <= WINDOW_FRAMES + overlap:
+    if count <= SOLVER.window_frames + overlap:
         return _window(problem, start, before_each)
     state, first = State(*(getattr(start, name).copy() for name in State.__dataclass_fields__)), 0
     while True:
-        last = min(first + WINDOW_FRAMES + overlap, count)
+        last = min(first + SOLVER.window_frames + overlap, count)
         window = slice(first, last)
         found = _window(problem.select(window), start.select(window), before_each)
         # Of the frames that two windows share, the first half is the earlier one's.
@@ -56,7 +50,7 @@ def smooth_clip(problem: Problem, start: State, before_each: Callable[[], None] 
             getattr(state, name)[first + keep : last] = getattr(found, name)[keep:]
         if last == count:
             return state
-        first += WINDOW_FRAMES
+        first += SOLVER.window_frames
 
 
 @np.errstate(all="ignore")
@@ -68,7 +62,7 @@ def _window(problem: Problem, start: State, before_each: Callable[[], None]) -> 
     blocks = _data(problem, state)
     total = float(blocks.cost.sum()) + _motion_cost(problem, state)
     damping = 1e-4
-    for _ in range(ITERATIONS):
+    for _ in range(SOLVER.clip_iterations):
         before_each()
         step = _step(problem, state, blocks, damping)
         candidate = state.moved(*step)
@@ -79,7 +73,7 @@ def _window(problem: Problem, start: State, before_each: Callable[[], None]) -> 
             continue
         gain, total = (total - after) / max(total, 1e-12), after
         state, blocks, damping = candidate, tried, damping * 0.1
-        if gain < TOLERANCE:
+        if gain < SOLVER.clip_tolerance:
             break
     return state
 
@@ -87,7 +81,7 @@ def _window(problem: Problem, start: State, before_each: Callable[[], None]) -> 
 def _data(problem: Problem, state: State) -> Blocks:
     """The frames' own systems; zero in frames that are not observed."""
     free = replace(problem, held=None)
-    batches = slices(len(state), _BATCH_FRAMES)
+    batches = slices(len(state), SOLVER.batch_frames)
     blocks = Blocks.collect(len(state), (free.select(rows).blocks(state.select(rows)) for rows in batches))
     if problem.observed is None:
         return blocks
@@ -125,7 +119,7 @@ def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray
     they are solved in place."""
     count = len(mixed)
     band = np.zeros((count, FRAME_VARIABLES, _BAND + 1))
-    for rows in slices(count, _BATCH_FRAMES):
+    for rows in slices(count, SOLVER.batch_frames):
         own, beside = blocks.select(rows), mixed[rows]
         dense = beside[:, :, None] * (beside / -square[rows, None])[:, None]  # (T, 51, 51)
         dense[:, _HAND[:, None], _HAND] += own.hand[:, :6, :6]

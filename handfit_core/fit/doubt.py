@@ -9,6 +9,7 @@ these by a similarity; the mean over the fingers is PA-MPJPE without the wrist. 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
@@ -18,38 +19,47 @@ import numpy as np
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation
-from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.fit.settings import TERMS
 from handfit_core.skeleton import Side
 
 FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
 
-DOUBTFUL_ERROR: Final = 0.012
-"""metres of expected error from which a hand is doubtful: that marks one in eight of the rendered hands that
-err by less than 15 mm"""
-WRONG: Final = 0.015
-"""metres of true error from which a hand is wrong, and should be marked as doubtful"""
-MAX_ERROR: Final = 0.2
-"""metres: no hand is farther off than its own length"""
-WINDOW_SECONDS: Final = 0.12
-"""seconds before and after over which errors are averaged: where a tenth of the right frames of painted clips
-is doubtful, so are 73 % of those that are wrong by more than 15 mm; 68 % without the average"""
 
-CALIBRATION_FACTOR: Final = 0.87
-"""Factor of the error that the weights give: they were found for fits to one landmark network"""
-CLEAN_CROP_SPREAD: Final = 0.0081
-"""Spread of the landmarks over several crops of a clean hand, in parts of its size"""
-CROP_SPREAD_POWER: Final = 0.25
-"""Power of that spread with which the expected error grows. How far both landmark networks differ counts
-already, in the expected errors of the points"""
-LIFTED_THUMB_FACTOR: Final = 1.4
-"""Factor of the expected error of a hand whose thumb seems to be lifted off a bent finger that it crosses"""
+@dataclass(frozen=True)
+class DoubtSettings:
+    """From the network's weights to an expected error, and from which error a hand is doubtful."""
 
-_LOG_FLOOR: Final = 5e-4
-"""metres, added to lengths before their logarithm is taken: smaller ones carry no information"""
-MIN_CROP_SPREAD: Final = 0.3
-"""Least spread, in parts of `CLEAN_CROP_SPREAD`: a smaller one carries no information"""
-_MAX_SIDE_LOGIT: Final = 6.0
-"""Logit of a side that counts as certain"""
+    doubtful_error: float = 0.012
+    """metres of expected error from which a hand is doubtful: that marks one in eight of the rendered hands
+    that err by less than 15 mm"""
+    wrong_error: float = 0.015
+    """metres of true error from which a hand is wrong, and should be marked as doubtful"""
+    max_error: float = 0.2
+    """metres: no hand is farther off than its own length"""
+    window_seconds: float = 0.12
+    """seconds before and after over which errors are averaged: where a tenth of the right frames of painted
+    clips is doubtful, so are 73 % of those that are wrong by more than 15 mm; 68 % without the average"""
+    calibration_factor: float = 0.87
+    """Factor of the error that the weights give: they were found for fits to one landmark network"""
+    clean_crop_spread: float = 0.0081
+    """Spread of the landmarks over several crops of a clean hand, in parts of its size"""
+    crop_spread_power: float = 0.25
+    """Power of that spread with which the expected error grows. How far both landmark networks differ counts
+    already, in the expected errors of the points"""
+    lifted_thumb_factor: float = 1.4
+    """Factor of the expected error of a hand whose thumb seems to be lifted off a bent finger that it
+    crosses"""
+    log_floor: float = 5e-4
+    """metres, added to lengths before their logarithm is taken: smaller ones carry no information"""
+    min_crop_spread: float = 0.3
+    """Least spread, in parts of `clean_crop_spread`: a smaller one carries no information"""
+    max_side_logit: float = 6.0
+    """Logit of a side that counts as certain"""
+
+
+DOUBT: Final = DoubtSettings()
+
+
 _ACROSS, _ALONG = (17, 5), (0, 9)
 """Pairs of keypoints that span the palm"""
 
@@ -61,7 +71,7 @@ def side_logits(detections: Sequence[HandDetection], side: Side) -> np.ndarray:
     judged = [d.given_side is None and d.right_side is not None for d in detections]
     right = np.array([d.right_side for d in detections], dtype=np.float64)
     right = np.where(judged, np.where([d.side == side for d in detections], right, 1.0 - right), 1.0)
-    return np.clip(np.log(right / (1.0 - right)), -_MAX_SIDE_LOGIT, _MAX_SIDE_LOGIT)
+    return np.clip(np.log(right / (1.0 - right)), -DOUBT.max_side_logit, DOUBT.max_side_logit)
 
 
 @np.errstate(all="ignore")
@@ -74,8 +84,8 @@ def evidence(seen: Observation, points: np.ndarray, side_logit: np.ndarray) -> n
 
     `points`: (B, 21, 3) metres, camera frame, the fitted landmarks. `side_logit`: (B,).
     """
-    metres = np.maximum(points[..., 2].mean(axis=1), NEAREST) / seen.focal.mean(axis=1)
-    slope = points[..., :2] / np.maximum(points[..., 2:], NEAREST)
+    metres = np.maximum(points[..., 2].mean(axis=1), TERMS.nearest) / seen.focal.mean(axis=1)
+    slope = points[..., :2] / np.maximum(points[..., 2:], TERMS.nearest)
     projected = slope * seen.focal[:, None] + seen.centre[:, None]
     off = np.linalg.norm(projected - seen.pixels, axis=-1) * metres[:, None]
     expected = seen.pixel_sigma.mean(axis=-1) * metres[:, None]
@@ -85,7 +95,7 @@ def evidence(seen: Observation, points: np.ndarray, side_logit: np.ndarray) -> n
 
     def of_fingers(values: np.ndarray) -> list[np.ndarray]:
         fingers, hand = values[:, 1:].reshape(-1, 5, 4).mean(axis=2), values.mean(axis=1)
-        return [np.log(fingers + _LOG_FLOOR), np.log(hand + _LOG_FLOOR)[:, None]]
+        return [np.log(fingers + DOUBT.log_floor), np.log(hand + DOUBT.log_floor)[:, None]]
 
     features = [*of_fingers(expected), *of_fingers(off), facing[:, None], side_logit[:, None]]
     return np.stack([np.broadcast_to(values, (len(points), 5)) for values in features], axis=-1)
@@ -102,36 +112,38 @@ def expected_error(features: np.ndarray, factor: np.ndarray | float = 1.0) -> np
     """(B, 5) metres that each finger is likely to be off.
 
     `features`: (B, 5, 6), see `evidence`. `factor`: (B,), see `crop_spread_factor` and `lifted_thumb_factor`.
-    `MAX_ERROR` where these are not finite.
+    `max_error` where these are not finite.
     """
     weights, constants = _weights()
     expected = np.exp(features @ weights + constants) * np.reshape(factor, (-1, 1))
-    return np.nan_to_num(np.minimum(expected, MAX_ERROR), nan=MAX_ERROR)
+    return np.nan_to_num(np.minimum(expected, DOUBT.max_error), nan=DOUBT.max_error)
 
 
 @np.errstate(all="ignore")
 def crop_spread_factor(detections: Sequence[HandDetection]) -> np.ndarray:
     """(B,) factors of the expected error, by how far the landmarks of several crops of a hand differ."""
-    factor = np.full(len(detections), CALIBRATION_FACTOR)
+    factor = np.full(len(detections), DOUBT.calibration_factor)
     for row, d in enumerate(detections):
         if d.spread is not None:
             spread = np.linalg.norm(d.spread[:, :2], axis=1).mean() / max(d.extent, 1e-9)
-            factor[row] *= max(spread / CLEAN_CROP_SPREAD, MIN_CROP_SPREAD) ** CROP_SPREAD_POWER
+            factor[row] *= (
+                max(spread / DOUBT.clean_crop_spread, DOUBT.min_crop_spread) ** DOUBT.crop_spread_power
+            )
     return factor
 
 
 def lifted_thumb_factor(seen: Observation) -> np.ndarray:
     """(B,) factors of the expected error, by whether the thumb seems to be lifted off a finger it crosses."""
     lifted = False if seen.self_contact is None else seen.self_contact.lifted
-    return np.where(np.broadcast_to(lifted, len(seen)), LIFTED_THUMB_FACTOR, 1.0)
+    return np.where(np.broadcast_to(lifted, len(seen)), DOUBT.lifted_thumb_factor, 1.0)
 
 
 def temporal_mean(expected: np.ndarray, times: Times) -> np.ndarray:
     """(N, 5) geometric means of expected errors (N, 5) over the neighbouring frames in the same shot: errors
     outlast a frame, and evidence flickers."""
-    return np.exp(times.mean(np.log(expected), np.ones(2 * times.radius(WINDOW_SECONDS) + 1)))
+    return np.exp(times.mean(np.log(expected), np.ones(2 * times.radius(DOUBT.window_seconds) + 1)))
 
 
 def doubtful(expected: np.ndarray) -> np.ndarray:
-    """(B,) bool: hands whose fingers' expected errors (B, 5) in metres exceed `DOUBTFUL_ERROR` on average."""
-    return expected.mean(axis=1) > DOUBTFUL_ERROR
+    """(B,) bool: hands whose fingers' expected errors (B, 5) in metres exceed `doubtful_error` on average."""
+    return expected.mean(axis=1) > DOUBT.doubtful_error

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from handfit_core.fit.levenberg import solve
 from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held, MotionPrior, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
+from handfit_core.fit.settings import MOTION, SOLVER
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
@@ -45,71 +45,15 @@ from handfit_core.fit.terms import (
     reprojection,
 )
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.anatomy import LANDMARKS_FILE
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.data import HandModel
-from handfit_core.hand_model.landmarks import FILE, Landmarks, detector_landmarks
+from handfit_core.hand_model.landmarks import Landmarks, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import NUM_BETAS
-from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
-
-MAX_ITERATIONS: Final = 20
-"""Most need four to seven, fists up to fifteen"""
-TOLERANCE: Final = 5e-3
-"""Relative decrease of the cost at which to stop"""
-PINNED_TOLERANCE: Final = 2e-3
-"""Relative decrease of the cost at which to stop where an artist has pinned points or made them touch"""
-
-SHAPE_FRAMES: Final = 48
-"""Frames, evenly spread over a clip, that the hand's one shape is fitted to"""
-CHUNK: Final = 512
-"""Frames fitted between two chances to stop; bounds the memory"""
-SOLVE_BATCH: Final = 256
-"""Frames solved at once; bounds the memory, and arrays of so many fit into the processor's cache"""
-SHAPE_EVIDENCE: Final = 3.0
-"""Frames of a clip that count as independent evidence of the shape: a landmark's error is much the same in
-all"""
-
-SMOOTH_ROTATION: Final = 12.5
-"""radians per second squared: the acceleration that a joint's rotation is expected to have at strength 1"""
-SMOOTH_PLACE: Final = 1.05
-"""metres per second squared: the acceleration that the wrist is expected to have at strength 1"""
-OVERLAP_SECONDS: Final = 2.4
-"""seconds that two windows of a long clip share at strength 1"""
-SMOOTHED_DEPTH_FACTOR: Final = 1.5
-"""Factor of the expected errors of depth where motion is smoothed: from frame to frame the depth of the
-landmark network of December 2020 trembles three to four times as much as the present one's"""
-DISTANCE_SIGMA: Final = 0.002
-"""Relative deviation of the wrist's distance from the one that `stationary` finds for the whole clip"""
-
-
-@dataclass(frozen=True, eq=False)
-class FrameFits:
-    """B independent fits, in the camera frame."""
-
-    betas: np.ndarray
-    """(B, 10)"""
-    global_orient: np.ndarray
-    """(B, 3) radians"""
-    hand_pose: np.ndarray
-    """(B, 45) radians"""
-    transl: np.ndarray
-    """(B, 3) metres"""
-    solution: Solution
-    evidence: np.ndarray
-    """(B, 5, 6) features of their errors, see `doubt.evidence`"""
-    error_factor: np.ndarray
-    """(B,) factors of the expected error, see `doubt.expected_error`"""
-
-    @property
-    def expected_error(self) -> np.ndarray:
-        """(B, 5) metres that each finger is likely to be off."""
-        return expected_error(self.evidence, self.error_factor)
-
-    @property
-    def doubtful(self) -> np.ndarray:
-        """(B,) bool: hands whose expected error is large, see `doubt.doubtful`."""
-        return doubtful(self.expected_error)
+from handfit_core.solvers import OnFrame, ShouldStop, never
 
 
 class FastFitter:
@@ -124,7 +68,7 @@ class FastFitter:
     ) -> None:
         self.model = model
         self.chain = Chain(model, landmarks or detector_landmarks())
-        with np.load(FILE, allow_pickle=False) as arrays:
+        with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
             prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
         self._relaxed = prior.mean
         limits = Limits(model.side, model.name)
@@ -164,22 +108,22 @@ class FastFitter:
         if seen.kept is not None:
             terms = (*terms, near_pose, distance)
         if shape != "given":
-            weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SHAPE_EVIDENCE)
+            weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SOLVER.shape_evidence)
             terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
         angle_bounds = self.angle_bounds if seen.kept is None else None
         return Problem(self.chain, seen, terms, shape, held, angle_bounds=angle_bounds)
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
-        """Solve independent frames in batches. `max_iterations`: None for MAX_ITERATIONS."""
-        most = MAX_ITERATIONS if max_iterations is None else max_iterations
+        """Solve independent frames in batches. `max_iterations`: None for max_iterations."""
+        most = SOLVER.max_iterations if max_iterations is None else max_iterations
         # Fingers that are made to touch have none of `pinned`.
         corrected = problem.seen.pinned is not None or problem.seen.touches is not None
-        tolerance = PINNED_TOLERANCE if corrected else TOLERANCE
+        tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
         return Solution.collect(
             len(start),
             (
                 solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
-                for rows in slices(len(start), SOLVE_BATCH)
+                for rows in slices(len(start), SOLVER.solve_batch)
             ),
         )
 
@@ -194,17 +138,22 @@ class FastFitter:
         """
         seen = replace(seen, self_contact=find_self_contact(self.surface, seen, plain.state, times))
         rows = []
-        for first in range(0, len(plain), CHUNK):
-            chunk = slice(first, first + CHUNK)
+        for first in range(0, len(plain), SOLVER.chunk_frames):
+            chunk = slice(first, first + SOLVER.chunk_frames)
             posed, here = self.chain.pose(plain.state.select(chunk)), seen.select(chunk)
             rows += [first + term(posed, here).hand for term in self._coupling_terms(seen)]
         coupled = np.unique(np.concatenate(rows))
         if not len(coupled):
             return seen, plain
         solid = self.problem(seen, held=held, solid=True)
-        chosen = (coupled[batch] for batch in slices(len(coupled), SOLVE_BATCH))
+        chosen = (coupled[batch] for batch in slices(len(coupled), SOLVER.solve_batch))
         found = (self.solve_each(solid.select(rows), plain.state.select(rows)) for rows in chosen)
         return seen, plain.replaced(coupled, Solution.collect(len(coupled), found))
+
+    def solve_pictures(self, seen: Observation) -> tuple[Observation, Solution]:
+        """B pictures of hands solved independently, each with a shape of its own; the observation as
+        `solve_solid` gives it."""
+        return self.solve_solid(seen, self.solve_each(self.problem(seen, "each"), self.start(seen)))
 
     def _coupling_terms(self, seen: Observation) -> tuple[Interpenetration | OrdinalDepth | Contact, ...]:
         """The terms that couple two parts of a hand."""
@@ -216,7 +165,9 @@ class FastFitter:
         """(10,) betas of the one shape of all frames. Their poses are solved together with it and dropped."""
         alone = self.solve_each(self.problem(seen), self.start(seen)).state
         together = self.problem(seen, "one")
-        return solve(together, alone, max_iterations=MAX_ITERATIONS, tolerance=TOLERANCE).state.betas[0]
+        return solve(
+            together, alone, max_iterations=SOLVER.max_iterations, tolerance=SOLVER.tolerance
+        ).state.betas[0]
 
 
 @lru_cache(maxsize=8)
@@ -227,26 +178,6 @@ def fitter_of(
     return FastFitter(model, hand_length, landmarks)
 
 
-def fit_frames(
-    model: HandModel,
-    detections: Sequence[HandDetection],
-    intrinsics: Intrinsics,
-    hand_length: float | None = None,
-) -> FrameFits:
-    """Fit B pictures of a hand independently, each with a shape of its own. `hand_length`: see
-    `FastFitter`."""
-    fitter = fitter_of(model, hand_length)
-    seen = fitter.observe(detections, intrinsics)
-    plain = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
-    seen, solution = fitter.solve_solid(seen, plain)
-    return FrameFits(
-        *fitter.chain.parameters(solution.state),
-        solution=solution,
-        evidence=evidence(seen, fitter.chain.points(solution.state), side_logits(detections, model.side)),
-        error_factor=crop_spread_factor(detections) * lifted_thumb_factor(seen),
-    )
-
-
 def fit_track(
     smoothing: float,
     model: HandModel,
@@ -255,12 +186,11 @@ def fit_track(
     on_frame: OnFrame,
     should_stop: ShouldStop = never,
     hand_length: float | None = None,
-) -> TrackFit:
+) -> HandMotion:
     """Fit a tracked hand: one shape, and motion as smooth as `smoothing` asks (0: each frame by itself).
 
-    Gaps up to `gaps.MAX_GAP_SECONDS` are filled. `should_stop` is asked after every `CHUNK` frames; those
-    that were not reached are NaN. `hand_length`: see `FastFitter`.
-    """
+    Gaps up to `max_gap_seconds` are filled. `should_stop` is asked after every `chunk_frames` frames;
+    those that were not reached are NaN. `hand_length`: see `FastFitter`."""
     found, count = np.flatnonzero(track.detected), len(track.detections)
     fitter = fitter_of(model, hand_length, track.landmarks)
     detections = [d for d in track.detections if d is not None]
@@ -273,8 +203,7 @@ def fit_track(
         track.detections.forget_corrections()
     cuts = detect_cuts(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
-        solution = fitter.solve_each(fitter.problem(seen, "each"), fitter.start(seen))
-        seen, solution = fitter.solve_solid(seen, solution)
+        seen, solution = fitter.solve_pictures(seen)
         frames, state = found, solution.state
     else:
         solution = _clip(fitter, seen, should_stop)
@@ -290,18 +219,16 @@ def fit_track(
     for chunk in slices(len(rows)):
         points = fitter.chain.points(state.select(rows[chunk]))
         features[chunk] = evidence(seen.select(chunk), points, np.full(len(points), side_logit))
-    converged = solution.converged
     error_factor = error_factor[: len(found)] * lifted_thumb_factor(seen)
     del seen, solution
     expected = temporal_mean(expected_error(features, error_factor), Times.between(found, cuts, track.fps))
     betas, orient, pose, transl = fitter.chain.parameters(state)
-    return TrackFit(
+    return HandMotion(
+        side=model.side,
         betas=betas[0],
         global_orient=scatter(orient, frames, count),
         hand_pose=scatter(pose, frames, count),
         transl=scatter(transl, frames, count),
-        converged=scatter(converged, found, count, False),
-        filled=scatter(True, np.setdiff1d(frames, found), count, False),
         doubtful=scatter(doubtful(expected), found, count, False) if track.calibrated else None,
         expected_error=scatter(expected, found, count) if track.calibrated else None,
     )
@@ -310,11 +237,11 @@ def fit_track(
 def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Solution:
     """Fit every frame by itself, all with one shape; fewer when stopped."""
     count = len(seen)
-    chosen = np.linspace(0, count - 1, min(SHAPE_FRAMES, count)).round().astype(int)
+    chosen = np.linspace(0, count - 1, min(SOLVER.shape_frames, count)).round().astype(int)
     betas = fitter.solve_shape(seen.select(np.unique(chosen)))
 
     def chunks() -> Iterator[Solution]:
-        for rows in slices(count, CHUNK):
+        for rows in slices(count, SOLVER.chunk_frames):
             chunk = seen.select(rows)
             yield fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas))
             if should_stop():
@@ -326,8 +253,10 @@ def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Sol
 def _motion_prior(smoothing: float, fps: float) -> MotionPrior:
     """Per second -> per frame. The stronger the smoothing, the farther frames influence each other."""
     per_frame = 1.0 / (max(smoothing, 1e-6) * fps**2)
-    overlap = int(np.clip(OVERLAP_SECONDS * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
-    return MotionPrior(SMOOTH_ROTATION * per_frame, SMOOTH_PLACE * per_frame, overlap)
+    overlap = int(np.clip(MOTION.overlap_seconds * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
+    return MotionPrior(
+        MOTION.rotation_acceleration * per_frame, MOTION.wrist_acceleration * per_frame, overlap
+    )
 
 
 def smooth_track(
@@ -361,7 +290,7 @@ def smooth_track(
             # Frames without a detection repeat another one's row, which is not used.
             nearest = rows[np.clip(np.cumsum(known) - 1, 0, None)]
             segment_seen = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
-            segment_seen = replace(segment_seen, depth_sigma=SMOOTHED_DEPTH_FACTOR * segment_seen.depth_sigma)
+            segment_seen = replace(segment_seen, depth_sigma=MOTION.depth_factor * segment_seen.depth_sigma)
             problem = fitter.problem(segment_seen, held=here, solid=True)
             if segment_seen.kept is None and segment_seen.depth_zero is None and len(segment) > 2:
                 certain = known & False if here is None else here.joints[:, 0]
@@ -371,7 +300,7 @@ def smooth_track(
                     wrist=guess.wrist * distance_factor[:, None],
                     depth_zero=guess.depth_zero * distance_factor,
                 )
-                kept = kept_at_distance(guess, np.full(len(distance_factor), DISTANCE_SIGMA))
+                kept = kept_at_distance(guess, np.full(len(distance_factor), MOTION.distance_sigma))
                 problem = replace(
                     problem, seen=replace(segment_seen, kept=kept), terms=(*problem.terms, distance)
                 )

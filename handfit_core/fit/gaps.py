@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.fit.settings import MOTION
 from handfit_core.geometry.rotations import (
     euler_to_rotmat,
     rotmat_to_euler,
@@ -15,14 +16,6 @@ from handfit_core.geometry.rotations import (
 )
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import PALM_KEYPOINTS
-
-MAX_GAP_SECONDS = 0.5
-"""Longer gaps stay empty: nothing tells what the hand did"""
-MAX_SHIFT_OF_SIZE = 1.0
-"""Movement from one detection to the next, in parts of the hand's size, beyond which there is a cut
-between"""
-MAX_GROWTH = 1.6
-"""Ratio of the palm's sizes from one detection to the next beyond which there is a cut between"""
 
 
 def detect_cuts(pixels: np.ndarray) -> np.ndarray:
@@ -33,7 +26,7 @@ def detect_cuts(pixels: np.ndarray) -> np.ndarray:
     larger = np.maximum(size[1:], size[:-1])
     moved = np.linalg.norm(pixels[1:].mean(axis=1) - pixels[:-1].mean(axis=1), axis=1) / larger
     growth = np.maximum(spread[1:] / spread[:-1], spread[:-1] / spread[1:])
-    return (moved > MAX_SHIFT_OF_SIZE) | (growth > MAX_GROWTH)
+    return (moved > MOTION.max_shift_of_size) | (growth > MOTION.max_growth)
 
 
 def missing_between(found: np.ndarray, holes: Sequence[int]) -> np.ndarray:
@@ -77,11 +70,11 @@ class Times:
 
 def segments(found: np.ndarray, fps: float, cut: np.ndarray | None = None) -> list[np.ndarray]:
     """Consecutive frame numbers of each segment: it runs from one detected frame to another without a cut,
-    and without a gap that is longer than MAX_GAP_SECONDS.
+    and without a gap that is longer than max_gap_seconds.
 
     `found`: (N,) the detected frames, rising. `cut`: (N - 1,) bool between them; None: there are none.
     """
-    longest = int(MAX_GAP_SECONDS * fps)
+    longest = int(MOTION.max_gap_seconds * fps)
     broken = np.diff(found) - 1 > longest
     breaks = np.flatnonzero(broken if cut is None else broken | cut) + 1
     return [np.arange(rows[0], rows[-1] + 1) for rows in np.split(found, breaks)]

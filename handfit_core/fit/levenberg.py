@@ -5,21 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.fit.problem import Problem
+from handfit_core.fit.settings import SOLVER
 from handfit_core.fit.solution import Solution, Status
 from handfit_core.hand_model.chain import State
-
-FIRST_DAMPING = 1e-3
-DAMPING_DECREASE, DAMPING_INCREASE = 0.1, 10.0
-"""Factors of the damping after a step that decreased the cost as predicted, and after one that did not
-decrease it. Between them the factor depends on the gain ratio (Nielsen, "Damping parameter in Marquardt's
-method", 1999)"""
-MIN_GAIN_OF_TOLERANCE = 0.1
-"""Relative decrease of the cost, in parts of the tolerance, below which a step was the last: in a curved
-valley steps fall short of the predicted decrease again and again"""
-MAX_DAMPING = 1e6
-MIN_DAMPING = 1e-7
-PACK_BELOW_SHARE = 0.85
-"""Share of the batch that is still running from which on finished problems are dropped from it"""
 
 _RUNNING = -1
 
@@ -34,7 +22,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
     """
     together = problem.shape == "one"
     blocks, state, index = problem.blocks(start), start, np.arange(len(start))
-    damping = np.full(len(start), FIRST_DAMPING)
+    damping = np.full(len(start), SOLVER.first_damping)
     iterations = np.zeros(len(start), dtype=np.int64)
     status = np.where(np.isfinite(blocks.cost), _RUNNING, Status.NO_NUMBERS)
     if together and (status == Status.NO_NUMBERS).any():
@@ -68,7 +56,7 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
         alive = np.count_nonzero(active)
         if alive == 0:
             break
-        if alive <= PACK_BELOW_SHARE * len(index):
+        if alive <= SOLVER.pack_below_share * len(index):
             step, before, predicted_decrease = (
                 (step[0][active], step[1][active]),
                 before[active],
@@ -88,10 +76,14 @@ def solve(problem: Problem, start: State, *, max_iterations: int, tolerance: flo
         state, blocks = candidate, tried
         # Continuous in the gain ratio, so that nearly equal problems stay so.
         gain_ratio = np.clip((before - after) / predicted_decrease, 0.0, 1.0)
-        less = np.maximum(1.0 - (2.0 * gain_ratio - 1.0) ** 3, DAMPING_DECREASE)
-        damping = np.clip(damping * np.where(better, less, DAMPING_INCREASE), MIN_DAMPING, MAX_DAMPING)
-        status[active & (damping >= MAX_DAMPING)] = Status.STUCK
-        status[better & (before - after < MIN_GAIN_OF_TOLERANCE * tolerance * before)] = Status.CONVERGED
+        less = np.maximum(1.0 - (2.0 * gain_ratio - 1.0) ** 3, SOLVER.damping_decrease)
+        damping = np.clip(
+            damping * np.where(better, less, SOLVER.damping_increase), SOLVER.min_damping, SOLVER.max_damping
+        )
+        status[active & (damping >= SOLVER.max_damping)] = Status.STUCK
+        status[better & (before - after < SOLVER.min_gain_of_tolerance * tolerance * before)] = (
+            Status.CONVERGED
+        )
     status[status == _RUNNING] = Status.ITERATIONS
     finished.append((index, Solution(state, blocks.cost, iterations, status)))
     order = np.argsort(np.concatenate([rows for rows, _ in finished]))

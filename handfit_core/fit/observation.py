@@ -26,7 +26,7 @@ class Kept(Batch):
     angle_sigma: np.ndarray
     """(B, 5) radians"""
     limits_sigma: np.ndarray
-    """(B,) radians beyond a joint's passive range (`terms.limits.PASSIVE_RANGE`), or beyond the kept angles
+    """(B,) radians beyond a joint's passive range (`passive_range`), or beyond the kept angles
     where these go further, that cost as much as one sigma; NaN: limits are those of hands without a pose to
     keep"""
 

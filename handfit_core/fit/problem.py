@@ -118,7 +118,8 @@ class Problem(Batch):
             finger[..., -1] += squared[..., 9]
         if columns[HAND]:
             rows = np.concatenate(columns[HAND], axis=2)[:, 0]
-            rows = rows if free else rows[..., _GIVEN]
+            # Columns of a hand's rows whose shape is given, with the residual
+            rows = rows if free else rows[..., np.append(FIXED_SHAPE, -1)]
             hand += rows[..., :-1].swapaxes(1, 2) @ rows
         between = None
         if pairs:
@@ -153,7 +154,3 @@ def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:
     squared = columns[:, :-1, None] * columns[:, None]
     flat = (hand[:, None, None] * 48 + at[:, :-1, None]) * 49 + at[:, None]
     return np.bincount(flat.reshape(-1), squared.reshape(-1), batch * 48 * 49).reshape(batch, 48, 49)
-
-
-_GIVEN = np.append(FIXED_SHAPE, -1)
-"""Columns of a hand's rows whose shape is given, with the residual"""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -10,37 +11,43 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation, SelfContact
-from handfit_core.fit.terms.coupling import MIDDLE_BEND
 from handfit_core.geometry.crossing import CROSSING, CROSSING_STARTS, Crossing
+from handfit_core.hand_model.anatomy import MIDDLE_BEND
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import Surface
 from handfit_core.skeleton import TIP_KEYPOINTS
 
 PINCH_BONES: Final = np.array([(2, b) for b in (5, 8, 11, 14)])
 """(P, 2) last bones of thumb and finger, as `Surface` numbers bones"""
-_PROXIMAL: Final = CROSSING[:, 1] % 3 == 0
-"""(Q,) bool: pairs with a finger's first bone, which a thumb in front of it need not touch"""
 
-VOTE_SECONDS: Final = 0.12
-"""seconds: standard deviation of the weights with which neighbouring frames vote on the order"""
-MIN_ORDER_SIGMAS: Final = 0.3
-"""Depth difference in expected errors of both depths below which no order is given"""
 
-PINCH_DISTANCE: Final = (0.10, 0.13)
-"""Distance of two tips in the picture, in parts of the hand's size, up to which they touch, and from which
-they do not"""
-PINCH_DEPTH_SIGMAS: Final = (2.0, 3.0)
-"""Distance of two tips along the line of sight, in expected errors of both depths, with those two bounds"""
+@dataclass(frozen=True)
+class ContactSettings:
+    """When parts of a hand are taken to lie over each other, or to touch."""
 
-CONTACT_GAP: Final = (0.10, 0.20)
-"""Gap between the skins of the thumb and of what it crosses, along the line of sight, in parts of the hand's
-size, up to which they are in contact, and from which they are not"""
-CONTACT_GAP_SIGMAS: Final = (1.5, 2.0)
-"""That gap in expected errors of both depths, with those two bounds"""
-LIFTED_GAP: Final = 0.15
-"""That gap to a bent finger, in parts of the hand's size, beyond which the thumb is likely seen wrongly"""
-BENT_FINGER: Final = float(np.radians(60.0))
-"""radians at a finger's middle joint from which it counts as bent"""
+    vote_seconds: float = 0.12
+    """seconds: standard deviation of the weights with which neighbouring frames vote on the order"""
+    min_order_sigmas: float = 0.3
+    """Depth difference in expected errors of both depths below which no order is given"""
+    pinch_distance: tuple[float, float] = (0.10, 0.13)
+    """Distance of two tips in the picture, in parts of the hand's size, up to which they touch, and from
+    which they do not"""
+    pinch_depth_sigmas: tuple[float, float] = (2.0, 3.0)
+    """Distance of two tips along the line of sight, in expected errors of both depths, with the same two
+    bounds"""
+    gap: tuple[float, float] = (0.10, 0.20)
+    """Gap between the skins of the thumb and of what it crosses, along the line of sight, in parts of the
+    hand's size, up to which they are in contact, and from which they are not"""
+    gap_sigmas: tuple[float, float] = (1.5, 2.0)
+    """That gap in expected errors of both depths, with the same two bounds"""
+    lifted_gap: float = 0.15
+    """That gap to a bent finger, in parts of the hand's size, beyond which the thumb is likely seen
+    wrongly"""
+    bent_finger: float = math.radians(60.0)
+    """radians at a finger's middle joint from which it counts as bent"""
+
+
+CONTACT: Final = ContactSettings()
 
 
 def find_self_contact(
@@ -55,11 +62,11 @@ def find_self_contact(
     crosses = each.front != 0.0
     evidence = [np.nan_to_num(values) for values in (each.front, each.in_contact, each.pinch)]
     if times is not None:
-        radius = times.radius(3.0 * VOTE_SECONDS)
-        weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / (VOTE_SECONDS * times.fps)) ** 2)
+        radius = times.radius(3.0 * CONTACT.vote_seconds)
+        weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / (CONTACT.vote_seconds * times.fps)) ** 2)
         evidence = [times.mean(values, weights) for values in evidence]
     order_sigmas, in_contact, pinch = evidence
-    front = np.where(crosses & (np.abs(order_sigmas) > MIN_ORDER_SIGMAS), np.sign(order_sigmas), 0.0)
+    front = np.where(crosses & (np.abs(order_sigmas) > CONTACT.min_order_sigmas), np.sign(order_sigmas), 0.0)
     return replace(each, front=front, in_contact=np.where(front != 0.0, in_contact, 0.0), pinch=pinch)
 
 
@@ -76,24 +83,27 @@ def _per_frame(surface: Surface, seen: Observation, state: State) -> SelfContact
     radii = (surface.radii(state.betas)[:, CROSSING] * share).sum(axis=(2, 3))  # of both parts, metres
     scale = (state.depth_zero / seen.focal.mean(axis=1))[:, None]  # metres of a pixel
     separation = np.sqrt(np.maximum(radii**2 - np.square(across * scale), 0.0))
+    # (Q,) bool: pairs with a finger's first bone, which a thumb in front of it need not touch
     gap = np.where(
-        crossing.crossed & ~_PROXIMAL, np.abs(crossing.deeper(seen.depth)) - separation / scale, np.inf
+        crossing.crossed & ~(CROSSING[:, 1] % 3 == 0),
+        np.abs(crossing.deeper(seen.depth)) - separation / scale,
+        np.inf,
     )
     of_finger = gap.reshape(len(gap), 2, 4, 3)
     nearest = (of_finger == of_finger.min(axis=3, keepdims=True)).reshape(gap.shape)
     in_contact = (
-        nearest * _falling(gap / pair_sigma, CONTACT_GAP_SIGMAS) * _falling(gap / size[:, None], CONTACT_GAP)
+        nearest * _falling(gap / pair_sigma, CONTACT.gap_sigmas) * _falling(gap / size[:, None], CONTACT.gap)
     )
     tips = np.array(TIP_KEYPOINTS)[[0, *PINCH_BONES[:, 1] // 3]]
     off = seen.pixels[:, tips[1:]] - seen.pixels[:, tips[:1]]
     behind = np.abs(seen.depth[:, tips[1:]] - seen.depth[:, tips[:1]])
     behind /= np.hypot(seen.depth_sigma[:, tips[1:]], seen.depth_sigma[:, tips[:1]])
-    pinch = _falling(np.linalg.norm(off, axis=-1) / size[:, None], PINCH_DISTANCE) * _falling(
-        behind, PINCH_DEPTH_SIGMAS
+    pinch = _falling(np.linalg.norm(off, axis=-1) / size[:, None], CONTACT.pinch_distance) * _falling(
+        behind, CONTACT.pinch_depth_sigmas
     )
-    bent = state.angles[:, 1:, MIDDLE_BEND] > BENT_FINGER
+    bent = state.angles[:, 1:, MIDDLE_BEND] > CONTACT.bent_finger
     off_finger = of_finger.min(axis=(1, 3)) / size[:, None]
-    lifted = (bent & (off_finger > LIFTED_GAP) & np.isfinite(off_finger)).any(axis=1)
+    lifted = (bent & (off_finger > CONTACT.lifted_gap) & np.isfinite(off_finger)).any(axis=1)
     return SelfContact(along, order_sigmas, separation, in_contact, lifted, pinch)
 
 

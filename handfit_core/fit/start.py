@@ -10,9 +10,6 @@ from handfit_core.geometry.similarity import laid_over
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.skeleton import PALM_KEYPOINTS
 
-_LEAST_SCALE = 1e-3
-"""pixels per metre in parts of the focal length: no hand is farther than a thousand metres"""
-
 
 def spatial(seen: Observation) -> np.ndarray:
     """(B, 21, 3) the landmarks in pixels relative to their mean, camera axes, under orthographic
@@ -40,7 +37,8 @@ def relaxed_start(chain: Chain, seen: Observation, angles: np.ndarray, betas: np
     # The target's mean is zero.
     scale = (spread * target).sum(axis=(1, 2)) / np.square(spread).sum(axis=(1, 2))
     focal = seen.focal.mean(axis=1)
-    distance = focal / np.maximum(scale, _LEAST_SCALE * focal)
+    # Pixels per metre in parts of the focal length: no hand is farther than a thousand metres
+    distance = focal / np.maximum(scale, 1e-3 * focal)
     if seen.depth_zero is not None:
         distance = np.where(np.isnan(seen.depth_zero), distance, seen.depth_zero)
     towards = np.ones((batch, 3))

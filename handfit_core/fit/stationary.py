@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.fit.observation import Observation
-from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.fit.settings import MOTION, TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import PALM_KEYPOINTS
@@ -69,28 +69,20 @@ class DistanceModel:
 
 MODEL: Final = DistanceModel()
 
-MAX_FPS: Final = 1000.0
-"""Frames per second that clips are taken to have at most: beyond, changes from frame to frame vanish"""
-PALM_MOTION: Final = 0.01
-"""Deviation of a palm's points within a quarter of a second, in parts of the hand's size in the picture, from
-which it moves"""
-MIN_MOTION_SCALE: Final = 0.05
-"""Least factor of the expected acceleration of a palm that holds still"""
-
 
 def palm_motion_scale(seen: Observation, known: np.ndarray, fps: float) -> np.ndarray:
     """(T,) factors of the palm's expected rotational acceleration in T consecutive frames.
 
-    `MIN_MOTION_SCALE` where the palm holds still in the picture, 1 where it moves, and 1 where `known` (T,)
+    `min_scale` where the palm holds still in the picture, 1 where it moves, and 1 where `known` (T,)
     bool says that nothing was seen.
     """
-    fps = min(fps, MAX_FPS)
+    fps = min(fps, MOTION.max_fps)
     size = max(float(np.median(np.ptp(seen.pixels, axis=1).max(axis=1))), 1.0)
     palm = seen.pixels[:, list(PALM_KEYPOINTS)] / size
     palm -= palm.mean(axis=0)
     mean, square = (_smooth(p, 2.0 * MODEL.smoothing_seconds * fps) for p in (palm, palm**2))
     strayed = (square - mean**2).sum(axis=2).mean(axis=1)
-    return np.where(known, np.clip(strayed / PALM_MOTION**2, MIN_MOTION_SCALE, 1.0), 1.0)
+    return np.where(known, np.clip(strayed / MOTION.palm_motion**2, MOTION.min_scale, 1.0), 1.0)
 
 
 def wrist_distance_factors(
@@ -103,12 +95,12 @@ def wrist_distance_factors(
     """
     from scipy.linalg import solveh_banded  # slow to load
 
-    fps = min(fps, MAX_FPS)
-    known = known & ~certain & (state.wrist[:, 2] > NEAREST)
+    fps = min(fps, MOTION.max_fps)
+    known = known & ~certain & (state.wrist[:, 2] > TERMS.nearest)
     if not known.any():
         return np.ones(len(known))
     state = replace(state, wrist=np.nan_to_num(state.wrist, nan=1.0))
-    y = np.log(np.maximum(state.wrist[:, 2], NEAREST))
+    y = np.log(np.maximum(state.wrist[:, 2], TERMS.nearest))
     bends = _smooth(state.angles.reshape(len(y), 5, 3, 3)[..., 2].sum(axis=-1), MODEL.smoothing_seconds * fps)
     error_changes, across = _changes(state, bends, fps)
     anchor = MODEL.pose_error + MODEL.pose_error_per_bend * np.maximum(bends.mean(axis=1), 0.0)
@@ -179,7 +171,7 @@ def _changes(state: State, bends: np.ndarray, fps: float) -> tuple[np.ndarray, n
         + (MODEL.drift / fps) ** 2
     )
     slope = _smooth(
-        state.wrist[:, :2] / np.maximum(state.wrist[:, 2:], NEAREST), MODEL.smoothing_seconds * fps
+        state.wrist[:, :2] / np.maximum(state.wrist[:, 2:], TERMS.nearest), MODEL.smoothing_seconds * fps
     )
     return error, beyond(np.linalg.norm(np.diff(slope, axis=0), axis=1), MODEL.still_wrist)
 

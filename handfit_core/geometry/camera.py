@@ -17,10 +17,6 @@ from handfit_core.errors import OptionError
 SMALLEST_FOCAL: Final = 1e-3
 LARGEST_FOCAL: Final = 1e9
 """Pixels: what is beyond these is no camera, and has no numbers left to compute with"""
-NEAREST_HAND: Final = 0.4
-"""metres: no hand is expected nearer to a camera of which nothing is known"""
-HAND_EXTENT: Final = 0.17
-"""metres, of an adult's hand"""
 
 
 @dataclass(frozen=True)
@@ -45,12 +41,12 @@ class Intrinsics:
     @classmethod
     def assumed(cls, width: int, height: int, hand_extent: float = 0.0) -> Intrinsics:
         """A camera for pictures of which nothing is known: the longer side spans 53 degrees, or less, where a
-        hand of `hand_extent` pixels would then be nearer than `NEAREST_HAND`, as in crops.
+        hand of `hand_extent` pixels would then be nearer than 0.4 m, as in crops; an adult's is 0.17 m long.
 
         That is a 36 mm lens on full frame, between a phone's main camera (26 mm) and a portrait
         lens (50 mm).
         """
-        focal = max(float(max(width, height)), hand_extent * NEAREST_HAND / HAND_EXTENT)
+        focal = max(float(max(width, height)), hand_extent * 0.4 / 0.17)
         return cls(focal, focal, width / 2.0, height / 2.0)
 
     def project(self, points: np.ndarray) -> np.ndarray:

@@ -11,8 +11,6 @@ CROSSING: Final = np.array([(a, b) for a in (1, 2) for b in range(3, 15)])
 """(Q, 2) bones of the thumb and of the fingers, three each and thumb first, that can lie over each other"""
 CROSSING_STARTS: Final = 1 + 4 * (CROSSING // 3) + CROSSING % 3
 """(Q, 2) keypoints at which these bones begin; they end at the next ones"""
-MAX_CROSSING_DISTANCE: Final = 0.08
-"""Distance in the picture up to which two bones cross, in parts of the hand's size"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +31,8 @@ class Crossing:
         ends = points[:, CROSSING_STARTS + 1]
         along, across = _nearest(starts[:, :, 0], ends[:, :, 0], starts[:, :, 1], ends[:, :, 1])
         size = np.ptp(points, axis=1).max(axis=1)
-        return cls(along, across, across <= MAX_CROSSING_DISTANCE * np.maximum(size, 1e-9)[:, None])
+        # Distance in the picture up to which two bones cross, in parts of the hand's size
+        return cls(along, across, across <= 0.08 * np.maximum(size, 1e-9)[:, None])
 
     def deeper(self, depth: np.ndarray) -> np.ndarray:
         """(B, Q) by how much the second of a pair lies deeper, by the keypoints' depths (B, 21)."""

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-_SMALLEST = 1e-150
-
 
 def rotvec_to_rotmat(rotvec: np.ndarray) -> np.ndarray:
     """(..., 3) axis-angle -> (..., 3, 3) matrices (Rodrigues' formula; exact at zero)."""
     rotvec = np.asarray(rotvec, dtype=np.float64)
     angle = np.sqrt(np.square(rotvec).sum(axis=-1, keepdims=True))
     # For much larger angles than this one, sin(t) / t is exactly 1 already.
-    safe = np.maximum(angle, _SMALLEST)
+    safe = np.maximum(angle, 1e-150)
     half = np.sin(0.5 * safe) / safe
     outer = (rotvec * (2.0 * half * half))[..., None] * rotvec[..., None, :]
     return outer + skew(np.sin(safe) / safe * rotvec) + np.cos(angle)[..., None] * np.eye(3)

@@ -21,6 +21,8 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
+SPREAD, BEND, MIDDLE_BEND, LAST_BEND = 1, 2, 5, 8
+"""Indices among a finger's nine angles: of the knuckle, and of the joints beyond it"""
 LANDMARKS_FILE: Final = Path(__file__).parent / "data" / "landmarks.npz"
 """The calibration: landmark offsets, and the pose prior that belongs to them"""
 
@@ -107,12 +109,6 @@ _BENDS: dict[str, tuple[tuple[float, float], ...]] = {
     "little": ((-25, 90), (-7, 99), (-6, 89)),
     "thumb": ((-20, 50), (-10, 55), (-15, 80)),
 }
-_KNUCKLE_TWIST_SPREAD = ((-5.0, 5.0), (-20.0, 20.0))
-_HINGE_TWIST_SPREAD = ((-3.0, 3.0), (-5.0, 5.0))
-_THUMB_ROOT_TWIST_SPREAD = ((-8.5, 8.5), (-21.0, 30.0))
-_OPEN_HANDS_THUMB_ROOT = (9.0, 9.0)
-"""degrees by which the open hand's thumb spreads and bends farther: its metacarpal's flat pose is turned more
-to the hand's back. Fits of fists go to 41 and 63 where nothing holds them"""
 
 
 def joint_limits(side: Side, model: str = OPEN_HAND) -> JointLimits:
@@ -121,14 +117,16 @@ def joint_limits(side: Side, model: str = OPEN_HAND) -> JointLimits:
     for finger, joints in FINGER_JOINTS.items():
         for place, (joint, bend) in enumerate(zip(joints, _BENDS[finger], strict=True)):
             if place > 0:
-                twist, spread = _HINGE_TWIST_SPREAD
+                twist, spread = ((-3.0, 3.0), (-5.0, 5.0))
             elif finger == "thumb":
-                twist, spread = _THUMB_ROOT_TWIST_SPREAD
+                twist, spread = ((-8.5, 8.5), (-21.0, 30.0))
             else:
-                twist, spread = _KNUCKLE_TWIST_SPREAD
+                twist, spread = ((-5.0, 5.0), (-20.0, 20.0))
             limits[joint - 1] = (twist, spread, bend)
     if model == OPEN_HAND:
-        limits[FINGER_JOINTS["thumb"][0] - 1, 1:, 1] += _OPEN_HANDS_THUMB_ROOT
+        # Degrees by which the open hand's thumb spreads and bends farther: its metacarpal's flat pose is
+        # turned more to the hand's back. Fits of fists go to 41 and 63 where nothing holds them
+        limits[FINGER_JOINTS["thumb"][0] - 1, 1:, 1] += (9.0, 9.0)
     limits = np.radians(limits)
     if side == "left":
         # In a mirror image a bend keeps its sign about the mirrored axis, twist and spread change it.

@@ -31,12 +31,8 @@ REST_FROM_MODEL: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0,
 MIRROR_X: Final = np.diag([-1.0, 1.0, 1.0])
 """Left and right exchanged, in rest space as in the camera frame"""
 
-_UP_OF_FINGERS: Final = np.array([0.0, 1.0, 0.0])
-"""Model frame: out of the back of the hand, for both sides"""
 _UP_OF_THUMB: Final = np.array([1.0, 1.0, 1.0])
 """Model frame of the right hand: out of the thumb's nail (manotorch's rest axes)"""
-_MIRROR: Final = np.array([-1.0, 1.0, 1.0])
-"""Factors that turn a direction in the right hand's model frame into the left hand's"""
 
 ANATOMICAL_IN_BONE: Final = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """A finger joint's (twist, spread, bend) axes of `anatomy`, in columns, in its bone's frame: -Y, -Z and X"""
@@ -73,8 +69,9 @@ def bone_frames(shaped: ShapedHand, side: Side) -> np.ndarray:
     so that poses can be pasted from one to the other.
     """
     along = _unit(bone_tails(shaped) - shaped.joints)
-    up = np.tile(_UP_OF_FINGERS, (NUM_JOINTS, 1))
-    up[list(FINGER_JOINTS["thumb"])] = _UP_OF_THUMB if side == "right" else _UP_OF_THUMB * _MIRROR
+    # Out of the back of the hand, for both sides; the thumb's is mirrored for the left one.
+    up = np.tile(np.array([0.0, 1.0, 0.0]), (NUM_JOINTS, 1))
+    up[list(FINGER_JOINTS["thumb"])] = _UP_OF_THUMB * (1.0 if side == "right" else np.array([-1.0, 1.0, 1.0]))
     bend = _unit(np.cross(-along, up))
     axes = np.stack([bend, along, np.cross(bend, along)], axis=-1)  # (16, 3, 3), columns X Y Z
     return REST_FROM_MODEL @ axes
@@ -171,8 +168,6 @@ def _matrices_of_products() -> np.ndarray:
 
 
 _PRODUCT_MATRICES: Final = _matrices_of_products()
-_MIN_OFFSET: Final = 2e-4
-"""metres at a product of 1 below which an offset is left out; most products stay far below 1"""
 
 
 def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
@@ -183,11 +178,11 @@ def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
     quaternion's products times M_p. So the offset of product p is posedirs * (B M_p B^T). Row j is joint
     j + 1, columns are as `QUATERNION_PRODUCTS`: a joint that only bends needs two of them, w*x and x*x.
 
-    Products that move hardly anything (`_MIN_OFFSET`) in the mean hand are zero in all others: betas turn
+    Products that move hardly anything (0.2 mm at 1) in the mean hand are zero in all others: betas turn
     bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
     mean = _by_product(model, bone_frames(model.shaped(), model.side))
-    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > _MIN_OFFSET
+    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > 2e-4
     return np.where(used, _by_product(model, frames), 0.0)
 
 

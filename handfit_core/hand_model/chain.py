@@ -32,8 +32,6 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import Landmarks, bone_axes
 from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_BETAS, NUM_KEYPOINTS
 
-_BONE_OF_POINT = [0, 1, 2, 2]
-"""The level of the bone that carries each of a finger's four points"""
 _ROOT = 3
 """The root comes after the three joints among a finger's frames"""
 _CROSSED = -skew(np.eye(3)).reshape(3, 9)
@@ -138,7 +136,8 @@ class Chain:
         # The wrist's landmark by the root's increment, in the root's axes: e x l.
         self._wrist_turned = np.cross(np.eye(3), offsets[0]).T
         # A joint moves the points from its own bone outwards, the root all.
-        moves = [[level <= _BONE_OF_POINT[k] for k in range(4)] for level in range(3)] + [[True] * 4]
+        # The level of the bone that carries each of a finger's four points
+        moves = [[level <= [0, 1, 2, 2][k] for k in range(4)] for level in range(3)] + [[True] * 4]
         self._moves = np.array(moves, dtype=float)[..., None]  # (4 frames, 4 points, 1)
         self._wrist_template, self._wrist_dirs = joints[0], joint_dirs[0]
 

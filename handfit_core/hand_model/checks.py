@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from handfit_core.arrays import arrays_of, check_arrays, declared
 from handfit_core.doors.values import shortly
 from handfit_core.errors import HandModelError
-from handfit_core.hand_model.data import MOST_VERTICES, HandModel
+from handfit_core.hand_model.data import LIMITS, HandModel
 from handfit_core.skeleton import NUM_BETAS, SIDES
-
-SMALLEST_HAND: Final = 0.01
-LARGEST_HAND: Final = 10.0
-"""metres across"""
 
 
 def checked_model(
@@ -36,8 +32,10 @@ def checked_model(
     if found["uv"] is None or found["uv_faces"] is None:
         found["uv"] = found["uv_faces"] = None
     vertices, shapedirs = found["v_template"], found["shapedirs"]
-    if vertices.ndim and not 0 < len(vertices) <= MOST_VERTICES:
-        raise HandModelError(f"{where}: a hand model has 1 to {MOST_VERTICES} vertices, not {len(vertices)}")
+    if vertices.ndim and not 0 < len(vertices) <= LIMITS.vertices:
+        raise HandModelError(
+            f"{where}: a hand model has 1 to {LIMITS.vertices} vertices, not {len(vertices)}"
+        )
     if shapedirs.ndim == 3:
         if shapedirs.shape[2] < NUM_BETAS:
             raise HandModelError(
@@ -48,10 +46,10 @@ def checked_model(
     model = HandModel(name=name, side=side, source=source, **found)
     check_arrays(model, HandModelError, f"{where}: ")
     size = float(np.ptp(model.v_template, axis=0).max())
-    if not SMALLEST_HAND <= size <= LARGEST_HAND:
+    if not LIMITS.min_hand <= size <= LIMITS.max_hand:
         raise HandModelError(
-            f"{where}: this hand is {size:.3g} m long; a hand model is in metres, from {SMALLEST_HAND:g} to "
-            f"{LARGEST_HAND:g} m"
+            f"{where}: this hand is {size:.3g} m long; a hand model is in metres, "
+            f"from {LIMITS.min_hand:g} to {LIMITS.max_hand:g} m"
         )
     weights = model.weights
     if np.any(weights < -1e-6) or np.any(np.abs(weights.sum(axis=1) - 1.0) > 1e-3):

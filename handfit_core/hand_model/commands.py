@@ -11,6 +11,9 @@ from typing import TYPE_CHECKING
 
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.files import check_writable, path_of
+from handfit_core.hand_model.files import OPEN_HAND, load_model, load_model_npz, save_model_npz
+from handfit_core.hand_model.mano_pickle import load_mano_pickle
+from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, SIDES, keypoints_from_joints
 
 if TYPE_CHECKING:
     from handfit_core.hand_model.data import HandModel
@@ -37,8 +40,6 @@ def add_model_commands(subparsers: argparse._SubParsersAction) -> None:
 
 
 def _convert(args: argparse.Namespace) -> int:
-    from handfit_core.hand_model.files import save_model_npz
-
     source, target = path_of(args.source), path_of(args.target)
     if target.suffix.lower() != ".npz":
         raise OptionError(f"{target}: the converted model is a .npz file; give a name that ends in .npz")
@@ -50,9 +51,6 @@ def _convert(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
-    from handfit_core.hand_model.files import OPEN_HAND, load_model
-    from handfit_core.skeleton import SIDES
-
     if args.model == OPEN_HAND:
         for side in SIDES:
             _describe(load_model(OPEN_HAND, side))
@@ -63,23 +61,18 @@ def _info(args: argparse.Namespace) -> int:
 
 def _read(path: Path) -> HandModel:
     """One file of either format; its side is what it is."""
-    from handfit_core.hand_model.files import load_model_npz
 
     if path.is_dir():
         raise HandModelError(f"{path}: this is a folder; give one file, MANO_RIGHT or MANO_LEFT")
     if not path.exists():
         raise HandModelError(f"{path}: there is no such hand model; give a MANO .pkl or .npz file")
     if path.suffix.lower() == ".pkl":
-        from handfit_core.hand_model.mano_pickle import load_mano_pickle
-
         return load_mano_pickle(path)
     return load_model_npz(path)
 
 
 def _describe(model: HandModel) -> None:
     import numpy as np
-
-    from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, keypoints_from_joints
 
     shaped = model.shaped()
     points = keypoints_from_joints(shaped.joints, shaped.tips)

@@ -17,11 +17,29 @@ from handfit_core.arrays import array, array_dataclass
 from handfit_core.geometry import rotations
 from handfit_core.skeleton import FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, Side, keypoints_from_joints
 
-MOST_VERTICES: Final = 50_000
-MOST_FACES: Final = 2 * MOST_VERTICES
-"""of a model; MANO has 778 vertices and 1538 faces, the open hand 1609 and 1598"""
-LARGEST: Final = 1e4
-"""of any number of a model: metres, weights and radians"""
+
+@dataclass(frozen=True)
+class ModelLimits:
+    """The most that a model and its file may hold."""
+
+    vertices: int = 50_000
+    """of a model; MANO has 778, the open hand 1609"""
+    faces: int = 2 * vertices
+    """of a model; MANO has 1538, the open hand 1598"""
+    number: float = 1e4
+    """of any number of a model: metres, weights and radians"""
+    min_hand: float = 0.01
+    """metres across"""
+    max_hand: float = 10.0
+    """metres across"""
+    file_bytes: int = 64_000_000
+    """Largest model file; MANO's have 4 MB, and larger meshes in its format 10 MB"""
+    name_length: int = 200
+    memory_bytes: int = 200_000_000
+    """Largest size of a model's arrays: twelve times that of the open hand's"""
+
+
+LIMITS: Final = ModelLimits()
 
 
 @dataclass(frozen=True)
@@ -59,26 +77,26 @@ class HandModel:
     name: str
     """`open-hand`, or the stem of the user's file"""
     side: Side
-    v_template: np.ndarray = array("V", 3, finite="all", most=LARGEST)
-    faces: np.ndarray = array("F", 3, kind="i", most_rows=MOST_FACES)
+    v_template: np.ndarray = array("V", 3, finite="all", most=LIMITS.number)
+    faces: np.ndarray = array("F", 3, kind="i", most_rows=LIMITS.faces)
     """Triangles, counter-clockwise seen from outside"""
-    shapedirs: np.ndarray = array("V", 3, NUM_BETAS, finite="all", most=LARGEST)
-    posedirs: np.ndarray = array("V", 3, 9 * (NUM_JOINTS - 1), finite="all", most=LARGEST)
+    shapedirs: np.ndarray = array("V", 3, NUM_BETAS, finite="all", most=LIMITS.number)
+    posedirs: np.ndarray = array("V", 3, 9 * (NUM_JOINTS - 1), finite="all", most=LIMITS.number)
     """Offsets per element of R - I of joints 1..15, row-major"""
-    joint_regressor: np.ndarray = array(NUM_JOINTS, "V", finite="all", most=LARGEST)
-    weights: np.ndarray = array("V", NUM_JOINTS, finite="all", most=LARGEST)
+    joint_regressor: np.ndarray = array(NUM_JOINTS, "V", finite="all", most=LIMITS.number)
+    weights: np.ndarray = array("V", NUM_JOINTS, finite="all", most=LIMITS.number)
     """Skin weights; rows sum to 1"""
-    hands_mean: np.ndarray = array(45, finite="all", most=LARGEST)
+    hands_mean: np.ndarray = array(45, finite="all", most=LIMITS.number)
     """Relaxed pose, axis-angle; never added by us: hand_pose is always relative to the flat hand"""
-    hands_components: np.ndarray = array(45, 45, finite="all", most=LARGEST)
+    hands_components: np.ndarray = array(45, 45, finite="all", most=LIMITS.number)
     """Principal directions of the pose, in rows"""
     tip_vertices: np.ndarray = array(len(FINGERS), kind="i")
     """Vertex index of each fingertip: thumb, index, middle, ring, little"""
-    quads: np.ndarray | None = array("Q", 4, kind="i", most_rows=MOST_FACES, default=None)
+    quads: np.ndarray | None = array("Q", 4, kind="i", most_rows=LIMITS.faces, default=None)
     """Faces for artists, where the model has them"""
-    uv: np.ndarray | None = array("U", 2, finite="all", most=LARGEST, default=None)
+    uv: np.ndarray | None = array("U", 2, finite="all", most=LIMITS.number, default=None)
     """Texture coordinates, where the model has them"""
-    uv_faces: np.ndarray | None = array("P", "C", kind="i", most_rows=MOST_FACES, default=None)
+    uv_faces: np.ndarray | None = array("P", "C", kind="i", most_rows=LIMITS.faces, default=None)
     """Indices into uv, per corner of quads (or of faces where quads is None)"""
     source: str = field(default="")
     """Path of the file it came from, or empty for the bundled open hand"""

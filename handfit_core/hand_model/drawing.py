@@ -10,14 +10,8 @@ from handfit_core.hand_model.data import HandModel
 
 _SUPERSAMPLING: Final = 2
 """Samples per pixel along either axis"""
-_MARGIN: Final = 0.04
-"""Free margin on every side, in parts of the picture"""
-_KEY, _FILL = np.array([-0.45, 0.65, 0.62]), np.array([0.8, 0.1, 0.59])
-"""Unit vectors to the lights: from the left above, and from the right"""
 _SKIN: Final = np.linspace([52, 26, 22], [255, 222, 196], 256).round().astype(np.uint8)
 """(256, 3) RGB from the dark to full light"""
-_OCCLUSION_RADIUS: Final = 0.008
-"""metres around a place in which nearer surfaces darken it (ambient occlusion)"""
 
 
 def drawn_pose(
@@ -39,10 +33,12 @@ def drawn_pose(
     points = points @ (down @ around).T
     fine = size * _SUPERSAMPLING
     low, high = points.min(axis=0), points.max(axis=0)
-    scale = (1.0 - 2.0 * _MARGIN) * fine / max(high[:2] - low[:2])
+    # Free margin on every side, in parts of the picture
+    scale = (1.0 - 2.0 * 0.04) * fine / max(high[:2] - low[:2])
     at = (points - (low + high) / 2.0) * scale + [fine / 2.0, fine / 2.0, 0.0]
     depth, light = _lit(at, model.faces, fine)
-    light *= 1.0 - 0.75 * _hidden(depth, _OCCLUSION_RADIUS * scale)
+    # Metres around a place in which nearer surfaces darken it (ambient occlusion)
+    light *= 1.0 - 0.75 * _hidden(depth, 0.008 * scale)
     there = np.isfinite(depth)
     picture = np.stack([np.where(there, np.clip(light, 0.0, 1.0), 0.0), there], axis=-1)
     picture = picture.reshape(size, _SUPERSAMPLING, size, _SUPERSAMPLING, 2).mean(axis=(1, 3))
@@ -82,7 +78,9 @@ def _lit(points: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, 
     parts = np.stack([1.0 - b - c, b, c], axis=-1)
     z = (parts * corners[of, :, 2]).sum(axis=1)
     normal = np.einsum("kc,kcd->kd", parts, normals[faces[of]])
-    light = 0.18 + 0.72 * np.maximum(normal @ _KEY, 0.0) + 0.24 * np.maximum(normal @ _FILL, 0.0)
+    # Unit vectors to the lights: from the left above, and from the right
+    key, fill = np.array([-0.45, 0.65, 0.62]), np.array([0.8, 0.1, 0.59])
+    light = 0.18 + 0.72 * np.maximum(normal @ key, 0.0) + 0.24 * np.maximum(normal @ fill, 0.0)
     order = np.argsort(z)  # the nearest is written last
     depth, picture = np.full((size, size), -np.inf), np.zeros((size, size))
     depth[y[order], x[order]] = z[order]

@@ -18,23 +18,16 @@ from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandModelError
 from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
-from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.data import LIMITS, HandModel
 from handfit_core.skeleton import SIDES, Side
 
 OPEN_HAND = "open-hand"
 """Name of the bundled model; anything else given as a model is a path."""
 
-MAX_FILE_BYTES = 64_000_000
-"""Largest model file; MANO's have 4 MB, and larger meshes in its format 10 MB"""
-
-_MAX_NAME_LENGTH = 200
-_MAX_MEMORY_BYTES = 200_000_000
-"""Largest size of a model's arrays: twelve times that of the open hand's"""
 
 FORMAT_NAME = "handfit-model"
 FORMAT_VERSION = 1
 
-_DATA = Path(__file__).parent / "data"
 ARRAY_NAMES = tuple(declared(HandModel))
 """All arrays of a model, named as in `HandModel` and in the file."""
 
@@ -117,21 +110,21 @@ def _read(path: Path, side: Side) -> HandModel:
 
 @lru_cache(maxsize=2)
 def _open_hand(side: Side) -> HandModel:
-    return load_model_npz(_DATA / f"open_hand_{side}.npz", bundled=True)
+    return load_model_npz(Path(__file__).parent / "data" / f"open_hand_{side}.npz", bundled=True)
 
 
 def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> HandModel:
     """Read a model that `save_model_npz` wrote. Raises HandModelError."""
     path = Path(path)
     try:
-        archive = NpzArchive(read_file(path, MAX_FILE_BYTES), _MAX_MEMORY_BYTES)
+        archive = NpzArchive(read_file(path, LIMITS.file_bytes), LIMITS.memory_bytes)
         header = archive.header()
         if header.get("format") != FORMAT_NAME:
             raise NotNpz("is of another format")
         version = whole("version", header.get("version"), 1)
         name, side = (
-            text("name", header.get("name"), _MAX_NAME_LENGTH),
-            text("side", header.get("side"), _MAX_NAME_LENGTH),
+            text("name", header.get("name"), LIMITS.name_length),
+            text("side", header.get("side"), LIMITS.name_length),
         )
         arrays = {key: archive.array(key, "fiu") for key in ARRAY_NAMES if key in archive}
     except OSError as error:

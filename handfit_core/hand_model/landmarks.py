@@ -18,9 +18,6 @@ from handfit_core.hand_model.anatomy import LANDMARKS_FILE, anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_KEYPOINTS
 
-FILE: Final = LANDMARKS_FILE
-"""Landmark offsets and the pose prior that belongs to them"""
-
 LANDMARK_BONES: Final = (0, *(FINGER_JOINTS[f][min(k, 2)] for f in FINGERS for k in range(4)))
 """The joint whose bone carries each of the 21 landmarks; a fingertip belongs to the last bone."""
 
@@ -62,5 +59,5 @@ NO_OFFSETS: Final = Landmarks(np.zeros((NUM_KEYPOINTS, 3)))
 @lru_cache(maxsize=1)
 def detector_landmarks() -> Landmarks:
     """Where MediaPipe's hand landmarker sees its points, calibrated by scripts/train_landmarks.py."""
-    with np.load(FILE, allow_pickle=False) as arrays:
+    with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
         return Landmarks(arrays["offsets"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from typing import Final
 
 import numpy as np
 
@@ -11,12 +10,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGERS, NUM_BETAS
 
 _MIDDLE = FINGERS.index("middle")
-_STEPS = 8
 
-ODD_SHAPE_SIGMAS: Final = 3.0
-MAX_SHAPE_SIGMAS: Final = 6.0
-"""Standard deviations from the mean shape beyond which a given hand length is warned of, and beyond which it
-is clipped. The open hand's mesh begins to fold at six and a half."""
 
 log = logging.getLogger("handfit")
 
@@ -48,7 +42,7 @@ def betas_of_length(model: HandModel, length: float) -> np.ndarray:
     change the length gives zeros.
     """
     betas = np.zeros(NUM_BETAS)
-    for _ in range(_STEPS):
+    for _ in range(8):
         now, slope = flat_hand_length(model, betas), length_rates(model, betas)
         steepness = float(slope @ slope)
         if steepness < 1e-12:
@@ -62,13 +56,14 @@ def betas_of_measured(model: HandModel, length: float) -> np.ndarray:
     """(10,) the shape nearest to the mean that has that length in metres, no farther from the mean than
     meshes keep their form."""
     betas = betas_of_length(model, length)
-    return betas * min(1.0, MAX_SHAPE_SIGMAS / max(float(np.linalg.norm(betas)), 1e-9))
+    # The open hand's mesh begins to fold six and a half standard deviations from the mean shape.
+    return betas * min(1.0, 6.0 / max(float(np.linalg.norm(betas)), 1e-9))
 
 
 def warn_of_odd_shapes(model: HandModel, length: float) -> None:
     """Warn where a hand length in metres asks for a shape that hardly any hand has."""
     away = float(np.linalg.norm(betas_of_length(model, length)))
-    if away <= ODD_SHAPE_SIGMAS:
+    if away <= 3.0:  # standard deviations from the mean shape
         return
     reached = flat_hand_length(model, betas_of_measured(model, length))
     log.warning(

@@ -19,13 +19,9 @@ from handfit_core.doors.safe_pickle import STAND_INS, NotAnArray, Refused, Stand
 from handfit_core.errors import HandModelError
 from handfit_core.files import read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
-from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.data import LIMITS, HandModel
 from handfit_core.skeleton import MANO_TIP_VERTICES, NUM_JOINTS, PARENTS, Side
 
-MAX_FILE_BYTES = 64_000_000
-"""MANO's files have 4 MB; larger meshes in its format reach 10 MB."""
-
-_ROOT_PARENT = 2**32 - 1
 _REQUIRED = (
     "v_template",
     "f",
@@ -76,9 +72,7 @@ def _model_from(path: Path, content: Any) -> HandModel:
     parents = arrays["kintree_table"]
     expected = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)])
     # Masked, because some converters store the root's parent as -1.
-    if parents.dtype.kind not in "iu" or not np.array_equal(
-        parents.astype(np.int64) & _ROOT_PARENT, expected
-    ):
+    if parents.dtype.kind not in "iu" or not np.array_equal(parents.astype(np.int64) & (2**32 - 1), expected):
         raise _Unfit("kintree_table does not describe MANO's 16 joints (a body model has more)")
     v_template, regressor = arrays["v_template"], arrays["J_regressor"]
     if v_template.ndim != 2 or v_template.shape[1] != 3 or regressor.shape != (NUM_JOINTS, len(v_template)):
@@ -182,7 +176,7 @@ class _Unfit(Exception):
 
 def _unpickled(path: Path) -> Any:
     try:
-        data = read_file(path, MAX_FILE_BYTES)
+        data = read_file(path, LIMITS.file_bytes)
     except (OSError, ValueError) as error:
         raise HandModelError(
             f"{shown(path)}: cannot be read ({why(error)}); give the path of a MANO .pkl file, which has 4 MB"
@@ -278,7 +272,7 @@ def _dense(key: str, matrix: StandIn, depth: int) -> np.ndarray:
         and np.all(starts[1:] >= starts[:-1])
         and np.all((minor >= 0) & (minor < minors))
         # The dense matrix must not be beyond what the file itself could hold.
-        and 0 < columns <= MAX_FILE_BYTES // 1000
+        and 0 < columns <= LIMITS.file_bytes // 1000
     )
     if not sound:
         raise _Unfit(f"{key} is a damaged sparse matrix, or not of 16 joints")

@@ -15,10 +15,6 @@ import numpy as np
 from handfit_core.hand_model.data import HandModel
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS
 
-DOMINANT: Final = 0.55
-"""Share of the movement beyond which an effect gives the coefficient its name. Of two equal effects each
-explains half."""
-
 _LONG_FINGERS: Final = tuple(finger for finger in FINGERS if finger != "thumb")
 
 
@@ -30,7 +26,9 @@ def shape_names(model: HandModel) -> tuple[str | None, ...]:
     for beta, row in enumerate(shares):
         effect = max(row, key=lambda name: abs(row[name]), default="")
         purest = max(range(NUM_BETAS), key=lambda other: abs(shares[other].get(effect, 0.0)))
-        if beta == purest and abs(row.get(effect, 0.0)) > DOMINANT:
+        # Share of the movement beyond which an effect gives the coefficient its name. Of two equal effects
+        # each explains half.
+        if beta == purest and abs(row.get(effect, 0.0)) > 0.55:
             names[beta] = _worded(effect, grows=row[effect] > 0.0)
     return tuple(names)
 

@@ -44,13 +44,10 @@ PAIRS: Final = np.array(
     [(i, j) for i in range(NUM_BONES) for j in range(i + 1, NUM_BONES) if _may_touch(i, j)]
 )
 """(P, 2) bones that can touch, the lower first"""
-PALM_COMPRESSION: Final = 0.006
-"""metres by which the palm is compressed under the thumb's first bone, as in a fist around the thumb"""
-WEB_COMPRESSION: Final = 0.0085
-"""metres by which the web between thumb and index finger is compressed under the thumb's first bone"""
 _COMPRESSION: Final = np.select(
     [(PAIRS == (1, PALM)).all(axis=1), (PAIRS[:, 0] == 1) & (PAIRS[:, 1] > PALM)],
-    [-WEB_COMPRESSION, -PALM_COMPRESSION],
+    # As the web between thumb and index finger, and the palm in a fist around the thumb, are compressed
+    [-0.0085, -0.006],
     0.0,
 )
 """(P,) metres of compression that count as no overlap, with the sign of a gap: negative"""
@@ -294,16 +291,9 @@ _BONE_SECTIONS: Final = np.array([(0.1, 0.5), (0.5, 0.9)])
 ends"""
 _PALM_SECTIONS: Final = np.array([(0.3, 0.65), (0.65, 0.95)])
 """Two such sections of a metacarpal, from the wrist on"""
-_THUMB_ROOT_SCALE: Final = 1.1
-"""Ratio of the thumb's radius where it leaves the palm to that at its knuckle; its skin there is the
-palm's"""
 _METACARPAL: Final = np.array([0.25, 0.85])
 """Parts of the way from the wrist to a knuckle between which the palm's capsules lie: their round ends reach
 farther"""
-_FIST: Final = np.radians([[0.0, 0.0, bend] for _ in range(5) for bend in (75.0, 90.0, 55.0)])
-"""(15, 3) radians: angles of the hand whose palm is measured; its thumb is flat"""
-_STRIP_HALF_WIDTH: Final = 0.006
-"""metres to either side of a metacarpal in which the palm's thickness is measured"""
 
 
 def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -326,8 +316,11 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
             ends[bone, :, 1:], radii[bone] = (
                 _carried_on(part, _BONE_SECTIONS, at) for part in (middle, radius)
             )
-    ends[0, :, 1:], radii[0] = ends[1, 0, 1:], radii[1, 0] * np.array([_THUMB_ROOT_SCALE, 1.0])
-    fist = rotmats_from_angles(np.where(np.arange(15)[:, None] < 12, _FIST, 0.0), anatomical_axes(model))
+    # Where the thumb leaves the palm its skin is the palm's: its radius is taken from that at its knuckle.
+    ends[0, :, 1:], radii[0] = ends[1, 0, 1:], radii[1, 0] * np.array([1.1, 1.0])
+    # The palm is measured on a fist with a flat thumb.
+    bent = np.radians([[0.0, 0.0, bend] for _ in range(5) for bend in (75.0, 90.0, 55.0)])
+    fist = rotmats_from_angles(np.where(np.arange(15)[:, None] < 12, bent, 0.0), anatomical_axes(model))
     closed = model.posed(betas, np.zeros(3), rotmat_to_rotvec(fist).reshape(45), np.zeros(3))
     palm = closed.vertices[owner == 0] - shaped.joints[0]
     for bone, finger in enumerate(FINGERS[1:], PALM):
@@ -335,7 +328,8 @@ def _measured(model: HandModel, betas: np.ndarray) -> tuple[np.ndarray, np.ndarr
         across = np.cross(knuckle, [0.0, 1.0, 0.0])
         back = np.cross(across, knuckle)
         across, back = across / np.linalg.norm(across), back / np.linalg.norm(back)
-        strip = palm[np.abs(palm @ across) < _STRIP_HALF_WIDTH]
+        # Metres to either side of a metacarpal in which the palm's thickness is measured
+        strip = palm[np.abs(palm @ across) < 0.006]
         along = strip @ knuckle / (knuckle @ knuckle)
         middle, radius = _sections((strip @ back)[:, None], along, _PALM_SECTIONS)
         off, radii[bone] = (_carried_on(part, _PALM_SECTIONS, _METACARPAL) for part in (middle, radius))

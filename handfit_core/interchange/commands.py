@@ -18,6 +18,7 @@ from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.readers import READERS
 from handfit_core.interchange.writers import WRITERS, Writer, writer_for
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
+from handfit_core.pipeline import capture, hand_summaries
 from handfit_core.take import HandTrack, Take, chosen, is_take
 
 
@@ -70,7 +71,6 @@ def add_input(command: argparse.ArgumentParser) -> None:
 def take_of_input(args: argparse.Namespace) -> Take:
     """The take that the arguments of `add_input` name, or that is captured of what they name. Raises
     HandfitError."""
-    from handfit_core.pipeline import capture
 
     take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
     if take is not None:
@@ -105,8 +105,6 @@ def opened_take(path: Path) -> Take | None:
 
 
 def _convert(args: argparse.Namespace) -> int:
-    from handfit_core.pipeline import hand_summaries
-
     started = time.perf_counter()
     writer = writer_for(args.output, args.to)
     write = writer.write_wrist if args.wrist else writer.write

@@ -22,21 +22,8 @@ from handfit_core.doors import safe_pickle
 from handfit_core.doors.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 from handfit_core.errors import InputError
 from handfit_core.files import path_of, read_file, shown, why
+from handfit_core.interchange.settings import LIMITS
 
-MOST_BYTES: Final = 1 << 29
-"""of one file"""
-MOST_TEXT: Final = 1 << 27
-"""bytes of one JSON text or table"""
-_MOST_PARSED: Final = 900_000_000
-"""bytes of memory that what is in one may take, together with the text"""
-MOST_FILES: Final = 1_000_000
-"""of a folder"""
-_MOST_MEMORY: Final = 1 << 28
-_MOST_PACKED: Final = 50
-"""times the size of a larger file that its arrays may have"""
-_MOST_COLUMNS: Final = 10_000
-_MOST_STEPS: Final = 2_000_000
-"""instructions of a pickle, each of which may take a hundred bytes"""
 _NPY: Final = b"\x93NUMPY"
 
 
@@ -91,7 +78,7 @@ class Document:
         if self.is_folder:
             return b""
         try:
-            return read_file(self.path, MOST_BYTES)
+            return read_file(self.path, LIMITS.file_bytes)
         except (OSError, ValueError) as error:
             raise InputError(f"{shown(self.path)}: cannot be read ({why(error)})") from error
 
@@ -108,7 +95,7 @@ class Document:
         takes."""
         # All letters of a text are stored as wide as its widest, in up to 4 bytes, and its parts once more.
         taken = len(self.bytes) * (2 if self.bytes.isascii() else 9) + parsed
-        if len(self.bytes) > MOST_TEXT or taken > _MOST_PARSED:
+        if len(self.bytes) > LIMITS.text_bytes or taken > LIMITS.parsed_bytes:
             raise InputError(f"{shown(self.path)}: it is too large to be read at once; cut it into parts")
 
     @cached_property
@@ -149,7 +136,7 @@ class Document:
                 lines = [line for line in cells if line]
             except (csv.Error, UnicodeDecodeError):
                 return None
-        if len(lines) < 2 or not 1 < len(lines[0]) <= _MOST_COLUMNS:
+        if len(lines) < 2 or not 1 < len(lines[0]) <= LIMITS.columns:
             return None
         if any(len(line) != len(lines[0]) for line in lines):
             return None
@@ -161,7 +148,7 @@ class Document:
         if self.bytes[:2] != b"PK":
             return None
         try:
-            return NpzArchive(self.bytes, max(_MOST_MEMORY, _MOST_PACKED * len(self.bytes)))
+            return NpzArchive(self.bytes, max(LIMITS.memory_bytes, LIMITS.packed * len(self.bytes)))
         except NotNpz:
             return None
 
@@ -171,7 +158,7 @@ class Document:
         if self.bytes[:6] != _NPY:
             return None
         try:
-            return npy_array(self.bytes, "fiub", max(_MOST_MEMORY, _MOST_PACKED * len(self.bytes)))
+            return npy_array(self.bytes, "fiub", max(LIMITS.memory_bytes, LIMITS.packed * len(self.bytes)))
         except NotNpz:
             return None
 
@@ -244,9 +231,9 @@ class Document:
                 found = [entry.name for entry in entries if entry.name.lower().endswith(suffixes)]
         except OSError as error:
             raise InputError(f"{shown(self.path)}: cannot be read ({why(error)})") from error
-        if len(found) > MOST_FILES:
+        if len(found) > LIMITS.file_count:
             raise InputError(
-                f"{shown(self.path)}: it has more than {MOST_FILES} files; give a folder of fewer"
+                f"{shown(self.path)}: it has more than {LIMITS.file_count} files; give a folder of fewer"
             )
         return [self.path / name for name in sorted(found) if not name.startswith(".")]
 
@@ -292,7 +279,7 @@ def _memory_of_table(data: bytes) -> int:
 def _unpickled(data: bytes) -> Any:
     """Raises Refused, also for a pickle that is damaged."""
     try:
-        return safe_pickle.plain(safe_pickle.load(data, most_steps=_MOST_STEPS, numbered=True))
+        return safe_pickle.plain(safe_pickle.load(data, most_steps=LIMITS.pickle_steps, numbered=True))
     except (safe_pickle.Refused, MemoryError):
         raise
     except Exception as error:  # a damaged pickle can fail in any way

@@ -10,37 +10,25 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.take import HandTrack, Take
+from handfit_core.take import Take
 
 log = logging.getLogger("handfit")
 
 
 @dataclass(frozen=True, eq=False)
-class WholeHand:
-    """One hand over F frames, without gaps: where it was not seen, it is as it was last, or will be first."""
-
-    global_orient: np.ndarray
-    """(F, 3) radians, camera frame"""
-    hand_pose: np.ndarray
-    """(F, 45) radians, relative to the flat hand"""
-    transl: np.ndarray
-    """(F, 3) metres, camera frame"""
-    betas: np.ndarray
-    """(10,)"""
-    present: np.ndarray
-    """(F,) bool: where the take has the hand"""
-
-
-@dataclass(frozen=True, eq=False)
 class EveryFrame:
-    """The hands of a take on frames in equal steps."""
+    """The hands of a take on frames in equal steps, without gaps: where a hand was not seen, it is as it was
+    last, or will be first."""
 
     numbers: np.ndarray
     """(F,) int: the take's frame numbers, and those between that it lacks"""
     fps: float
     """Of these frames"""
-    hands: Mapping[Side, WholeHand]
+    hands: Mapping[Side, HandMotion]
+    present: Mapping[Side, np.ndarray]
+    """(F,) bool: where the take has each hand"""
 
     @classmethod
     def of(cls, take: Take) -> EveryFrame:
@@ -51,7 +39,8 @@ class EveryFrame:
         # A single number that is far off, as names of pictures may have, makes no million of frames.
         even = count <= max(100 * len(given), 1000)
         numbers = np.arange(given[0], given[-1] + 1, step) if even else given
-        hands: dict[Side, WholeHand] = {}
+        hands: dict[Side, HandMotion] = {}
+        present: dict[Side, np.ndarray] = {}
         for side in SIDES:
             tracks = [hand for hand in take.hands if hand.side == side and hand.present.any()]
             if len(tracks) > 1:
@@ -62,21 +51,12 @@ class EveryFrame:
                 )
             if tracks:
                 longest = max(tracks, key=lambda hand: int(hand.present.sum()))
-                hands[side] = _whole(longest, given, numbers)
-        return cls(numbers, take.fps / step, hands)
-
-
-def _whole(hand: HandTrack, given: np.ndarray, numbers: np.ndarray) -> WholeHand:
-    rows = np.flatnonzero(hand.present)
-    last = np.maximum(np.searchsorted(given[rows], numbers, side="right") - 1, 0)
-    held = rows[last]
-    return WholeHand(
-        hand.global_orient[held],
-        hand.hand_pose[held],
-        hand.transl[held],
-        hand.betas,
-        given[held] == numbers,
-    )
+                rows = np.flatnonzero(longest.present)
+                last = np.maximum(np.searchsorted(given[rows], numbers, side="right") - 1, 0)
+                held = rows[last]
+                hands[side] = HandMotion(side, longest.betas, *(each[held] for each in longest.pose))
+                present[side] = given[held] == numbers
+        return cls(numbers, take.fps / step, hands, present)
 
 
 def written(path: Path, arrays: Mapping[str, Any]) -> None:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from handfit_core.version import __version__
-
-_FLOAT: Final = 5126
 
 
 class GlbContent:
@@ -35,7 +33,7 @@ class GlbContent:
         self.json["accessors"].append(
             {
                 "bufferView": len(self.json["bufferViews"]) - 1,
-                "componentType": _FLOAT,
+                "componentType": 5126,
                 "count": len(values),
                 "type": kind,
                 "min": columns.min(axis=0).tolist(),

@@ -11,35 +11,18 @@ import numpy as np
 
 from handfit_core.interchange.numbered import keyed
 from handfit_core.interchange.point_names import point_named, side_named
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
-_LEGACY: Final = "multihandlandmarks"
-_IN_PICTURE: Final = (
-    _LEGACY,
-    "handlandmarks",
-    "landmarks",
-    "lmlist",
-    "keypoints",
-    "points",
-    "joints",
-    "landmark",
-)
-_IN_WORLD: Final = ("multihandworldlandmarks", "handworldlandmarks", "worldlandmarks", "landmarksworld")
-_SIDES: Final = (
-    "multihandedness",
-    "handedness",
-    "handednesses",
-    "side",
-    "label",
-    "type",
-    "hand",
-    "chirality",
-)
+_NAMES: Final = {
+    "picture": "multihandlandmarks handlandmarks landmarks lmlist keypoints points joints landmark".split(),
+    "world": "multihandworldlandmarks handworldlandmarks worldlandmarks landmarksworld".split(),
+    "side": "multihandedness handedness handednesses side label type hand chirality".split(),
+    "score": "score confidence handednessscore".split(),
+    "within": "result results hands observations detections".split(),
+}
+"""Names by what they hold, in lower case and without what is between words"""
 _CHIRALITY: Final = {-1: SIDES[0], 1: SIDES[1]}
-_SCORES: Final = ("score", "confidence", "handednessscore")
-_WITHIN: Final = ("result", "results", "hands", "observations", "detections")
-_MOST_HANDS: Final = 1000
-_DEEPEST: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +41,13 @@ class JsonHand:
 
 def hands_in(content: Any, depth: int = 0) -> Iterator[JsonHand]:
     """The hands of one frame's JSON. Raises ValueError for hands that have other than 21 points."""
-    if depth > _DEEPEST or content is None:
+    if depth > 4 or content is None:
         return
     if isinstance(content, list):
         if is_hand(content):
             yield from _several([content], [], [], {}, mirrored=None)
         else:
-            for each in content[:_MOST_HANDS]:
+            for each in content[: LIMITS.hands]:
                 yield from hands_in(each, depth + 1)
         return
     of = keyed(content)
@@ -76,30 +59,33 @@ def hands_in(content: Any, depth: int = 0) -> Iterator[JsonHand]:
                 named = True
                 value = of[key]
                 inner = keyed(value)
-                points = next((inner[k] for k in _IN_PICTURE if k in inner), value)
-                world = next((inner[k] for k in _IN_WORLD if k in inner), of.get(f"{side}handworldlandmarks"))
+                points = next((inner[k] for k in _NAMES["picture"] if k in inner), value)
+                world = next(
+                    (inner[k] for k in _NAMES["world"] if k in inner), of.get(f"{side}handworldlandmarks")
+                )
                 yield from _several([points], [world], [side], inner, mirrored=False)
     if named:
         return
-    key = next((key for key in _IN_PICTURE if key in of), None)
-    world_key = next((key for key in _IN_WORLD if key in of), None)
+    key = next((key for key in _NAMES["picture"] if key in of), None)
+    world_key = next((key for key in _NAMES["world"] if key in of), None)
     if key is None and world_key is None:
         if is_hand(content):
             yield from _several([content], [], [_told(of)], of, mirrored=None)
             return
-        for within in _WITHIN:
+        for within in _NAMES["within"]:
             if of.get(within):
                 yield from hands_in(of[within], depth + 1)
                 return
         return
     points, world = (_as_hands(of.get(k)) if k else [] for k in (key, world_key))
-    mirrored = True if key == _LEGACY else False if {"handlandmarks", "handednesses"} & set(of) else None
+    newer = {"handlandmarks", "handednesses"} & set(of)
+    mirrored = True if key == "multihandlandmarks" else False if newer else None
     yield from _several(points, world, _told(of), of, mirrored=mirrored)
 
 
 def _told(of: Mapping[str, Any]) -> list[Any]:
     """What is told of each hand's side. Only Apple's chirality tells it by a number: others count hands."""
-    for key in _SIDES:
+    for key in _NAMES["side"]:
         told = of.get(key)
         labels = told if isinstance(told, list) else [told]
         if key == "chirality":
@@ -113,7 +99,7 @@ def _several(
     points: list[Any], world: list[Any], labels: list[Any], of: Mapping[str, Any], *, mirrored: bool | None
 ) -> Iterator[JsonHand]:
     count = max(len(points), len(world))
-    score = next((of[key] for key in _SCORES if isinstance(of.get(key), int | float)), None)
+    score = next((of[key] for key in _NAMES["score"] if isinstance(of.get(key), int | float)), None)
     for where, space, label in zip_longest(points, world, labels[:count]):
         side, sure = _label(label)
         seen = None if where is None else _numbers(where)
@@ -143,7 +129,7 @@ def _as_hands(value: Any) -> list[Any]:
         return []
     if is_hand(value):
         return [value]
-    return value[:_MOST_HANDS] if isinstance(value, list) else [value]
+    return value[: LIMITS.hands] if isinstance(value, list) else [value]
 
 
 def is_hand(value: Any) -> bool:

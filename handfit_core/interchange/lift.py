@@ -19,16 +19,7 @@ from handfit_core.detect.keypoints import HandDetection
 from handfit_core.interchange.recording import SeenHands, known
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
-FILE: Final = Path(__file__).parent / "data" / "lift_network.npz"
 FEATURES: Final = 4 * NUM_KEYPOINTS
-DOUBTED: Final = 0.5
-"""of the median confidence of a hand's points: those with less are believed less. Programs' scales differ"""
-_ERRING: Final = 0.05
-"""of the hand's size: what is expected of seen points' errors where missing ones are guessed from them"""
-_ROUNDS: Final = 4
-"""Frames that are laid through seen and guessed points; each changes what is guessed"""
-BONE: Final = 0.0416
-"""metres: mean length of the 20 bones of the open hand of average shape"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +37,8 @@ class Plane:
         there = np.repeat(sure, 2, axis=1).astype(np.float64)
         among = self.covariance * there[:, :, None] * there[:, None]
         # A missing point's own row says that nothing pulls at it.
-        among += np.eye(there.shape[1]) * (1.0 + _ERRING**2 - there[:, None])
+        # The errors that are expected of seen points, in parts of the hand's size, where others are guessed
+        among += np.eye(there.shape[1]) * (1.0 + 0.05**2 - there[:, None])
         pull = np.linalg.solve(among, ((points.reshape(there.shape) - self.mean) * there)[..., None])
         guess = self.mean + (self.covariance @ pull)[..., 0]
         return np.where(sure[..., None], points, guess.reshape(points.shape))
@@ -67,7 +59,8 @@ def canonical_plane(
     middle = seen.sum(axis=1) / count
     points = np.where(sure[..., None], seen, middle[:, None])
     some = np.flatnonzero(~sure.all(axis=1))
-    for _ in range(_ROUNDS if len(some) else 0):
+    # Frames that are laid through seen and guessed points; each changes what is guessed
+    for _ in range(4 if len(some) else 0):
         frame = _frame(points[some], left[some])
         guess = plane.filled(frame.from_picture(_with_zero(points[some]))[..., :2], sure[some])
         guess = frame.to_picture(_with_zero(guess))[..., :2]
@@ -110,7 +103,7 @@ class Lifter:
 @lru_cache(maxsize=1)
 def lifter() -> Lifter:
     """What ships with the package."""
-    with np.load(FILE, allow_pickle=False) as arrays:
+    with np.load(Path(__file__).parent / "data" / "lift_network.npz", allow_pickle=False) as arrays:
         return Lifter(dict(arrays))
 
 
@@ -129,13 +122,15 @@ def lifted(hands: SeenHands) -> list[HandDetection]:
     points = np.concatenate([pixels, guess[..., 2:] - guess[:, :1, 2:]], axis=2)
     world = points - points.mean(axis=1, keepdims=True)
     bones = np.linalg.norm(world[:, 1:] - world[:, KEYPOINT_PARENTS[1:]], axis=2).mean(axis=1)
-    world *= BONE / np.maximum(bones, 1e-9)[:, None, None]
+    # Metres: mean length of the 20 bones of the open hand of average shape
+    world *= 0.0416 / np.maximum(bones, 1e-9)[:, None, None]
     if hands.depth is not None:
         points[..., 2] = np.where(np.isfinite(hands.depth), hands.depth, points[..., 2])
     if hands.world is not None:
         world = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, world)
     usual = np.nanmedian(np.where(sure, hands.confidence, np.nan), axis=1, keepdims=True)
-    doubted = ~sure | (hands.confidence < DOUBTED * usual)
+    # Points of less than half the median confidence are believed less. Programs' scales differ.
+    doubted = ~sure | (hands.confidence < 0.5 * usual)
     found = []
     for i in range(len(hands)):
         side: Side = "left" if hands.left[i] else "right"

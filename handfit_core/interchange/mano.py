@@ -14,7 +14,8 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST
+from handfit_core.arrays import LARGEST, array_dataclass
+from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.doors.values import Unfit
 from handfit_core.errors import OptionError
@@ -24,24 +25,16 @@ from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, 
 from handfit_core.hand_model.axes import mirrored_pose
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND, load_model
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
+from handfit_core.interchange.recording import Asked, Recording, known, usual_place
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
-from handfit_core.take import MOST_HANDS
+from handfit_core.take import TAKE_LIMITS
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""
 
-_LARGEST_ANGLE: Final = 4.0 * np.pi
-_OFF: Final = 0.05
-"""What the elements of R R^T may differ from those of I"""
-
-Y_UP: Final = np.diag([1.0, -1.0, -1.0])
-"""To the camera frame from a world whose y axis points up, seen against its z axis: as SMPL's people stand"""
-Z_UP: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""To the camera frame from a world whose z axis points up, seen along its y axis"""
-
-MIRROR: Final = np.diag([-1.0, 1.0, 1.0])
 
 Counted = Literal["flat", "mean"]
 """What poses count from: the flat hand, or the mean pose of MANO"""
@@ -80,7 +73,7 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
     else:
         rotvec = numbers(name, array, 3 * joints)
         angles = np.linalg.norm(rotvec.reshape(len(rotvec), joints, 3), axis=-1)
-        if np.any(angles > _LARGEST_ANGLE):
+        if np.any(angles > 4.0 * np.pi):
             raise Unfit(
                 f"{name} holds turns by {np.nanmax(angles):.0f} radians: these are degrees, or no axis-angle"
             )
@@ -101,7 +94,8 @@ def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
     """Matrices that are rotations but for their rounding. Raises Unfit."""
     there = np.isfinite(matrices).all(axis=(-1, -2))
     product = matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)
-    if np.any(np.abs(product[there]) > _OFF) or np.any(np.linalg.det(matrices[there]) < 0.0):
+    # What the elements of R R^T may differ from those of I
+    if np.any(np.abs(product[there]) > 0.05) or np.any(np.linalg.det(matrices[there]) < 0.0):
         raise Unfit(f"{name} holds matrices that are no rotations")
     return matrices
 
@@ -143,21 +137,22 @@ def from_directions(coefficients: np.ndarray, side: Side, asked: Asked) -> np.nd
     return coefficients @ model.hands_components[: coefficients.shape[1]]
 
 
-def shape_of(betas: Any, asked: Asked, assumed: list[str]) -> np.ndarray | None:
-    """(10,) coefficients of MANO's shape, the median of several rows; None with the open hand, which has
-    other shapes: `assumed` then says so. Raises Unfit."""
+def shape_of(betas: Any, asked: Asked, assumed: list[str]) -> np.ndarray:
+    """(10,) coefficients of MANO's shape, the median of several rows; zeros, the mean shape, where none are
+    known, and with the open hand, which has other shapes: `assumed` then says so. Raises Unfit."""
+    mean_shape = np.zeros(NUM_BETAS)
     if betas is None or np.size(betas) == 0:
-        return None
+        return mean_shape
     row = np.asarray(betas, dtype=np.float64)
     if row.shape[-1] < NUM_BETAS:
         raise Unfit(f"betas must be {NUM_BETAS} numbers, not {row.shape[-1]}")
     rows = numbers("betas", row[..., :NUM_BETAS], NUM_BETAS)
     rows = rows[known(rows)]
     if not len(rows) or not np.any(rows):
-        return None
+        return mean_shape
     if asked.model is None or asked.model == OPEN_HAND:
         tell(assumed, "the shapes (betas) are MANO's and are left out, as the open hand has other ones")
-        return None
+        return mean_shape
     return np.asarray(np.median(rows, axis=0))
 
 
@@ -171,16 +166,17 @@ def tell(assumed: list[str], phrase: str) -> None:
 
 
 def seen_from(
-    hand: PosedHand, asked: Asked, rotation: np.ndarray, translation: np.ndarray | None = None
-) -> PosedHand:
-    """A hand of another frame in the camera's: x_camera = rotation x + translation.
+    hand: HandMotion, asked: Asked, rotation: np.ndarray, translation: np.ndarray | None = None
+) -> HandMotion:
+    """A hand of another frame in the camera's: x_camera = rotation x + translation. A place that is not
+    told stays so.
 
     rotation: (3, 3) or (T, 3, 3); translation: (3,) or (T, 3) metres. MANO's root turns about the wrist,
     which does not lie at the origin of the model: with J the wrist of the model, the new transl is
     R (J + transl) + t - J.
     """
     turned = rotmat_to_rotvec(rotation @ rotvec_to_rotmat(hand.global_orient))
-    if hand.transl is None:
+    if is_nowhere(hand):
         return replace(hand, global_orient=turned)
     wrist = load_model(asked.model, hand.side).shaped(hand.betas).joints[0]
     place = (rotation @ (hand.transl + wrist)[..., None])[..., 0] - wrist
@@ -189,7 +185,11 @@ def seen_from(
 
 UNTOLD_WORLD: Final = "its world was taken to be z-up, which it does not tell"
 
-_UPS: Final = (("y-up", 1, 1.0, Y_UP), ("z-up", 2, 1.0, Z_UP), ("the camera's, y-down", 1, -1.0, np.eye(3)))
+_UPS: Final = (
+    ("y-up", 1, 1.0, UP_AXES["y"]),
+    ("z-up", 2, 1.0, UP_AXES["z"]),
+    ("the camera's, y-down", 1, -1.0, np.eye(3)),
+)
 
 
 def standing(pelvis: np.ndarray, assumed: list[str]) -> np.ndarray:
@@ -229,6 +229,15 @@ def wrist_of_body(pelvis: np.ndarray, body_pose: np.ndarray, side: Side) -> np.n
     return rotmat_to_rotvec(turned)
 
 
+def of_body(side: Side, pelvis: np.ndarray, body_pose: np.ndarray, hand_pose: np.ndarray) -> HandMotion:
+    """A hand of a body, turned as its wrist is; where that lies is not known without the body's model.
+
+    pelvis (T, 3), body_pose (T, 63) and hand_pose (T, 45) axis-angle.
+    """
+    orient = wrist_of_body(pelvis, body_pose, side)
+    return HandMotion(side, np.zeros(NUM_BETAS), orient, hand_pose, nowhere(len(orient)))
+
+
 NO_PLACE: Final = (
     "where the wrists are is not known without the body's model: each hand stays in its place, and only turns"
 )
@@ -237,20 +246,25 @@ NO_PLACE: Final = (
 # Hands frame by frame
 
 
-@dataclass(frozen=True, eq=False)
-class FoundHand:
-    """One hand in one frame."""
+NO_SHAPE: Final = np.full(NUM_BETAS, np.nan)
+"""The betas of a `FoundHand` whose file does not tell them"""
+
+
+def nowhere(count: int) -> np.ndarray:
+    """(T, 3) the transl of hands whose place is not told: at infinity, until `recording_of` places them."""
+    return np.full((count, 3), np.inf)
+
+
+def is_nowhere(hand: HandMotion) -> bool:
+    """Whether a hand's place is not told, in one of its frames at least."""
+    return bool(np.isinf(hand.transl).any())
+
+
+@array_dataclass
+class FoundHand(HandMotion):
+    """One hand in one frame (T = 1). Its betas are the file's."""
 
     frame: int
-    side: Side
-    global_orient: np.ndarray
-    """(3,) radians, camera frame"""
-    hand_pose: np.ndarray
-    """(45,) radians, relative to the flat hand"""
-    transl: np.ndarray | None = None
-    """(3,) metres, camera frame"""
-    betas: np.ndarray | None = None
-    """(10,), the file's"""
     person: int | None = None
     """Whose it is, where the file tells"""
 
@@ -271,15 +285,16 @@ class _Followed:
 
 def _seen_at(hand: FoundHand) -> np.ndarray:
     """(3,) its direction, and the logarithm of its depth, which is known least; zeros if it is nowhere."""
-    if hand.transl is None:
+    (place,) = hand.transl
+    if is_nowhere(hand):
         return np.zeros(3)
-    depth = max(abs(float(hand.transl[2])), 1e-6)
-    return np.array([hand.transl[0] / depth, hand.transl[1] / depth, np.log(depth)])
+    depth = max(abs(float(place[2])), 1e-6)
+    return np.array([place[0] / depth, place[1] / depth, np.log(depth)])
 
 
 def followed(
     found: Iterable[FoundHand], frames: np.ndarray, asked: Asked, assumed: list[str]
-) -> tuple[PosedHand, ...]:
+) -> tuple[HandMotion, ...]:
     """Hands of single frames as hands over all of them, those of one person, where one is asked for.
 
     A hand is the one that was closest to it last, among those of its side; there are as many of a side as
@@ -296,9 +311,10 @@ def followed(
         for side in SIDES:
             hands = [hand for hand in by_frame[frame] if hand.side == side]
             _assign(hands, [track for track in tracks if track.side == side], tracks, side)
-        if len(tracks) > MOST_HANDS:
+        if len(tracks) > TAKE_LIMITS.max_hands:
             raise Unfit(
-                f"it has more than {MOST_HANDS} hands, and at most so many are read; cut it into parts"
+                f"it has more than {TAKE_LIMITS.max_hands} hands, and at most so many are read; "
+                "cut it into parts"
             )
     if asked.person is not None:
         of_side = {side: [track for track in tracks if track.side == side] for side in SIDES}
@@ -343,30 +359,20 @@ def _assign(hands: list[FoundHand], known_ones: list[_Followed], tracks: list[_F
         taken[i].add(hand)
 
 
-def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str]) -> PosedHand:
-    count = len(frames)
-    orient, pose, transl = (np.full((count, n), np.nan) for n in (3, POSE, 3))
+def _posed(track: _Followed, frames: np.ndarray, asked: Asked, assumed: list[str]) -> HandMotion:
     rows = np.searchsorted(frames, sorted(track.hands))
     hands = [track.hands[frame] for frame in sorted(track.hands)]
-    orient[rows] = [hand.global_orient for hand in hands]
-    pose[rows] = [hand.hand_pose for hand in hands]
-    placed = all(hand.transl is not None for hand in hands)
-    if placed:
-        transl[rows] = [hand.transl for hand in hands]
-    betas = [hand.betas for hand in hands if hand.betas is not None]
-    shape = shape_of(np.array(betas), asked, assumed) if betas else None
-    return PosedHand(track.side, orient, pose, transl if placed else None, shape)
+    poses = (np.concatenate([hand.pose[i] for hand in hands]) for i in range(len(POSE_ARRAYS)))
+    shape = shape_of(np.array([hand.betas for hand in hands]), asked, assumed)
+    return HandMotion(track.side, shape, *(scatter(each, rows, len(frames)) for each in poses))
 
 
 # A wrong mean, or a mirror that is missing
 
 _FINGERS: Final = np.array([j - 1 for f, joints in FINGER_JOINTS.items() if f != "thumb" for j in joints])
-_STRONG: Final = np.radians(4.0)
-"""What the bends of the four fingers' joints are beyond their range, on average, in a wrong reading"""
-_MUCH_BETTER: Final = 0.4
 
 
-def beyond_range(hand: PosedHand) -> float:
+def beyond_range(hand: HandMotion) -> float:
     """Radians that the four fingers' bends lie beyond what joints can do: the median over the frames of the
     mean over 12 joints. 0 for a hand that is nowhere."""
     poses = hand.hand_pose[hand.present]
@@ -381,13 +387,14 @@ def beyond_range(hand: PosedHand) -> float:
     return float(np.median(off.mean(axis=1)))
 
 
-def doubts(hands: Sequence[PosedHand], asked: Asked, mirrored_by: str = "") -> list[str]:
+def doubts(hands: Sequence[HandMotion], asked: Asked, mirrored_by: str = "") -> list[str]:
     """Phrases for hands whose fingers bend as no finger can, and would not if they were read another way:
     with the mean pose, without it, or, where `mirrored_by` says what to do then, a left hand in a mirror."""
     phrases: list[str] = []
     for hand in hands:
         now = beyond_range(hand)
-        if now < _STRONG:
+        # What the bends of the four fingers' joints are beyond their range, on average, in a wrong reading
+        if now < np.radians(4.0):
             continue
         mean = load_model(asked.model, hand.side).hands_mean
         others: list[tuple[str, np.ndarray]] = [
@@ -408,7 +415,7 @@ def doubts(hands: Sequence[PosedHand], asked: Asked, mirrored_by: str = "") -> l
                 )
             )
         best, said = min((beyond_range(replace(hand, hand_pose=pose)), said) for said, pose in others)
-        if best < _MUCH_BETTER * now:
+        if best < 0.4 * now:
             tell(phrases, f"the {hand.side} hand's fingers bend {_how(hand)} than fingers can, {said}")
         else:
             tell(
@@ -419,7 +426,7 @@ def doubts(hands: Sequence[PosedHand], asked: Asked, mirrored_by: str = "") -> l
     return phrases
 
 
-def _how(hand: PosedHand) -> str:
+def _how(hand: HandMotion) -> str:
     axes = anatomical_axes(load_model(None, hand.side))
     poses = hand.hand_pose[hand.present].reshape(-1, 15, 3)
     bends = anatomical_angles(rotvec_to_rotmat(poses), axes)[:, _FINGERS, 2]
@@ -434,19 +441,20 @@ def rate(told: Any, asked: Asked) -> float:
     return asked.rate if told is None else float(numbers("the frame rate", told, 1)[0, 0])
 
 
-def only(hand: PosedHand, there: np.ndarray) -> PosedHand:
+def only(hand: HandMotion, there: np.ndarray) -> HandMotion:
     """The hand in those of its frames (T,) bool. Raises Unfit for another number of them."""
     if len(there) != len(hand.hand_pose):
         raise Unfit(
             f"it tells for {len(there)} frames whether there is a hand, and has {len(hand.hand_pose)}"
         )
-    keep = there[:, None]
-    return replace(
-        hand,
-        global_orient=np.where(keep, hand.global_orient, np.nan),
-        hand_pose=np.where(keep, hand.hand_pose, np.nan),
-        transl=None if hand.transl is None else np.where(keep, hand.transl, np.nan),
-    )
+    return hand.posed_at(there)
+
+
+def _placed(hand: HandMotion) -> HandMotion:
+    """The hand at the usual place where its own is not told."""
+    if not is_nowhere(hand):
+        return hand
+    return replace(hand, transl=np.tile(usual_place(hand.side), (len(hand.transl), 1)))
 
 
 def recording_of(
@@ -454,7 +462,7 @@ def recording_of(
     document: Document,
     fps: float,
     frames: np.ndarray,
-    posed: Iterable[PosedHand],
+    posed: Iterable[HandMotion],
     asked: Asked,
     assumed: Iterable[str],
     *,
@@ -467,7 +475,7 @@ def recording_of(
     are already those of the person asked for; else there is one person. Raises Unfit."""
     if not chosen and asked.person not in (None, 1):
         raise Unfit(f"there is no person {asked.person}: it has 1")
-    hands = tuple(hand for hand in posed if hand.present.any())
+    hands = tuple(hand for hand in map(_placed, posed) if hand.present.any())
     if not hands:
         raise Unfit("there is no hand in any of its frames")
     return Recording(

@@ -14,23 +14,18 @@ from handfit_core.doors.values import LARGEST_WHOLE
 from handfit_core.errors import InputError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.skeleton import Side
 
 _LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
-_NUMBER_KEYS: Final = ("frame", "frameid", "framenumber", "frameindex", "frameidx", "frameno", "imageid")
 _LISTS: Final = ("frames", "results", "data", "predictions", "detections", "annotations", "instanceinfo")
-_LONGEST_NUMBER: Final = 15
-MOST_FRAMES: Final = 100_000
-"""of a file whose frames may be next to empty, and take a kilobyte each; of full ones a JSON holds fewer"""
-_LOOKED_AT: Final = 200
-"""Files of a folder that are looked at before it is said of what they are"""
 
 
 def check_count(document: Document, frames: Sized) -> None:
-    """Raises InputError for more than MOST_FRAMES frames."""
-    if len(frames) > MOST_FRAMES:
+    """Raises InputError for more than `LIMITS.frames` frames."""
+    if len(frames) > LIMITS.frames:
         raise InputError(
-            f"{shown(document.path)}: it has {len(frames)} frames, and at most {MOST_FRAMES} are read; cut "
+            f"{shown(document.path)}: it has {len(frames)} frames, and at most {LIMITS.frames} are read; cut "
             "it into parts"
         )
 
@@ -90,7 +85,7 @@ def frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str, 
 def _number_of(file: Path) -> re.Match[str] | None:
     """The last number in its name."""
     match = _LAST_NUMBER.search(file.stem)
-    return match if match and len(match[0]) <= _LONGEST_NUMBER else None
+    return match if match and len(match[0]) <= LIMITS.number_digits else None
 
 
 def several_clips(around: Collection[tuple[str, ...]]) -> str:
@@ -113,7 +108,7 @@ def some_contents(document: Document) -> Iterator[Any]:
     if not document.is_folder:
         yield first_content(document)
     else:
-        for file in document.files(".json")[:_LOOKED_AT]:
+        for file in document.files(".json")[: LIMITS.looked_at]:
             yield Document(file).json
 
 
@@ -142,7 +137,7 @@ def frames_of(document: Document) -> JsonFrames:
         return _in_order(document, numbers, list(content.values()), header, ())
     if isinstance(content, Mapping):
         match = _LAST_NUMBER.search(document.path.stem)
-        number = int(match[0]) if match and len(match[0]) <= _LONGEST_NUMBER else 1
+        number = int(match[0]) if match and len(match[0]) <= LIMITS.number_digits else 1
         return _in_order(document, np.array([_number_in(content) or number]), [content], header, ())
     if not isinstance(content, list) or not content:
         raise InputError(f"{shown(document.path)}: there is no frame in it")
@@ -178,13 +173,13 @@ def size_in(header: Mapping[str, Any], before: str = "") -> tuple[int, int] | No
 
 
 def _digits(key: Any) -> bool:
-    return isinstance(key, str) and key.isascii() and key.isdigit() and len(key) <= _LONGEST_NUMBER
+    return isinstance(key, str) and key.isascii() and key.isdigit() and len(key) <= LIMITS.number_digits
 
 
 def _number_in(content: Any) -> int | None:
     """The number of a frame that tells its own; a text's last number, as of a picture's name."""
     of = keyed(content)
-    for key in _NUMBER_KEYS:
+    for key in ("frame", "frameid", "framenumber", "frameindex", "frameidx", "frameno", "imageid"):
         value = of.get(key)
         if isinstance(value, float) and value.is_integer():
             value = int(value)
@@ -193,7 +188,7 @@ def _number_in(content: Any) -> int | None:
         if (
             isinstance(value, str)
             and (match := _LAST_NUMBER.search(value[:300]))
-            and len(match[0]) <= _LONGEST_NUMBER
+            and len(match[0]) <= LIMITS.number_digits
         ):
             return int(match[0])
     return None

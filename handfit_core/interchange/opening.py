@@ -13,17 +13,13 @@ import numpy as np
 from handfit_core.arrays import arrays_of
 from handfit_core.errors import InputError, PictureSizeError
 from handfit_core.files import shown
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
-from handfit_core.interchange.recording import (
-    VIRTUAL_SIZE,
-    Asked,
-    PointsHand,
-    PosedHand,
-    Recording,
-)
+from handfit_core.interchange.recording import VIRTUAL, Asked, PointsHand, Recording
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import MAX_FRAME_NUMBER, MediaInput, open_media, pictures_in
+from handfit_core.media.opening import MediaInput, open_media, pictures_in
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.options import CaptureOptions
 from handfit_core.take import is_take
@@ -48,7 +44,7 @@ class RecordedMedia(Media):
         self.given = given
         self.source = Source("data", recording.files)
         self.fps = recording.fps
-        self.width, self.height = recording.size or VIRTUAL_SIZE
+        self.width, self.height = recording.size or VIRTUAL.size
         wanted = frames or FrameRange()
         self._numbers = [int(n) for n in recording.frame_numbers if int(n) in wanted]
         if not self._numbers:
@@ -116,7 +112,7 @@ def open_input(source: MediaInput, options: CaptureOptions) -> Media:
 def _countable(recording: Recording) -> Recording:
     """A recording whose frames have numbers that Blender's can have, as `open_media` has it of pictures."""
     numbers = recording.frame_numbers
-    if 0 <= numbers[0] <= numbers[-1] <= MAX_FRAME_NUMBER:
+    if 0 <= numbers[0] <= numbers[-1] <= MEDIA.max_frame_number:
         return recording
     said = f"its frames' numbers, up to {numbers[-1]}, are none of Blender's: they are counted from 1"
     counted = np.arange(1, len(numbers) + 1)
@@ -164,7 +160,7 @@ def beside(media: Media, recording: Recording) -> Recording:
     keypoints most of which lie outside them.
     """
     # A video whose header counts no frames has those of which something is told.
-    count = media.expected_frames or min(int(recording.frame_numbers[-1]) + 1, MAX_FRAME_NUMBER)
+    count = media.expected_frames or min(int(recording.frame_numbers[-1]) + 1, MEDIA.max_frame_number)
     numbers = np.asarray(media.numbers(0, count))
     theirs, taken = _as_numbered(media.all_numbers(), np.asarray(recording.frame_numbers))
     if not np.isin(theirs, numbers).any():
@@ -205,16 +201,13 @@ def _as_numbered(pictures: Sequence[int], frames: np.ndarray) -> tuple[np.ndarra
     return taken, (f"its frame {first} is taken for the pictures' frame {taken[0]}, {why}",)
 
 
-_MARGIN: Final = 0.25
-"""of a picture's size, by which keypoints may lie outside"""
-
-
 def _check_inside(recording: Recording) -> None:
     """Raise InputError for keypoints of pictures of another size."""
     if recording.seen is None or recording.size is None:
         return
     points = recording.seen.keypoints[np.isfinite(recording.seen.keypoints).all(axis=-1)]
-    outside = np.any(np.abs(points / recording.size - 0.5) > 0.5 + _MARGIN, axis=1)
+    # Keypoints may lie outside by a quarter of the picture's size.
+    outside = np.any(np.abs(points / recording.size - 0.5) > 0.5 + 0.25, axis=1)
     if len(points) and outside.mean() > 0.5:
         reach = np.abs(points).max(axis=0)
         raise InputError(
@@ -241,7 +234,7 @@ def at_rows(recording: Recording, rows: np.ndarray, numbers: np.ndarray) -> Reco
     )
 
 
-def _hand_at(hand: PointsHand | PosedHand, rows: np.ndarray) -> Any:
+def _hand_at(hand: PointsHand | HandMotion, rows: np.ndarray) -> Any:
     def at(array: np.ndarray) -> np.ndarray:
         taken = np.array(array, dtype=np.float64)[rows]
         taken[rows < 0] = np.nan

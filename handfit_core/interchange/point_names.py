@@ -36,7 +36,6 @@ def _names() -> dict[str, int]:
 
 
 _NAMES: Final = _names()
-_APPLE_FINGERS: Final = dict(zip("TIMRP", FINGERS, strict=True))
 
 
 def point_named(name: str) -> int | None:
@@ -45,7 +44,7 @@ def point_named(name: str) -> int | None:
     if code := _APPLE_CODE.search(name):
         if code[1] == "WRI":
             return 0
-        return _NAMES.get(_APPLE_FINGERS.get(code[1][0], "") + code[1][1:].lower())
+        return _NAMES.get(dict(zip("TIMRP", FINGERS, strict=True)).get(code[1][0], "") + code[1][1:].lower())
     return _NAMES.get(re.sub(r"[^a-z0-9]", "", name.lower()))
 
 

@@ -7,18 +7,33 @@ from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, check_arrays
+from handfit_core.arrays import array, array_dataclass, check_arrays, value
 from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import check_crowd
+from handfit_core.doors.values import one_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
-from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
+from handfit_core.take import TAKE_LIMITS
 
-VIRTUAL_SIZE: Final = (1920, 1080)
-"""Pixels of the picture that a virtual camera takes of hands that no picture belongs to"""
-VIRTUAL_DISTANCE: Final = 0.8
-"""Metres from that camera to hands that have no place of their own"""
+
+@dataclass(frozen=True)
+class Virtual:
+    """The camera that is taken for hands that no picture belongs to."""
+
+    size: tuple[int, int] = (1920, 1080)
+    """Pixels of its picture"""
+    distance: float = 0.8
+    """Metres to hands that have no place of their own"""
+    nearest: float = 0.25
+    """Metres to the nearest hand"""
+    apart: float = 0.35
+    """Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m
+    towards the other hand from its origin, are 0.15 m apart"""
+
+
+VIRTUAL: Final = Virtual()
 
 
 @array_dataclass
@@ -55,7 +70,7 @@ def known(numbers: np.ndarray) -> np.ndarray:
 class PointsHand:
     """One hand's keypoints in space over a recording's T frames."""
 
-    side: Side
+    side: Side = value(one_of(*SIDES))
     points: np.ndarray = array("T", NUM_KEYPOINTS, 3)
     """metres in the camera frame (x right, y down, z forward), MediaPipe's order; NaN: unknown"""
     on_joints: bool = True
@@ -72,27 +87,9 @@ class PointsHand:
         return np.asarray(known(self.points).sum(axis=1) >= LEAST_POINTS)
 
 
-@array_dataclass
-class PosedHand:
-    """One hand's pose in MANO's parameters over a recording's T frames; NaN in frames without it."""
-
-    side: Side
-    global_orient: np.ndarray = array("T", 3)
-    """radians, from the model frame to the camera frame"""
-    hand_pose: np.ndarray = array("T", 45)
-    """radians, MANO's joint order, relative to the flat hand"""
-    transl: np.ndarray | None = array("T", 3, default=None)
-    """metres, camera frame, as a take has it; None: not known, it is put before the camera"""
-    betas: np.ndarray | None = array(NUM_BETAS, default=None)
-    """Of the open hand's or the user's model; None: the mean shape"""
-    confidence: np.ndarray | None = array("T", default=None)
-    """0..1; None: the program does not tell"""
-
-    @property
-    def present(self) -> np.ndarray:
-        """(T,) bool: frames with the hand."""
-        there = known(self.hand_pose) & known(self.global_orient)
-        return there if self.transl is None else there & known(self.transl)
+def usual_place(side: Side) -> np.ndarray:
+    """(3,) metres: the transl, before a virtual camera, of hands whose place is not known."""
+    return np.array([VIRTUAL.apart / 2.0 if side == "left" else -VIRTUAL.apart / 2.0, 0.0, VIRTUAL.distance])
 
 
 @dataclass(frozen=True)
@@ -127,7 +124,8 @@ class Recording:
     seen: SeenHands | None = None
     """Hands in pictures; None: they are in space"""
     points: tuple[PointsHand, ...] = ()
-    posed: tuple[PosedHand, ...] = ()
+    posed: tuple[HandMotion, ...] = ()
+    """Hands with their poses; those whose place is not known lie where `usual_place` has them"""
     size: tuple[int, int] | None = None
     """(width, height) of the upright pictures, pixels; None: not known"""
     intrinsics: Intrinsics | None = None
@@ -142,7 +140,7 @@ class Recording:
             raise ValueError("it has no frames")
         if np.any(np.diff(numbers) <= 0):
             raise ValueError("its frames' numbers do not increase")
-        if not SMALLEST_FPS <= self.fps <= LARGEST_FPS:
+        if not TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps:
             raise ValueError(f"its frame rate is {self.fps:g}")
         if self.size is not None and not all(0 < side < 1 << 24 for side in self.size):
             raise ValueError(f"its pictures have {self.size[0]}x{self.size[1]} pixels")
@@ -155,8 +153,6 @@ class Recording:
                 raise ValueError("its hands are in frames that it does not have")
             check_crowd(numbers[self.seen.row])
         for hand in (*self.points, *self.posed):
-            if hand.side not in SIDES:
-                raise ValueError("a hand's side is neither left nor right")
             check_arrays(hand, ValueError, "its array ", T=count)
 
     @property

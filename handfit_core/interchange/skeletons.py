@@ -10,7 +10,7 @@ import numpy as np
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.hand_model.data import HandModel
-from handfit_core.interchange.recording import PosedHand
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import HandMap, the_surest
 from handfit_core.retarget.names import named_hands
@@ -27,10 +27,6 @@ towards whoever looks, as OpenGL, OpenXR and most motion capture have; z up, y a
 has it"""
 
 _UNITS: Final = {"metres": 1.0, "centimetres": 0.01, "inches": 0.0254, "millimetres": 0.001}
-_LIKELY: Final = 1.35
-"""times our mean hand that other hands are long or short, where a unit is guessed by it"""
-_OURS: Final = 2e-4
-"""metres: bones that differ no more from our model's are our model's"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,7 @@ class AnimatedBones:
 class HandOfBones:
     """A hand that was found in a skeleton."""
 
-    posed: PosedHand
+    posed: HandMotion
     hand_map: HandMap
     unit: float
     """metres that the skeleton's unit is"""
@@ -70,7 +66,7 @@ def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> 
     target = target_hand(bones, hand_map, SourceHand.of(model.shaped(), side))
     unit = unit_of(1.0 / target.scale)
     betas = _own_shape(bones, hand_map, target, model, unit)
-    if betas is not None:
+    if betas.any():
         target = target_hand(bones, hand_map, SourceHand.of(model.shaped(betas), side))
     hand = bones.index[hand_map.bones[0]]
     turned = animated.turned
@@ -79,12 +75,12 @@ def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> 
     fingers = REST_FROM_MODEL.T @ turns[:, 1:] @ REST_FROM_MODEL
     orient = up @ turned[:, hand] @ target.aligned @ REST_FROM_MODEL
     wrist = model.shaped(betas).joints[0]
-    posed = PosedHand(
+    posed = HandMotion(
         side,
+        betas,
         rotmat_to_rotvec(orient),
         rotmat_to_rotvec(fingers).reshape(len(turned), -1),
         animated.heads[:, hand] @ up.T * unit - wrist,
-        betas,
     )
     return HandOfBones(posed, hand_map, unit)
 
@@ -92,7 +88,8 @@ def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> 
 def unit_of(metres: float) -> float:
     """The usual unit that is nearest to `metres`, or that itself where none is near."""
     nearest = min(_UNITS.values(), key=lambda unit: abs(np.log(metres / unit)))
-    return nearest if 1.0 / _LIKELY < metres / nearest < _LIKELY else metres
+    # Times our mean hand that other hands are long or short, where a unit is guessed by it
+    return nearest if 1.0 / 1.35 < metres / nearest < 1.35 else metres
 
 
 def name_of_unit(metres: float) -> str:
@@ -102,29 +99,30 @@ def name_of_unit(metres: float) -> str:
 
 def _own_shape(
     bones: Bones, hand_map: HandMap, target: TargetHand, model: HandModel, unit: float
-) -> np.ndarray | None:
+) -> np.ndarray:
     """The betas (10,) with which the model has bones of these lengths and knuckles in these places, in the
-    skeleton's rest pose; None where it has none, as characters' hands do not."""
+    skeleton's rest pose; zeros where it has none, as characters' hands do not."""
+    betas = np.zeros(NUM_BETAS)
     if "" in hand_map.bones or len(set(hand_map.bones)) != len(hand_map.bones):
-        return None
+        return betas
     heads = bones.heads[[bones.index[name] for name in hand_map.bones]] * unit
     tips = target.tips * unit
     wanted = _lengths(heads, tips, model.side)
     if not np.isfinite(wanted).all():
-        return None
+        return betas
 
     def made(betas: np.ndarray) -> np.ndarray:
         shaped = model.shaped(betas)
         return _lengths(shaped.joints, shaped.tips, model.side)
 
-    betas = np.zeros(NUM_BETAS)
     for _ in range(6):
         off = made(betas)
         slopes = np.stack([(made(betas + step) - off) / 1e-4 for step in 1e-4 * np.eye(NUM_BETAS)], axis=1)
         betas = betas + np.linalg.lstsq(slopes, wanted - off, rcond=1e-6)[0]
         if np.abs(betas).max() > 20.0:
-            return None
-    return betas if np.abs(made(betas) - wanted).max() < _OURS else None
+            return np.zeros(NUM_BETAS)
+    # Metres: bones that differ no more from our model's are our model's
+    return betas if np.abs(made(betas) - wanted).max() < 2e-4 else np.zeros(NUM_BETAS)
 
 
 def _lengths(joints: np.ndarray, tips: np.ndarray, side: Side) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -15,41 +16,21 @@ from handfit_core.interchange.point_names import PointColumn, point_columns, poi
 from handfit_core.interchange.recording import known
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
-_FRAMES: Final = (
-    "frame",
-    "frameid",
-    "framenumber",
-    "frameindex",
-    "frameidx",
-    "frameno",
-    "framenum",
-    "image",
-    "file",
-)
-_TIMES: Final = ("timestamp", "time", "timestampms", "timems", "timestamps", "times", "t")
-_SIDES: Final = (
-    "handedness",
-    "side",
-    "hand",
-    "handlabel",
-    "handside",
-    "label",
-    "type",
-    "handtype",
-    "chirality",
-    "which",
-)
-_HANDS: Final = ("handid", "handindex", "handidx", "handnumber", "handno", "hand", "id")
-_POINTS: Final = (
-    "landmark", "landmarkindex", "landmarkid", "landmarkname", "landmarkidx", "point", "pointid", "pointname",
-    "keypoint", "keypointid", "keypointname", "joint", "jointname", "jointid", "index", "name", "id",
-)  # fmt: skip
-_SCORES: Final = ("score", "handednessscore", "handscore")
-_SURE: Final = ("confidence", "visibility", "likelihood", "conf", "presence", "score")
+_NAMES: Final = {
+    "frame": "frame frameid framenumber frameindex frameidx frameno framenum image file".split(),
+    "time": "timestamp time timestampms timems timestamps times t".split(),
+    "side": "handedness side hand handlabel handside label type handtype chirality which".split(),
+    "hand": "handid handindex handidx handnumber handno hand id".split(),
+    "point": (
+        "landmark landmarkindex landmarkid landmarkname landmarkidx point pointid pointname keypoint "
+        "keypointid keypointname joint jointname jointid index name id"
+    ).split(),
+    "score": "score handednessscore handscore".split(),
+    "confidence": "confidence visibility likelihood conf presence score".split(),
+}
+"""Names of columns by what they hold, in lower case and without what is between words"""
 _AXES: Final = "xyz"
 _NUMBER: Final = re.compile(r"[+-]?\d+(\.\d*)?(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
-LEAST_NAMED: Final = 6
-"""Points that a table's columns must name before it counts as one of hands"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +59,13 @@ def columns_of(table: Table) -> list[PointColumn] | None:
     """The columns of points where each row is a hand or two; None for other tables."""
     columns = point_columns(table.columns)
     named = {column.point for column in columns if column.axis in "xy"}
-    return columns if len(named) >= LEAST_NAMED else None
+    # Points that a table's columns must name before it counts as one of hands
+    return columns if len(named) >= 6 else None
 
 
 def _long(table: Table) -> _Long | None:
     plain_names = {plain(name): name for name in reversed(table.columns)}
-    point = next((plain_names[name] for name in _POINTS if name in plain_names), None)
+    point = next((plain_names[name] for name in _NAMES["point"] if name in plain_names), None)
     axes = []
     for axis in _AXES:
         found = next(
@@ -132,14 +114,14 @@ def hands_of(table: Table) -> TableHands:
     return TableHands(numbers, hands, _rate(table, frames), named_sides, counted)
 
 
-def _column(table: Table, names: tuple[str, ...]) -> str | None:
+def _column(table: Table, names: Iterable[str]) -> str | None:
     plain_names = {plain(name): name for name in reversed(table.columns)}
     return next((plain_names[name] for name in names if name in plain_names), None)
 
 
 def _frames(table: Table) -> np.ndarray | None:
     """(R,) the frame of each row; of a text such as a file's name, its last number. Raises ValueError."""
-    name = _column(table, _FRAMES)
+    name = _column(table, _NAMES["frame"])
     if name is None:
         return None
     numbers = []
@@ -154,7 +136,7 @@ def _frames(table: Table) -> np.ndarray | None:
 
 def _rate(table: Table, frames: np.ndarray) -> float:
     """Frames per second, by a column of times; 0 without one."""
-    name = _column(table, _TIMES)
+    name = _column(table, _NAMES["time"])
     if name is None or len(np.unique(frames)) < 2:
         return 0.0
     return rate_of(frames, table.numbers([name])[:, 0], milliseconds=plain(name).endswith("ms"))
@@ -181,7 +163,7 @@ def rate_of(frames: np.ndarray, times: np.ndarray, *, milliseconds: bool = False
 
 def _sides(table: Table) -> np.ndarray:
     """(R,) which of SIDES each row is of, or UNKNOWN."""
-    for names in _SIDES:
+    for names in _NAMES["side"]:
         name = _column(table, (names,))
         if name is not None:
             texts = table.texts(name)
@@ -195,7 +177,7 @@ def _sides(table: Table) -> np.ndarray:
 
 def _counted_hands(table: Table) -> np.ndarray:
     """(R,) which of a frame's hands each row is of."""
-    name = _column(table, _HANDS)
+    name = _column(table, _NAMES["hand"])
     if name is None:
         return np.zeros(len(table.rows), dtype=int)
     values = table.numbers([name])[:, 0]
@@ -203,7 +185,7 @@ def _counted_hands(table: Table) -> np.ndarray:
 
 
 def _score(table: Table) -> np.ndarray:
-    name = _column(table, _SCORES)
+    name = _column(table, _NAMES["score"])
     return np.full(len(table.rows), np.nan) if name is None else table.numbers([name])[:, 0]
 
 
@@ -279,7 +261,11 @@ def _pointwise(table: Table, long: _Long, frames: np.ndarray) -> tuple[ToldHands
     used = np.flatnonzero((place >= 0) & (place < NUM_KEYPOINTS) & of_hands)
     if not len(used):
         raise ValueError("none of its rows is a hand's point")
-    hand = _counted_hands(table) if _column(table, _HANDS) != long.point else np.zeros(len(sides), dtype=int)
+    hand = (
+        _counted_hands(table)
+        if _column(table, _NAMES["hand"]) != long.point
+        else np.zeros(len(sides), dtype=int)
+    )
     keys = np.column_stack([frames, sides, hand])[used]
     _, start, group = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     group = group.reshape(-1)
@@ -291,7 +277,7 @@ def _pointwise(table: Table, long: _Long, frames: np.ndarray) -> tuple[ToldHands
     numbers = table.numbers(list(long.axes))
     points[group, place[used], : len(long.axes)] = numbers[used]
     sure = np.full(points.shape[:2], np.nan)
-    name = _column(table, _SURE)
+    name = _column(table, _NAMES["confidence"])
     if name is not None:
         sure[group, place[used]] = table.numbers([name])[used, 0]
     rows = used[start]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -15,31 +14,10 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
-from handfit_core.interchange.recording import (
-    LEAST_POINTS,
-    VIRTUAL_DISTANCE,
-    PointsHand,
-    PosedHand,
-    Recording,
-    known,
-)
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_BETAS, NUM_KEYPOINTS, Side
-from handfit_core.solvers import TrackFit
-
-_APART: Final = 0.35
-"""Metres between the origins of a left and a right hand that have no place: their wrists, each 0.1 m towards
-the other hand from its origin, are 0.15 m apart"""
-_UNKNOWN_SIGMA: Final = 1e4
-"""pixels: what is known of a point that is missing"""
-_USUAL_SIGMA: Final = 0.002
-"""metres that points are expected to be off where too few frames tell"""
-_SIGMAS: Final = (0.0005, 0.02)
-"""metres: the least and the most that they are told to be"""
-_ENOUGH: Final = 10
-"""frames"""
-_NEAREST: Final = 0.25
-"""Metres from a virtual camera to the nearest hand"""
+from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL, PointsHand, Recording, known
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
 
 def detected_in(recording: Recording) -> Detected:
@@ -77,10 +55,12 @@ def _sigma_of(points: np.ndarray) -> float:
     lengths = lengths[:, np.isfinite(lengths).any(axis=0)]
     change = np.abs(lengths - np.nanmedian(lengths, axis=0))
     change = change[np.isfinite(change)]
-    if len(points) < _ENOUGH or not len(change):
-        return _USUAL_SIGMA
+    if len(points) < 10 or not len(change):
+        # Metres that points are expected to be off where too few frames tell
+        return 0.002
     # Of a normal distribution's deviations half are less than 0.6745; two ends of a bone err.
-    return float(np.clip(np.median(change) / 0.6745 / np.sqrt(2.0), *_SIGMAS))
+    # Metres: the least and the most that they are told to be
+    return float(np.clip(np.median(change) / 0.6745 / np.sqrt(2.0), 0.0005, 0.02))
 
 
 def _seen_point_by_point(
@@ -95,7 +75,8 @@ def _seen_point_by_point(
     distance = float(along.mean())
     scale = 0.5 * (intrinsics.fx + intrinsics.fy) / distance
     depth = scale * (filled[:, 2] - filled[0, 2])
-    expected = np.where(sure, scale * sigma, _UNKNOWN_SIGMA)
+    # Pixels: what is known of a point that is missing
+    expected = np.where(sure, scale * sigma, 1e4)
     table = np.column_stack([pixels, expected, expected, scale * (along - distance), expected])
     return HandDetection(
         side,
@@ -124,8 +105,8 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
     """The recording with its hands before a camera. Those without a place get one. Others stay where they are
     if they are `placed`, that is, lie beside pictures or as a camera that is known has them, and not behind
     it; else they are brought into a virtual camera's view, all by the same way, which `assumed` tells."""
-    posed = [replace(hand, transl=_place_of(hand)) for hand in recording.posed]
-    places = [hand.transl[hand.present] for hand in posed if hand.transl is not None]
+    posed = [hand.posed_at(hand.present) for hand in recording.posed]
+    places = [hand.transl[hand.present] for hand in posed]
     places += [np.nanmean(hand.points[hand.present], axis=1) for hand in recording.points]
     offset = _before_camera(np.concatenate(places), placed) if places else np.zeros(3)
     if not offset.any():
@@ -134,56 +115,41 @@ def before_camera(recording: Recording, *, placed: bool) -> Recording:
     why = "behind the camera" if placed else "outside the view of a virtual camera"
     return replace(
         recording,
-        posed=tuple(replace(h, transl=h.transl + offset) for h in posed if h.transl is not None),
+        posed=tuple(replace(hand, transl=hand.transl + offset) for hand in posed),
         points=tuple(replace(hand, points=hand.points + offset) for hand in recording.points),
         assumed=(*recording.assumed, f"its hands lie {why}: all are moved before it, by {way} m"),
     )
 
 
-def _place_of(hand: PosedHand) -> np.ndarray:
-    """(T, 3) metres, before a virtual camera where nobody knows; NaN in frames without the hand."""
-    usual = [_APART / 2.0 if hand.side == "left" else -_APART / 2.0, 0.0, VIRTUAL_DISTANCE]
-    return np.where(hand.present[:, None], usual if hand.transl is None else hand.transl, np.nan)
-
-
 def _before_camera(places: np.ndarray, placed: bool) -> np.ndarray:
     """(3,) metres that bring hands at places (N, 3) into a camera's view; zeros for those that stay."""
     low, high = places.min(axis=0), places.max(axis=0)
-    in_view = low[2] >= _NEAREST and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
+    in_view = low[2] >= VIRTUAL.nearest and np.abs([low[:2], high[:2]]).max() < 0.4 * low[2]
     if in_view or (placed and np.median(places[:, 2]) > 0.0):
         return np.zeros(3)
     middle, reach = (low + high) / 2.0, (high - low).max() / 2.0
-    return np.array([0.0, 0.0, VIRTUAL_DISTANCE + 2.0 * reach]) - middle
-
-
-def fit_of(hand: PosedHand) -> TrackFit:
-    """A posed hand as a solver would give it."""
-    there = hand.present[:, None]
-    assert hand.transl is not None
-    return TrackFit(
-        betas=np.zeros(NUM_BETAS) if hand.betas is None else hand.betas,
-        global_orient=np.where(there, hand.global_orient, np.nan),
-        hand_pose=np.where(there, hand.hand_pose, np.nan),
-        transl=np.where(there, hand.transl, np.nan),
-        converged=hand.present,
-    )
+    return np.array([0.0, 0.0, VIRTUAL.distance + 2.0 * reach]) - middle
 
 
 def seen_of(
-    model: HandModel, fit: TrackFit, side: Side, intrinsics: Intrinsics, fps: float, score: np.ndarray | None
+    model: HandModel,
+    motion: HandMotion,
+    intrinsics: Intrinsics,
+    fps: float,
+    score: np.ndarray | None = None,
 ) -> DetectedTrack:
-    """What a detector that errs nowhere would see of fitted hands: with it a take's hand can be fitted again.
+    """What a detector that errs nowhere would see of a hand: with it a take's hand can be fitted again.
     `score` (T,): how sure each frame is; None: certain."""
-    count, rows = len(fit.transl), np.flatnonzero(fit.present)
+    count, rows = len(motion.transl), np.flatnonzero(motion.present)
     points = np.empty((len(rows), NUM_KEYPOINTS, 3))
     if len(rows):
         chain = Chain(model, detector_landmarks())
-        betas, far = np.tile(fit.betas, (len(rows), 1)), fit.transl[rows, 2]
-        posed = fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
-        points = chain.points(chain.state(betas, *posed, far))
+        orient, pose, transl = (each[rows] for each in motion.pose)
+        betas = np.tile(motion.betas, (len(rows), 1))
+        points = chain.points(chain.state(betas, orient, pose, transl, transl[:, 2]))
     certain = np.ones(count) if score is None else np.nan_to_num(score, nan=0.5).clip(0.0, 1.0)
     found: list[HandDetection | None] = [None] * count
     for row, hand in zip(rows, points, strict=True):
-        seen = _seen_point_by_point(side, hand, 0.001, intrinsics)
+        seen = _seen_point_by_point(motion.side, hand, 0.001, intrinsics)
         found[row] = replace(seen, score=float(certain[row]))
-    return DetectedTrack(side, tuple(found), fps, calibrated=False)
+    return DetectedTrack(motion.side, tuple(found), fps, calibrated=False)

@@ -16,11 +16,8 @@ import numpy as np
 from handfit_core.interchange.humanoid import BODY, HumanoidHand, bone_names
 from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, PARENTS, Side
 
-_MOST_BYTES: Final = 1400
-"""of a datagram, so that no network cuts it in two"""
 _BUNDLE: Final = b"#bundle\0" + struct.pack(">Q", 1)
 """What a bundle begins with, to be acted on at once"""
-_UNITY_PARTS: Final = ("Proximal", "Intermediate", "Distal")
 
 
 def unity_names(side: Side) -> tuple[str, ...]:
@@ -28,7 +25,7 @@ def unity_names(side: Side) -> tuple[str, ...]:
     its proximal one there, not its metacarpal."""
     names = [f"{side.title()}Hand"] * NUM_JOINTS
     for finger, joints in FINGER_JOINTS.items():
-        for joint, part in zip(joints, _UNITY_PARTS, strict=True):
+        for joint, part in zip(joints, ("Proximal", "Intermediate", "Distal"), strict=True):
             names[joint] = f"{side.title()}{finger.title()}{part}"
     return tuple(names)
 
@@ -86,7 +83,8 @@ class VmcMotion:
         found = [_BUNDLE]
         for message in told:
             element = struct.pack(">i", len(message)) + message
-            if len(found[-1]) + len(element) > _MOST_BYTES:
+            # Of a datagram, so that no network cuts it in two
+            if len(found[-1]) + len(element) > 1400:
                 found.append(_BUNDLE)
             found[-1] += element
         return found

@@ -10,18 +10,17 @@ import math
 import re
 import struct
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
 _ORIENTATION_TAG = 0x0112
 _EXIF_IFD_TAG = 0x8769
 _FOCAL_35MM_TAG = 0xA405
 _SHORT = 3
-_LONG = 4
 
 
 def read_orientation(data: bytes) -> int:
@@ -46,7 +45,7 @@ def _short(data: bytes, tag: int, within: int | None = None) -> int | None:
             return None
         (directory,) = struct.unpack_from(order + "I", tiff, 4)
         if within is not None:
-            directory = _ifd_value(tiff, order, directory, within, _LONG)
+            directory = _ifd_value(tiff, order, directory, within, 4)
         return None if directory is None else _ifd_value(tiff, order, directory, tag, _SHORT)
     except (struct.error, IndexError, ValueError):
         return None
@@ -75,20 +74,17 @@ def _tiff_block(data: bytes) -> bytes | None:
     """The TIFF structure that holds the EXIF tags, from the container around it."""
     if is_tiff(data):
         return data
-    for container, marker in _MARKERS.items():
+    # The bytes before the tags, by a picture's first bytes
+    for container, marker in {
+        rb"\xff\xd8": rb"\xff\xe1..Exif\0\0",
+        rb"\x89PNG\r\n\x1a\n": rb"eXIf",
+        rb"RIFF.{4}WEBP": rb"EXIF.{4}",
+    }.items():
         if re.match(container, data, re.DOTALL):
             # The chance that these bytes are no EXIF marker is 2^-64.
             found = re.compile(marker + rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)", re.DOTALL).search(data)
-            return data[found.end() : found.end() + _SCAN_BYTES] if found else None
+            return data[found.end() : found.end() + MEDIA.exif_bytes] if found else None
     return None
-
-
-_MARKERS = {
-    rb"\xff\xd8": rb"\xff\xe1..Exif\0\0",
-    rb"\x89PNG\r\n\x1a\n": rb"eXIf",
-    rb"RIFF.{4}WEBP": rb"EXIF.{4}",
-}
-"""The bytes before the tags, by a picture's first bytes"""
 
 
 def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:
@@ -101,12 +97,6 @@ def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> i
     return None
 
 
-FILM_DIAGONAL: Final = math.hypot(36.0, 24.0)
-"""mm; equivalent focal lengths are defined by equal diagonals (CIPA DCG-001)"""
-_SCAN_BYTES: Final = 1 << 20
-"""EXIF tags stand at a file's beginning"""
-
-
 def known_intrinsics(media: Media) -> Intrinsics | None:
     """The camera of a photo or image sequence whose first file names its focal length (EXIF, 35 mm film);
     None where it does not, and for videos. For a picture that was cropped afterwards the result is wrong,
@@ -115,10 +105,11 @@ def known_intrinsics(media: Media) -> Intrinsics | None:
         return None
     try:
         with open(Path(media.source.files[0]), "rb") as stream:
-            focal_mm = read_focal_35mm(stream.read(_SCAN_BYTES))
+            focal_mm = read_focal_35mm(stream.read(MEDIA.exif_bytes))
     except OSError:
         return None
     if focal_mm is None:
         return None
-    focal = focal_mm / FILM_DIAGONAL * math.hypot(media.width, media.height)
+    # In millimetres: equivalent focal lengths are defined by equal diagonals (CIPA DCG-001)
+    focal = focal_mm / math.hypot(36.0, 24.0) * math.hypot(media.width, media.height)
     return Intrinsics(focal, focal, media.width / 2.0, media.height / 2.0)

@@ -5,19 +5,11 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
 
 from handfit_core.errors import OptionError
+from handfit_core.media.settings import MEDIA
 
 _PATTERN = re.compile(r"\s*(?P<first>\d+)?\s*(?:(?P<dash>-)\s*(?P<last>\d+)?)?\s*(?::\s*(?P<step>\d+))?\s*")
-CHUNK_FRAMES: Final = 96
-"""Frames of a clip that are detected together. A chunk begins with a palm detection in the whole picture, as
-every 24th frame has one"""
-_MIN_PART_CHUNKS: Final = 4
-"""To start a process, and to read on to its first frame, should cost less than the detection"""
-
-_MAX_CHARS = 40
-"""Characters; numbers beyond any clip's frames fit in"""
 
 
 @dataclass(frozen=True)
@@ -31,11 +23,11 @@ class FrameRange:
     @classmethod
     def parse(cls, text: str) -> FrameRange:
         """`10-200:2`, `10-200`, `10-`, `-200`, `15`, `:2`. Raises OptionError."""
-        match = _PATTERN.fullmatch(text) if len(text) <= _MAX_CHARS else None
+        match = _PATTERN.fullmatch(text) if len(text) <= MEDIA.max_range_chars else None
         if not match or not text.strip():
             raise OptionError(
-                f"'{text[:_MAX_CHARS]}' is not a frame range; write 10-200, 10-200:2 (every second), 10-, "
-                "-200 or 15"
+                f"'{text[: MEDIA.max_range_chars]}' is not a frame range; write 10-200, "
+                "10-200:2 (every second), 10-, -200 or 15"
             )
         first, last, step = (int(v) if v else None for v in match.group("first", "last", "step"))
         if match["dash"] is None and first is not None:
@@ -76,7 +68,7 @@ def part_ranges(frames: range, most: int) -> list[FrameRange]:
     than its header says. Empty where there are no frames."""
     if not frames:
         return []
-    chunks = frames[::CHUNK_FRAMES]
-    count = max(1, min(most, len(chunks) // _MIN_PART_CHUNKS))
+    chunks = frames[:: MEDIA.chunk_frames]
+    count = max(1, min(most, len(chunks) // MEDIA.min_part_chunks))
     firsts = [chunks[i * len(chunks) // count] for i in range(count)]
     return [FrameRange(a, b - 1) for a, b in pairwise(firsts)] + [FrameRange(firsts[-1])]

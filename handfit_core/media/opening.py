@@ -12,6 +12,7 @@ from handfit_core.errors import InputError
 from handfit_core.files import path_of, shown, why
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import Pictures
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import is_picture, is_video
 from handfit_core.media.source import Media, Wanted
 from handfit_core.media.videos import Video
@@ -23,11 +24,6 @@ VIDEO_SUFFIXES = frozenset(
     f".{name}" for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ogv gif".split(" ")
 )
 
-MAX_FRAME_NUMBER = 1_048_574
-"""Blender's last frame."""
-
-MAX_FRAME_GAP = 10
-"""Mean distance of the frame numbers of a sequence, at most"""
 
 MediaInput = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 
@@ -108,7 +104,7 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
     if len(shapes) != 1 or not _can_be_frames(numbers):
         return None
     span = max(numbers) - min(numbers) + 1
-    return numbers if span <= MAX_FRAME_GAP * len(numbers) else None
+    return numbers if span <= MEDIA.max_frame_gap * len(numbers) else None
 
 
 def numbered_like(file: Path) -> list[tuple[int, Path]]:
@@ -125,7 +121,7 @@ def numbered_like(file: Path) -> list[tuple[int, Path]]:
 
 def _can_be_frames(numbers: Sequence[int]) -> bool:
     """Whether Blender could hold them all, each once."""
-    return max(numbers) <= MAX_FRAME_NUMBER and len(set(numbers)) == len(numbers)
+    return max(numbers) <= MEDIA.max_frame_number and len(set(numbers)) == len(numbers)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

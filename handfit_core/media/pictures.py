@@ -10,13 +10,11 @@ import numpy as np
 
 from handfit_core.errors import InputError
 from handfit_core.media.exif import is_tiff, read_orientation, upright
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import Limit, check_picture, common_limit
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, SourceKind, Wanted
 
 log = logging.getLogger("handfit")
-
-_JPEG_2000 = (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")
-"""What such files begin with. OpenCV 4.11's decoder ends the process on every header that it refuses."""
 
 
 def read_picture(
@@ -35,7 +33,8 @@ def read_picture(
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    if data.startswith(_JPEG_2000):
+    # What such files begin with. OpenCV 4.11's decoder ends the process on every header that it refuses.
+    if data.startswith((b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")):
         raise InputError(f"{path}: JPEG 2000 pictures are not read; save it as .png or .jpg")
     try:
         # From memory, since OpenCV cannot open paths that are not ASCII on Windows.
@@ -52,17 +51,13 @@ def read_picture(
     return np.ascontiguousarray(rgb), orientation
 
 
-_ROWS_AT_ONCE = 256
-"""Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the picture"""
-
-
 def _rgb8(pixels: np.ndarray) -> np.ndarray:
     """OpenCV's (H, W), (H, W, 1|3|4) of any depth, BGR -> (H, W, 3) uint8 RGB, in place where it has that
     form."""
     in_place = pixels.dtype == np.uint8 and pixels.ndim == 3 and pixels.shape[2] == 3
     rgb = pixels if in_place else np.empty((*pixels.shape[:2], 3), dtype=np.uint8)
-    for first in range(0, len(pixels), _ROWS_AT_ONCE):
-        rows = slice(first, first + _ROWS_AT_ONCE)
+    for first in range(0, len(pixels), MEDIA.rows_at_once):
+        rows = slice(first, first + MEDIA.rows_at_once)
         rgb[rows] = _rows_rgb8(pixels[rows])
     return rgb
 

@@ -7,13 +7,12 @@ import threading
 from collections.abc import Generator, Iterable
 from typing import TypeVar
 
+from handfit_core.media.settings import MEDIA
+
 Item = TypeVar("Item")
 
-DEFAULT_DEPTH = 2
-"""Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
 
-
-def read_ahead(items: Iterable[Item], depth: int = DEFAULT_DEPTH) -> Generator[Item, None, None]:
+def read_ahead(items: Iterable[Item], depth: int = MEDIA.read_ahead_frames) -> Generator[Item, None, None]:
     """Yield `items` in order while a thread of its own already fetches up to `depth` of the next.
 
     Meant for `Media.frames()`: decoding leaves Python's lock, so it runs beside the detector. The

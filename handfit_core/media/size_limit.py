@@ -46,8 +46,6 @@ pixel."""
 LONGEST_SIDE: Final = 65_535
 """Pixels; no JPEG is longer"""
 
-_FRAMES_BY_NAME: Final = re.compile(r"%\d*d")
-
 
 def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float | Limit | None:
     """The limit for each of an input's pictures: the one that is given, or that of large files where the
@@ -81,7 +79,7 @@ def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None
     Raises InputError where a frame is larger, and where the file is no video that holds its frames itself: a
     playlist would make FFmpeg open other files and addresses, and a name with %d in it other pictures.
     """
-    if _FRAMES_BY_NAME.search(str(path.absolute())):
+    if re.search(r"%\d*d", str(path.absolute())):
         raise InputError(
             f"{path}: the names of a video and its folders must not have %d in them, which stands for other "
             "files; rename them"

@@ -8,22 +8,17 @@ import sys
 from array import array
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from handfit_core.errors import InputError
 from handfit_core.files import shown
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import check_frame_size, check_video, not_a_video
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
 
 log = logging.getLogger("handfit")
-
-MAX_FPS: Final = 1000.0
-_MAX_JITTER_FRAMES: Final = 1.5
-"""By which a frame may lie before or behind its time in a video of a steady rate"""
-_MIN_SEEK_FRAMES: Final = 500
-"""Shorter videos are read from the beginning as fast as they are sought in"""
 
 
 def _frame_count(path: Path, claimed: float) -> int:
@@ -73,7 +68,7 @@ class Video(Media):
             count = _frame_count(path, capture.get(cv2.CAP_PROP_FRAME_COUNT))
         finally:
             capture.release()
-        if not math.isfinite(fps) or not 0.0 < fps <= MAX_FPS:
+        if not math.isfinite(fps) or not 0.0 < fps <= MEDIA.max_fps:
             log.warning("%s: names no frame rate; %g frames per second are assumed", path, DEFAULT_FPS)
             fps = DEFAULT_FPS
         if frames.first is not None and count > 0 and frames.first > count:
@@ -96,7 +91,7 @@ class Video(Media):
             return
         even = np.linspace(times[0], times[-1], len(times))
         away = float(np.abs(times - even).max() * (len(times) - 1) / max(times[-1] - times[0], 1e-9))
-        if away > _MAX_JITTER_FRAMES:
+        if away > MEDIA.max_jitter_frames:
             raise InputError(
                 f"{self._path}: its frame rate changes on the way (by {away:.0f} frames), so it cannot be "
                 "retimed; convert it to a constant rate, or match the scene to the clip"
@@ -159,7 +154,7 @@ class Video(Media):
         import cv2
 
         capture = cv2.VideoCapture(self._name)
-        times = _times(self._name) if count > _MIN_SEEK_FRAMES else np.empty(0)
+        times = _times(self._name) if count > MEDIA.min_seek_frames else np.empty(0)
         number, can_seek = 0, len(times) == count and max(numbers) <= count
         try:
             for wanted in numbers:

@@ -11,7 +11,9 @@ from typing import Any, Final
 from handfit_core.errors import OptionError, OutputError
 from handfit_core.files import why
 from handfit_core.interchange.commands import add_input, take_of_input
+from handfit_core.interchange.humanoid import hands_of
 from handfit_core.interchange.vmc import VmcMotion
+from handfit_core.pipeline import hand_summaries
 
 _PORT: Final = 39539
 """where VMC's receivers listen"""
@@ -40,9 +42,6 @@ def add_send_command(commands: Any) -> None:
 
 
 def _send(args: argparse.Namespace) -> int:
-    from handfit_core.interchange.humanoid import hands_of
-    from handfit_core.pipeline import hand_summaries
-
     host, port = host_and_port(args.vmc)
     take = take_of_input(args)
     motion = VmcMotion.of(hands_of(take, wrist=args.wrist))

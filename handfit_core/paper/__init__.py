@@ -11,10 +11,6 @@ from handfit_core.solvers import Solver, TrackSolver
 
 _MSE, _GEMAN, _HUBER = ("L-BFGS-B", "mse"), ("L-BFGS-B", "geman_mcclure"), ("L-BFGS-B", "huber")
 _TIPS, _ALL = "error, fingertips counted again", "error of the 21 keypoints"
-_BFGS = "Mean squared error with the BFGS optimizer"
-_IN_RANGE = "A second stage that keeps joints within their range"
-_HELD = "Experiment A, held by a relaxed pose, with a camera stage"
-_BESIDES = {"pose_prior": True, "warm_start": True, "camera_stage": True}
 
 EXPERIMENTS: Final = {
     "paper-a": PaperOptions("A: L-BFGS, Mean Squares", f"Mean squared {_TIPS}", *_MSE, tips=True),
@@ -23,9 +19,25 @@ EXPERIMENTS: Final = {
     "paper-d": PaperOptions("D: Geman-McClure, Plain", f"Geman-McClure {_ALL}", *_GEMAN, tips=False),
     "paper-e": PaperOptions("E: Huber", f"Huber {_TIPS}", *_HUBER, tips=True),
     "paper-f": PaperOptions("F: Huber, Plain", f"Huber {_ALL}", *_HUBER, tips=False),
-    "paper-g": PaperOptions("G: BFGS", _BFGS, "BFGS", "mse", tips=True),
-    "paper-h": PaperOptions("H: Anatomical Stage", _IN_RANGE, *_MSE, tips=False, anatomical_stage=True),
-    "paper-a-plus": PaperOptions("A+: With Pose Prior", _HELD, *_MSE, tips=True, **_BESIDES),
+    "paper-g": PaperOptions(
+        "G: BFGS", "Mean squared error with the BFGS optimizer", "BFGS", "mse", tips=True
+    ),
+    "paper-h": PaperOptions(
+        "H: Anatomical Stage",
+        "A second stage that keeps joints within their range",
+        *_MSE,
+        tips=False,
+        anatomical_stage=True,
+    ),
+    "paper-a-plus": PaperOptions(
+        "A+: With Pose Prior",
+        "Experiment A, held by a relaxed pose, with a camera stage",
+        *_MSE,
+        tips=True,
+        pose_prior=True,
+        warm_start=True,
+        camera_stage=True,
+    ),
 }
 """The paper's experiments as published, and `paper-a-plus`: A with a pull towards a relaxed hand and a last
 stage through the camera"""

@@ -7,9 +7,7 @@ import torch
 
 from handfit_core.hand_model.anatomy import JointLimits
 from handfit_core.layer import rotvec_to_rotmat
-
-PENALTY_WEIGHT = 1.0
-"""mm^2 per unit of exp(radians); the paper names no value"""
+from handfit_core.paper.settings import PAPER
 
 
 class AnatomicalPenalty:
@@ -23,7 +21,7 @@ class AnatomicalPenalty:
     def __call__(self, hand_pose: torch.Tensor) -> torch.Tensor:
         """(B, 45) axis-angle -> scalar."""
         theta = self.angles(hand_pose)
-        return PENALTY_WEIGHT * (torch.exp(self._lower - theta) + torch.exp(theta - self._upper)).sum()
+        return PAPER.penalty_weight * (torch.exp(self._lower - theta) + torch.exp(theta - self._upper)).sum()
 
     def angles(self, hand_pose: torch.Tensor) -> torch.Tensor:
         """(B, 45) axis-angle -> (B, 15, 3) twist, spread, bend; see `hand_model.anatomy`."""

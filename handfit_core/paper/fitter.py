@@ -22,21 +22,11 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import Similarity, align
 from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
 from handfit_core.hand_model.data import HandModel
-from handfit_core.paper.placement import PlacedHand, place, turn_to_ray
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
+from handfit_core.paper.placement import place, turn_to_ray
+from handfit_core.paper.settings import PAPER
 from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
-from handfit_core.solvers import OnFrame, ShouldStop, TrackFit, never
-
-MM = 1000.0
-
-MAX_ITERATIONS = 500
-"""As in the published code."""
-
-PRIOR_TOLERANCE = 1e-5
-"""Relative change of the cost at which the variant with a prior stops; scipy's own, which the published
-experiments use, costs more iterations for a thousandth of the cost."""
-
-SHAPE_FRAMES = 8
-"""So many frames, evenly spread over a clip, decide the hand's one shape."""
+from handfit_core.solvers import OnFrame, ShouldStop, never
 
 
 @dataclass(frozen=True)
@@ -52,7 +42,7 @@ class PaperOptions:
     loss: str
     """mse, geman_mcclure or huber"""
     tips: bool
-    """count the fingertips again, with `losses.TIP_WEIGHT`"""
+    """count the fingertips again, with `tip_weight`"""
     anatomical_stage: bool = False
     """a second stage with joint limits and the 2D error only"""
     pose_prior: bool = False
@@ -126,10 +116,11 @@ class PaperFitter:
     """Fits one hand model, frame by frame. Keeps the torch layer between frames."""
 
     def __init__(self, model: HandModel, options: PaperOptions) -> None:
+        # These need torch, without which the experiments still have names and titles.
         import torch
 
         from handfit_core.layer import HandLayer
-        from handfit_core.paper import losses
+        from handfit_core.paper import anatomical, losses, prior
 
         self._torch = torch
         self._options = options
@@ -139,14 +130,12 @@ class PaperFitter:
         self._loss = losses.with_tips(loss) if options.tips else loss
         self._plain_mse = losses.mse
         if options.anatomical_stage:
-            from handfit_core.paper.anatomical import AnatomicalPenalty
-
-            self._penalty = AnatomicalPenalty(anatomical_axes(model), joint_limits(model.side, model.name))
+            self._penalty = anatomical.AnatomicalPenalty(
+                anatomical_axes(model), joint_limits(model.side, model.name)
+            )
         self._prior = None
         if options.pose_prior:
-            from handfit_core.paper.prior import RelaxedPrior
-
-            self._prior = RelaxedPrior(model)
+            self._prior = prior.RelaxedPrior(model)
 
     def fit(
         self, keypoints: np.ndarray, *, betas: np.ndarray | None = None, start: FrameFit | None = None
@@ -165,7 +154,7 @@ class PaperFitter:
             else:
                 orient, pose = self._prior.unwhiten(variables)
             shape = variables[None, 48:] if fixed is None else fixed
-            residual = (self._layer.keypoints(shape, orient, pose) - target) * MM
+            residual = (self._layer.keypoints(shape, orient, pose) - target) * 1000.0
             return variables, residual, pose
 
         def main_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -206,8 +195,8 @@ class PaperFitter:
 
     def place(
         self, fit: FrameFit, keypoints: np.ndarray, intrinsics: Intrinsics, *, fit_shape: bool
-    ) -> PlacedHand:
-        """Place a fitted hand before a camera, where it meets (21, 3) keypoints in pixels best.
+    ) -> HandMotion:
+        """Place a fitted hand (T = 1) before a camera, where it meets (21, 3) keypoints in pixels best.
 
         With `camera_stage`, pose (and shape, if `fit_shape`) are refined there.
         """
@@ -215,10 +204,12 @@ class PaperFitter:
         towards = turn_to_ray(intrinsics, pixels.mean(axis=0))
         orient = rotmat_to_rotvec(towards @ rotvec_to_rotmat(fit.root_rotation))
         points = self._layer.model.keypoints(fit.betas, orient, fit.hand_pose, np.zeros(3))
-        placed = PlacedHand(fit.betas, orient, fit.hand_pose, place(points, pixels, intrinsics))
+        transl = place(points, pixels, intrinsics)
+        side = self._layer.model.side
+        placed = HandMotion(side, fit.betas, orient[None], fit.hand_pose[None], transl[None])
         if not self._options.camera_stage:
             return placed
-        from handfit_core.paper.through_camera import refine
+        from handfit_core.paper.through_camera import refine  # needs torch
 
         assert self._prior is not None, "the camera stage works on the prior's variables"
         with one_thread():
@@ -238,9 +229,9 @@ class PaperFitter:
     def _minimise(self, cost: Callable[[np.ndarray], tuple[float, np.ndarray]], first: np.ndarray):
         from scipy.optimize import minimize
 
-        options: dict[str, float] = {"maxiter": MAX_ITERATIONS}
+        options: dict[str, float] = {"maxiter": PAPER.max_iterations}
         if self._prior is not None:
-            options["ftol"] = PRIOR_TOLERANCE
+            options["ftol"] = PAPER.prior_tolerance
         with one_thread():
             return minimize(cost, first, jac=True, method=self._options.method, options=options)
 
@@ -249,7 +240,7 @@ def _shape_of_clip(
     fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
 ) -> np.ndarray:
     """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
-    chosen = np.linspace(0, len(keypoints) - 1, min(SHAPE_FRAMES, len(keypoints))).round().astype(int)
+    chosen = np.linspace(0, len(keypoints) - 1, min(PAPER.shape_frames, len(keypoints))).round().astype(int)
     shapes: list[np.ndarray] = []
     for i in chosen:
         shapes.append(fitter.fit(keypoints[i]).betas)
@@ -265,7 +256,7 @@ def fit_track(
     intrinsics: Intrinsics,
     on_frame: OnFrame,
     should_stop: ShouldStop = never,
-) -> TrackFit:
+) -> HandMotion:
     """Fit every detected frame with one shape and place the hand before the camera.
 
     The paper fits single pictures. A clip's hand has one shape: the median of the shapes that a few
@@ -276,14 +267,12 @@ def fit_track(
     found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
     shape = _shape_of_clip(fitter, list(found.values()), should_stop) if len(found) > 1 else None
     fit_shape = shape is None
-    placed: list[PlacedHand] = []
-    converged: list[bool] = []
+    placed: list[HandMotion] = []
     previous: FrameFit | None = None
     for keypoints in found.values():
         start = previous if options.warm_start else None
         fit = previous = fitter.fit(keypoints, betas=shape, start=start)
         placed.append(fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape))
-        converged.append(fit.converged)
         if fit_shape:
             shape = placed[-1].betas
         on_frame()
@@ -291,10 +280,5 @@ def fit_track(
             break
     assert shape is not None, "a track has at least one detection"
     frames, count = list(found)[: len(placed)], len(track.detections)
-    return TrackFit(
-        betas=shape,
-        global_orient=scatter([hand.global_orient for hand in placed], frames, count),
-        hand_pose=scatter([hand.hand_pose for hand in placed], frames, count),
-        transl=scatter([hand.transl for hand in placed], frames, count),
-        converged=scatter(converged, frames, count, False),
-    )
+    poses = (np.concatenate([hand.pose[i] for hand in placed]) for i in range(len(POSE_ARRAYS)))
+    return HandMotion(model.side, shape, *(scatter(rows, frames, count) for rows in poses))

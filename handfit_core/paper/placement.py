@@ -2,30 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis
-
-_ITERATIONS = 10
-_MIN_DEPTH = 0.05
-"""metres; nothing is placed nearer to the camera"""
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedHand:
-    """One hand in the camera frame."""
-
-    betas: np.ndarray
-    """(10,)"""
-    global_orient: np.ndarray
-    """(3,) radians"""
-    hand_pose: np.ndarray
-    """(45,) radians"""
-    transl: np.ndarray
-    """(3,) metres"""
+from handfit_core.paper.settings import PAPER
 
 
 def turn_to_ray(intrinsics: Intrinsics, pixel: np.ndarray) -> np.ndarray:
@@ -54,11 +35,11 @@ def place(points: np.ndarray, keypoints_2d: np.ndarray, intrinsics: Intrinsics) 
     matrix[:, 2] = -rays.reshape(-1)
     right = (rays * points[:, 2:3] - points[:, :2]).reshape(-1)
     transl = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    nearest = -points[:, 2].min() + _MIN_DEPTH
+    nearest = -points[:, 2].min() + PAPER.min_depth
     transl[2] = max(transl[2], nearest)
-    for _ in range(_ITERATIONS):
+    for _ in range(10):
         moved = points + transl
-        depth = np.maximum(moved[:, 2], _MIN_DEPTH)
+        depth = np.maximum(moved[:, 2], PAPER.min_depth)
         residual = (intrinsics.project(moved) - keypoints_2d).reshape(-1)
         jacobian = np.zeros((count, 2, 3))
         jacobian[:, 0, 0] = focal[0] / depth

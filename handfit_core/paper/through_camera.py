@@ -11,25 +11,11 @@ import numpy as np
 import torch
 
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.layer import HandLayer
 from handfit_core.paper.losses import Loss
-from handfit_core.paper.placement import PlacedHand
 from handfit_core.paper.prior import RelaxedPrior
-
-MM = 1000.0
-
-DEPTH_WEIGHT = 0.3
-"""of an error in depth against one in the picture plane"""
-
-TRANSL_SCALE = 0.02
-"""metres per unit of the translation's variables"""
-
-MAX_ITERATIONS = 200
-TOLERANCE = 1e-4
-"""Relative change of the cost at which to stop; a hundred times less doubles the time for 0.1 px"""
-
-_NEAREST = 0.02
-"""metres; points are projected as if no nearer than this, so that a wild step cannot divide by zero"""
+from handfit_core.paper.settings import PAPER
 
 
 def refine(
@@ -38,11 +24,11 @@ def refine(
     loss: Loss,
     keypoints: np.ndarray,
     intrinsics: Intrinsics,
-    start: PlacedHand,
+    start: HandMotion,
     *,
     fit_shape: bool,
-) -> PlacedHand:
-    """Refine a placed hand against (21, 3) keypoints in pixels with depth.
+) -> HandMotion:
+    """Refine a placed hand (T = 1) against (21, 3) keypoints in pixels with depth.
 
     The shape changes only where `fit_shape` says so.
     """
@@ -54,7 +40,7 @@ def refine(
     target_depth = target[:, 2] - target[:, 2].mean()
     first_points = layer.model.keypoints(start.betas, start.global_orient, start.hand_pose, start.transl)
     # So many metres one pixel spans at the hand; fixed, or the hand could shrink its errors by moving.
-    metres = torch.tensor(first_points[:, 2].mean() / np.array([intrinsics.fx, intrinsics.fy]))
+    metres = torch.tensor(first_points[..., 2].mean() / np.array([intrinsics.fx, intrinsics.fy]))
     fixed_betas = torch.tensor(start.betas)[None]
     first_transl = torch.tensor(start.transl)
 
@@ -63,24 +49,25 @@ def refine(
         moved, hand = variables[:3], variables[3:]
         orient, pose = prior.unwhiten(hand)
         betas = hand[None, 48:] if fit_shape else fixed_betas
-        points = layer.keypoints(betas, orient, pose)[0] + first_transl + TRANSL_SCALE * moved
-        pixels = points[:, :2] / points[:, 2:].clamp(min=_NEAREST) * focal + centre
+        points = layer.keypoints(betas, orient, pose)[0] + first_transl + PAPER.transl_scale * moved
+        pixels = points[:, :2] / points[:, 2:].clamp(min=PAPER.nearest) * focal + centre
         in_plane = (pixels - target[:, :2]) * metres
         depth = points[:, 2] - points[:, 2].mean() - target_depth * metres[0]
-        residual = torch.cat([in_plane, DEPTH_WEIGHT * depth[:, None]], dim=-1)[None] * MM
+        residual = torch.cat([in_plane, PAPER.depth_weight * depth[:, None]], dim=-1)[None] * 1000.0
         total = loss(residual) + prior(hand)
         total.backward()
         assert variables.grad is not None
         return total.item(), variables.grad.numpy()
 
-    parts = [np.zeros(3), prior.whiten(start.global_orient, start.hand_pose)]
+    parts = [np.zeros(3), prior.whiten(start.global_orient[0], start.hand_pose[0])]
     first = np.concatenate(parts + ([start.betas] if fit_shape else []))
-    options = {"maxiter": MAX_ITERATIONS, "ftol": TOLERANCE}
+    options = {"maxiter": PAPER.camera_iterations, "ftol": PAPER.camera_tolerance}
     found = minimize(cost, first, jac=True, method="L-BFGS-B", options=options).x
     orient, pose = prior.unwhiten(torch.tensor(found[3:]))
-    return PlacedHand(
+    return HandMotion(
+        side=start.side,
         betas=found[51:] if fit_shape else start.betas,
-        global_orient=orient[0].numpy(),
-        hand_pose=pose[0].numpy(),
-        transl=start.transl + TRANSL_SCALE * found[:3],
+        global_orient=orient.numpy(),
+        hand_pose=pose.numpy(),
+        transl=start.transl + PAPER.transl_scale * found[:3],
     )

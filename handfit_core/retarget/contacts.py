@@ -19,6 +19,7 @@ from there each frame closes again, by small turns, what the mean opened.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator
 from dataclasses import dataclass
 from itertools import combinations
@@ -38,33 +39,50 @@ from handfit_core.slices import map_yields
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) fingers that can touch each other, those with the thumb first"""
 
-TOUCH_GAP: Final = (0.004, 0.012)
-"""metres between skins up to which they touch, and from which they do not"""
-_CROSSED_SHARE: Final = (0.5, 0.8)
-"""Share of the way between two fingers' skins that leads across the palm: up to the first, one finger lies
-over the other; from the second on they lie side by side, which is no touch to keep"""
-BLEND_SECONDS: Final = 0.1
-"""Time for which a touch is kept before and after; it fades in and out for twice as long"""
 
-_THUMB_TURN_COST: Final = ((6.0, 1.0, 1.0), (6.0, 4.0, 1.0), (6.0, 4.0, 1.0))
-"""Diagonal of M of the thumb's three joints: twist, spread and bend"""
-_FINGER_TURN_COST: Final = ((np.inf, 4.0, 2.0), (np.inf, np.inf, 2.0), (np.inf, np.inf, 3.0))
-"""Diagonal of M of the other fingers' joints; infinite: fixed"""
-_OPEN_SHARE: Final = 0.02
-"""e: the share of a gap that stays open where both touch"""
-_SLIDING_SHARE: Final = (0.9, 0.5)
-"""Largest share of a distance along the skins that is closed, in the first pass and in the second: touches of
-several fingers with one thumb cannot all be met in the very same places"""
-_MAX_TURN: Final = np.radians((30.0, 4.0))
-"""radians by which an angle turns at most, from the captured pose in the first pass and from the mean in the
-second: touches that need more are no grip, or would make a jump, and stay open"""
-_MAX_STEPS: Final = 20
-_STEP_TOLERANCE: Final = 1e-6
-"""radians: the search ends at smaller steps"""
-_SOLVE_FRAMES: Final = 32
-"""Frames that are solved in one step of work"""
-_DETECT_FRAMES: Final = 256
-"""Frames in which touches are detected in one step of work"""
+@dataclass(frozen=True)
+class TouchSettings:
+    """Which touches of a character are met, how far its joints turn for them, and how much is solved in one
+    step of work."""
+
+    touch_gap: tuple[float, float] = (0.004, 0.012)
+    """metres between skins up to which they touch, and from which they do not"""
+    crossed_share: tuple[float, float] = (0.5, 0.8)
+    """Share of the way between two fingers' skins that leads across the palm: up to the first, one finger
+    lies over the other; from the second on they lie side by side, which is no touch to keep"""
+    blend_seconds: float = 0.1
+    """Time for which a touch is kept before and after; it fades in and out for twice as long"""
+    thumb_turn_cost: tuple[tuple[float, float, float], ...] = (
+        (6.0, 1.0, 1.0),
+        (6.0, 4.0, 1.0),
+        (6.0, 4.0, 1.0),
+    )
+    """Diagonal of M of the thumb's three joints: twist, spread and bend"""
+    finger_turn_cost: tuple[tuple[float, float, float], ...] = (
+        (math.inf, 4.0, 2.0),
+        (math.inf, math.inf, 2.0),
+        (math.inf, math.inf, 3.0),
+    )
+    """Diagonal of M of the other fingers' joints; infinite: fixed"""
+    open_share: float = 0.02
+    """e: the share of a gap that stays open where both touch"""
+    sliding_share: tuple[float, float] = (0.9, 0.5)
+    """Largest share of a distance along the skins that is closed, in the first pass and in the second:
+    touches of several fingers with one thumb cannot all be met in the very same places"""
+    max_turn: tuple[float, float] = (math.radians(30.0), math.radians(4.0))
+    """radians by which an angle turns at most, from the captured pose in the first pass and from the mean in
+    the second: touches that need more are no grip, or would make a jump, and stay open"""
+    max_steps: int = 20
+    """of the search for an angle"""
+    step_tolerance: float = 1e-6
+    """radians: the search ends at smaller steps"""
+    solve_frames: int = 32
+    """Frames that are solved in one step of work"""
+    detect_frames: int = 256
+    """Frames in which touches are detected in one step of work"""
+
+
+TOUCHES: Final = TouchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +151,8 @@ def finding_touches(
     count = len(turns)
     ends, beside = np.empty((count, len(FINGERS), 2, 3)), np.empty((count, len(FINGERS), 3))
     along, gap = np.empty((count, len(PAIRS), 2)), np.empty((count, len(PAIRS)))
-    for start in range(0, count, _DETECT_FRAMES):
-        some = slice(start, start + _DETECT_FRAMES)
+    for start in range(0, count, TOUCHES.detect_frames):
+        some = slice(start, start + TOUCHES.detect_frames)
         whole, joints = globally(turns[some])[:, last], source.points(turns[some])[0][:, last, None]
         ends[some] = joints + np.einsum("tfab,feb->tfea", whole, skins.ends - source.joints[last, None])
         beside[some] = whole @ across
@@ -145,7 +163,9 @@ def finding_touches(
     places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
     ways = places[:, :, 0] - places[:, :, 1]
     beside = np.abs((_units(ways) * _units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
-    near = _falling(gap, TOUCH_GAP) * np.where(PAIRS[:, 0] == 0, 1.0, _falling(beside, _CROSSED_SHARE))
+    near = _falling(gap, TOUCHES.touch_gap) * np.where(
+        PAIRS[:, 0] == 0, 1.0, _falling(beside, TOUCHES.crossed_share)
+    )
     most = near.copy()
     for first, second, _ in _neighbours(times):
         most[first] = np.maximum(most[first], near[second])
@@ -169,8 +189,10 @@ def keeping_contacts(
     seconds, rising. `keyed` (K,) bool: the bones that may turn more than captured; None: all.
     """
     standing, apart = np.empty((len(turns), len(target.bones), 3, 3)), np.zeros(len(turns))
-    for start in range(0, len(turns), _DETECT_FRAMES):
-        standing[start : start + _DETECT_FRAMES] = target.standing(turns[start : start + _DETECT_FRAMES])
+    for start in range(0, len(turns), TOUCHES.detect_frames):
+        standing[start : start + TOUCHES.detect_frames] = target.standing(
+            turns[start : start + TOUCHES.detect_frames]
+        )
         yield 0.0
     times = np.asarray(times, dtype=np.float64)
     found = yield from map_yields(finding_touches(source, skins, turns, times), lambda: 0.0)
@@ -191,8 +213,8 @@ def keeping_contacts(
 def _slices(value: np.ndarray) -> Generator[tuple[np.ndarray, float], None, None]:
     """The frames whose value (T,) is not zero, some at a time, and which share of them is done with these."""
     rows = np.flatnonzero(value)
-    for start in range(0, len(rows), _SOLVE_FRAMES):
-        yield rows[start : start + _SOLVE_FRAMES], min((start + _SOLVE_FRAMES) / len(rows), 1.0)
+    for start in range(0, len(rows), TOUCHES.solve_frames):
+        yield rows[start : start + TOUCHES.solve_frames], min((start + TOUCHES.solve_frames) / len(rows), 1.0)
 
 
 def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -216,7 +238,7 @@ def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
 
 
 def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(T, ...) means of values (T, ...) over the frames within `BLEND_SECONDS`, nearer ones counting more."""
+    """(T, ...) means of values (T, ...) over the frames within `blend_seconds`, nearer ones counting more."""
     total, count = values.copy(), np.ones(len(times))
     for first, second, share in _neighbours(times):
         shares = share.reshape(-1, *[1] * (values.ndim - 1))
@@ -228,10 +250,10 @@ def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 
 def _neighbours(times: np.ndarray) -> Generator[tuple[slice, slice, np.ndarray], None, None]:
-    """Pairs of frames within `BLEND_SECONDS` of each other, as slices that are one, two, ... frames apart,
-    and their weights: 1 at the same time, 0 from `BLEND_SECONDS` on."""
+    """Pairs of frames within `blend_seconds` of each other, as slices that are one, two, ... frames apart,
+    and their weights: 1 at the same time, 0 from `blend_seconds` on."""
     for step in range(1, len(times)):
-        share = np.maximum(1.0 - (times[step:] - times[:-step]) / BLEND_SECONDS, 0.0)
+        share = np.maximum(1.0 - (times[step:] - times[:-step]) / TOUCHES.blend_seconds, 0.0)
         if not share.any():
             return
         yield slice(0, len(times) - step), slice(step, None), share
@@ -290,7 +312,7 @@ class _Chains:
             lent, above = [joint], target.joints[parent] if parent >= 0 else ()
             while (before := PARENTS[lent[-1]]) and before not in above:
                 lent.append(before)
-            cost = (_THUMB_TURN_COST if finger == "thumb" else _FINGER_TURN_COST)[
+            cost = (TOUCHES.thumb_turn_cost if finger == "thumb" else TOUCHES.finger_turn_cost)[
                 FINGER_JOINTS[finger].index(lent[-1])
             ]
             rows = np.array(lent) - 1
@@ -427,7 +449,7 @@ class _Problem:
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.turn_cost).sum(axis=-1)
         share = along * weights * (self.pairs == 0).any(axis=1)
         rho = [
-            weight / (np.maximum(give, 1e-9) * (1.0 - weight + _OPEN_SHARE))
+            weight / (np.maximum(give, 1e-9) * (1.0 - weight + TOUCHES.open_share))
             for weight, give in ((weights, between), (share, (gives - between) / 2.0))
         ]
         normal = towards[..., :, None] * towards[..., None, :]
@@ -444,12 +466,17 @@ class _Problem:
         chains, turn_cost = self.chains, self.chains.turn_cost
         captured = self.angles[:, chains.bones, chains.which]
         # Angles that are beyond their range already may stay there.
-        low = np.clip(chains.lower - captured, -_MAX_TURN[0], 0.0)
-        high = np.clip(chains.upper - captured, 0.0, _MAX_TURN[0])
-        rho = self.stiffness(self.forward(np.zeros_like(about), jacobian=True)[1], _SLIDING_SHARE[again])
+        low = np.clip(chains.lower - captured, -TOUCHES.max_turn[0], 0.0)
+        high = np.clip(chains.upper - captured, 0.0, TOUCHES.max_turn[0])
+        rho = self.stiffness(
+            self.forward(np.zeros_like(about), jacobian=True)[1], TOUCHES.sliding_share[again]
+        )
         about = np.clip(about, low, high)
         if again:
-            low, high = np.maximum(low, about - _MAX_TURN[1]), np.minimum(high, about + _MAX_TURN[1])
+            low, high = (
+                np.maximum(low, about - TOUCHES.max_turn[1]),
+                np.minimum(high, about + TOUCHES.max_turn[1]),
+            )
         x, damping, left = about.copy(), np.full(len(about), 1e-3), np.arange(len(about))
         own = np.arange(len(turn_cost))
 
@@ -458,7 +485,7 @@ class _Problem:
                 axis=-1
             )
 
-        for _ in range(_MAX_STEPS):
+        for _ in range(TOUCHES.max_steps):
             problem, stiff, here, away = self.subset(left), rho[left], x[left], x[left] - about[left]
             off, slopes = problem.forward(here, jacobian=True)
             flat = slopes.reshape(len(left), -1, len(own))
@@ -474,7 +501,7 @@ class _Problem:
             better = costs[1] < costs[0]
             x[left[better]] = tried[better]
             damping[left] *= np.where(better, 0.1, 10.0)
-            left = left[np.abs(tried - here).max(axis=1) > _STEP_TOLERANCE]
+            left = left[np.abs(tried - here).max(axis=1) > TOUCHES.step_tolerance]
             if not len(left):
                 break
         return x

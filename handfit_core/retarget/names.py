@@ -26,7 +26,6 @@ _WORDS = re.compile(
 )
 _LEFT_OF = {"right": "left", "r": "l", "rt": "lf", "右": "左"}
 _ALIKE = {"pinky": "little", "pinkie": "little", "mid": "middle"}
-_FILLING = {"jnt", "joint", "bone", "bind", "skin"}
 _COPY = re.compile(r"\.\d{3}$")
 _ZEROS = re.compile(r"(?<!\d)0+(?=\d)")
 
@@ -65,7 +64,7 @@ def parsed(name: str) -> Name:
             left += there.upper() if found[0].isupper() else there.title() if found[0].istitle() else there
             continue
         left += found[0]
-        if word not in _FILLING:
+        if word not in {"jnt", "joint", "bone", "bind", "skin"}:
             between = "-" if word.isdigit() and exact[-1:].isdigit() else ""
             exact += between + _ALIKE.get(word, word)
             plain += between + (str(int(word)) if word.isdigit() else _ALIKE.get(word, word))

@@ -24,8 +24,6 @@ _TIP = re.compile(r"(tip|end|nub|leaf|先)[._\s]?(l|r|left|right)?$", re.IGNOREC
 _NO_HAND = re.compile(r"toe|foot|hair|skirt|wing|tail|cloth|feather|足|髪|スカート", re.IGNORECASE)
 _HAND = re.compile(r"hand|wrist|palm|thumb|finger|mitt|手|指", re.IGNORECASE)
 """Words of which a name needs one for two chains to be a mitten: ears, legs and straps come in pairs, too"""
-_MAX_FINGER_BONES = 5
-"""bones in a finger: metacarpal, three, and one at its tip"""
 _FINGERS_FOLLOWED = {
     4: (("index",), ("middle",), ("ring",), ("little",)),
     3: (("index",), ("middle",), ("ring", "little")),
@@ -33,10 +31,6 @@ _FINGERS_FOLLOWED = {
     1: (("index", "middle", "ring", "little"),),
 }
 """Captured fingers that the fingers of a hand follow, by their number without the thumb, from the index on"""
-_MIN_LEANING = 0.02
-"""Bend of the fingers, see `leaning`, below which it does not tell the side"""
-_MIN_CONFIDENCE = 0.2
-"""Least confidence of a hand: feet, jaws and hair stay below"""
 
 
 def structured_hands(bones: Bones, side: Side) -> list[Found]:
@@ -53,7 +47,8 @@ def structured_hands(bones: Bones, side: Side) -> list[Found]:
             guess = _hand(bones, hand, depth)
         except HandModelError:  # bones in one place or on a line are no hand
             continue
-        if guess is not None and guess.sure > _MIN_CONFIDENCE and guess.hand_map.side == side:
+        # Least confidence of a hand: feet, jaws and hair stay below
+        if guess is not None and guess.sure > 0.2 and guess.hand_map.side == side:
             found.append(guess)
     return sorted(found, key=lambda one: -one.sure)
 
@@ -70,7 +65,8 @@ def _chains(bones: Bones, hand: int, depth: np.ndarray) -> list[tuple[list[int],
             if len(stem) + len(own) > 1:
                 return []  # an arm, a spine: what hangs there are no fingers
             open_ends += [(own, [child]) for child in deep]
-        elif len(own) > _MAX_FINGER_BONES:
+        # Bones in a finger: metacarpal, three, and one at its tip
+        elif len(own) > 5:
             return []
         elif bones.children[own[-1]]:
             open_ends.append((stem, [*own, deep[0] if deep else bones.children[own[-1]][0]]))
@@ -160,7 +156,8 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     sides = [parsed(bones.names[bone]).side for bone in (*every, *bones.ancestors(hand))]
     named = next((side for side in sides if side is not None), None)
     lean = leaning(bones, hand_map)
-    if abs(lean) < _MIN_LEANING:
+    # Bend of the fingers, see `leaning`, below which it does not tell the side
+    if abs(lean) < 0.02:
         lean, sure = float(wrist[0]), sure * (1.0 if named else 0.7)
     return Found(replace(hand_map, side=named or ("left" if lean > 0.0 else "right")), sure)
 

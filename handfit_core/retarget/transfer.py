@@ -34,9 +34,6 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, S
 _FOLD_SHARES = {"ring": 0.15, "little": 0.25}
 """Largest share of the first joint's bend that a metacarpal takes over: a fist cups the palm by 10 to 20
 degrees"""
-_TAIL_TOLERANCE = 0.1
-"""Distance from a tail to the next bone, in parts of the bone's length, up to which tails are where bones
-end"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +342,9 @@ def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:
     if len(chain) > 1:
         step = bones.heads[last] - bones.heads[chain[-2]]
         gap = np.linalg.norm(bones.tails[chain[-2]] - bones.heads[last])
-        if gap > _TAIL_TOLERANCE * np.linalg.norm(step):
+        # Distance from a tail to the next bone, in parts of the bone's length, up to which tails are where
+        # bones end
+        if gap > 0.1 * np.linalg.norm(step):
             return bones.heads[last] + 0.8 * step
     return bones.tails[last]
 

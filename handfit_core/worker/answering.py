@@ -1,7 +1,4 @@
-"""What is done for each kind of request.
-
-Imports inside functions keep the worker's start quick: heavy packages load when a request needs them.
-"""
+"""What is done for each kind of request."""
 
 from __future__ import annotations
 
@@ -10,10 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from handfit_core import edit
 from handfit_core.arrays import pack
+from handfit_core.detection import find_in_frame
 from handfit_core.errors import PictureSizeError
 from handfit_core.files import written_whole
+from handfit_core.interchange.opening import RELATIVE, open_input
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.videos import Video
+from handfit_core.options import OPTIONS, CaptureOptions
+from handfit_core.parts import Parts
+from handfit_core.pipeline import capture_to_file, detect_to_file
+from handfit_core.retiming import check_rate, is_other_rate
+from handfit_core.sheet import write_sheet
+from handfit_core.take import Take
 from handfit_core.worker.events import OnProgress
 
 if TYPE_CHECKING:
@@ -33,8 +40,6 @@ def answer(
         case "detect":
             return detect(message, should_stop, on_progress)
         case "refit":
-            from handfit_core import edit
-
             return edit.answer(message, should_stop)
         case "probe":
             return probe(message)
@@ -42,23 +47,17 @@ def answer(
             return find(message)
         case "sheet":
             return sheet(message)
-        case "warm":
-            from handfit_core.worker import checking
-
-            return checking.warm(message, should_stop)
         case _:
-            from handfit_core.worker import checking
+            from handfit_core.worker import checking  # slow to load, with all that fits hands
 
-            return checking.check(should_stop)
+            warm = message["request"] == "warm"
+            return checking.warm(message, should_stop) if warm else checking.check(should_stop)
 
 
 def capture(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
     """Capture as the request says, write the take. Raises what `pipeline.capture` raises, and OutputError."""
-    from handfit_core.options import CaptureOptions
-    from handfit_core.parts import Parts
-    from handfit_core.pipeline import capture_to_file
 
     source, retimed = _source(message), message.get("retimed")
     parts = Parts(message["parts"]) if "parts" in message else None
@@ -83,9 +82,6 @@ def capture(
 def _check_retimed(source: Any, options: Any, rate: float) -> None:
     """Raise what keeps a clip from being retimed to a scene's frames per second, before anything is detected
     in it."""
-    from handfit_core.interchange.opening import open_input
-    from handfit_core.media.videos import Video
-    from handfit_core.retiming import check_rate, is_other_rate
 
     media = open_input(source, options)
     if isinstance(media, Video) and is_other_rate(rate, media.fps):
@@ -97,8 +93,6 @@ def detect(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
     """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
-    from handfit_core.options import CaptureOptions
-    from handfit_core.pipeline import detect_to_file
 
     part = message.get("part")
     return detect_to_file(
@@ -113,8 +107,6 @@ def detect(
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:
     """Open the request's input and read nothing but its first picture. Raises OptionError and InputError."""
-    from handfit_core.interchange.opening import RELATIVE, open_input
-    from handfit_core.options import CaptureOptions
 
     source, limit = _source(message), message.get("max_megapixels")
     try:
@@ -138,8 +130,6 @@ def probe(message: Mapping[str, Any]) -> dict[str, Any]:
 def find(message: Mapping[str, Any]) -> dict[str, Any]:
     """All hands of the first used frame, and a copy of that frame for people to look at. Raises what
     `detection.find_in_frame` raises, and OutputError."""
-    from handfit_core.detection import find_in_frame
-    from handfit_core.options import CaptureOptions
 
     picture = message.get("picture")
     frame, hands = find_in_frame(_source(message), CaptureOptions.of_message(message.get("options") or {}))
@@ -163,9 +153,6 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
 
 def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
     """Write the contact sheet of a take. Raises TakeError and OutputError."""
-    from handfit_core.options import OPTIONS
-    from handfit_core.sheet import write_sheet
-    from handfit_core.take import Take
 
     limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
     return {"frames": write_sheet(Take.load(message["take"]), message["output"], max_megapixels=limit)}

@@ -18,9 +18,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.detect.landmark_model import landmark_model_path, landmarks_2020_path
+from handfit_core.detect.opening import open_detector
+from handfit_core.edit import warm_up
+from handfit_core.edit.refit import seen_hand
 from handfit_core.errors import Cancelled, HandfitError
+from handfit_core.fit.fast import fitter_of
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND, load_model
+from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.version import __version__
 
@@ -72,7 +78,6 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
     The request's `model` is the hand model that re-fits will use, null for the open hand. Raises
     LandmarkModelError, HandModelError, Cancelled, and ImportError where a package is missing.
     """
-    from handfit_core.edit import warm_up
 
     started = time.perf_counter()
     model = message.get("model") or OPEN_HAND
@@ -86,8 +91,6 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
 
 def blank_picture_hands() -> int:
     """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
-    from handfit_core.detect.opening import open_detector
-    from handfit_core.options import CaptureOptions
 
     with open_detector(CaptureOptions(plain_detection=True)) as finder:
         return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
@@ -96,14 +99,14 @@ def blank_picture_hands() -> int:
 def synthetic_fit_error_mm(side: Side = "right") -> float:
     """Mean distance in mm of the 21 keypoints that the fast solver finds, from those of the relaxed open hand
     that was projected for it, laid over each other."""
-    from handfit_core.edit.refit import seen_hand
-    from handfit_core.fit.fast import fit_frames
 
     model = load_model(None, side)
     hand = seen_hand(model, OPEN_HAND, side)
-    fits = fit_frames(model, [d for d in hand.detections if d is not None], hand.intrinsics)
-    found = model.keypoints(fits.betas[0], fits.global_orient, fits.hand_pose, fits.transl)[0]
-    true = model.keypoints(None, hand.global_orient, hand.hand_pose, hand.transl)[0]
+    fitter = fitter_of(model)
+    seen = fitter.observe([d for d in hand.detections if d is not None], hand.intrinsics)
+    betas, *pose = fitter.chain.parameters(fitter.solve_pictures(seen)[1].state)
+    found = model.keypoints(betas[0], *pose)[0]
+    true = model.keypoints(None, *hand.pose)[0]
     laid = align(found, true, with_scale=True).apply(found)
     return float(np.linalg.norm(laid - true, axis=1).mean() * 1e3)
 
@@ -120,14 +123,12 @@ def _torch() -> str:
 
 
 def _landmark_model() -> str:
-    from handfit_core.detect.landmark_model import landmark_model_path
 
     path = landmark_model_path()
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 
 def _landmarks_2020() -> str:
-    from handfit_core.detect.landmark_model import landmarks_2020_path
 
     if (path := landmarks_2020_path()) is None:
         return "not there or not whole; all works without, but depths are less exact"
@@ -150,7 +151,6 @@ def _solver() -> str:
 
 
 def _refitting() -> str:
-    from handfit_core.edit import warm_up
 
     warm_up()
     started = time.perf_counter()

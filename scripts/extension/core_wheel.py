@@ -18,11 +18,11 @@ BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/network/")
 """What only a checkout has."""
 
-LANDMARK_MODEL = f"handfit_core/detect/data/{landmark_model.FILE_NAME}"
+LANDMARK_MODEL = f"handfit_core/detect/data/{landmark_model.TASK.name}"
 """`landmark_model_path()` looks there."""
 LANDMARK_MODEL_SHA256 = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
 
-LANDMARKS_2020 = f"handfit_core/detect/data/{landmark_model.FILE_NAME_2020}"
+LANDMARKS_2020 = f"handfit_core/detect/data/{landmark_model.NETWORK_2020.name}"
 """`landmarks_2020_path()` looks there."""
 LANDMARK_MODELS = (LANDMARK_MODEL, LANDMARKS_2020)
 
@@ -108,7 +108,7 @@ def checked_landmark_models() -> tuple[Path, Path]:
     first, second = landmark_model.cached_path(), landmark_model.cached_path_2020()
     for path, sha256, make in (
         (first, LANDMARK_MODEL_SHA256, assemble),
-        (second, landmark_model.SHA256_2020, assemble_2020),
+        (second, landmark_model.NETWORK_2020.sha256, assemble_2020),
     ):
         if not has_sum(path, sha256):
             make(path)

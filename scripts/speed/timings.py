@@ -12,7 +12,15 @@ import numpy as np
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.detection import detect_frames
-from handfit_core.fit.fast import fit_frames
+from handfit_core.fit.doubt import (
+    crop_spread_factor,
+    doubtful,
+    evidence,
+    expected_error,
+    lifted_thumb_factor,
+    side_logits,
+)
+from handfit_core.fit.fast import fitter_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.media.frame_range import FrameRange
@@ -118,8 +126,13 @@ class Hand:
 
     def fast_quality(self) -> tuple[float, float]:
         """Shares of the fast solver's fits that converged and that it doubts, over all detections."""
-        fits = fit_frames(self.model, self.detections, self.intrinsics)
-        return float(fits.solution.converged.mean()), float(fits.doubtful.mean())
+        fitter = fitter_of(self.model)
+        seen, solution = fitter.solve_pictures(fitter.observe(self.detections, self.intrinsics))
+        logits = side_logits(self.detections, self.model.side)
+        features = evidence(seen, fitter.chain.points(solution.state), logits)
+        factor = crop_spread_factor(self.detections) * lifted_thumb_factor(seen)
+        doubted = doubtful(expected_error(features, factor))
+        return float(solution.converged.mean()), float(doubted.mean())
 
 
 def find_hand(source: str, frames: FrameRange | None = None, model: str | None = None) -> Hand:
@@ -155,8 +168,8 @@ def time_solvers(
         return lambda number: solve(hand.model, hand.single(frames[number]), hand.intrinsics, lambda: None)
 
     def batch(size: int) -> Callable[[int], object]:
-        detections = hand.batch(size)
-        return lambda _: fit_frames(hand.model, detections, hand.intrinsics)
+        fitter, detections = fitter_of(hand.model), hand.batch(size)
+        return lambda _: fitter.solve_pictures(fitter.observe(detections, hand.intrinsics))
 
     contenders = [
         *(Contender(name, alone(name)) for name in slow),

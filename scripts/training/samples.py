@@ -10,7 +10,7 @@ import numpy as np
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import mean_detection
-from handfit_core.detect.networks import HAND_INPUT_PX, Networks, augmented_crops, crop_around, square_around
+from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around, square_around
 from handfit_core.detect.search import SEARCH
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import SIDES, other_side
@@ -99,7 +99,7 @@ def _detection_near(
     first = Crop.of_square(
         middle + rng.normal(size=2) * _OFF * span,
         span * float(np.exp(rng.normal() * _LARGER)),
-        HAND_INPUT_PX,
+        NETWORK.hand_input_px,
         turn=turn + rng.normal() * _TURNED,
     )
     prediction = networks.predict(rgb, first)

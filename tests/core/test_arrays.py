@@ -19,13 +19,14 @@ from handfit_core.arrays import (
     declared,
     kept_arrays,
     pack,
-    packed_arrays,
+    packed,
     reading_arrays,
     unpack,
-    unpacked_arrays,
+    unpacked,
+    value,
 )
 from handfit_core.doors.npz import NotNpz, NpzArchive
-from handfit_core.doors.values import Unfit
+from handfit_core.doors.values import Unfit, number, one_of
 from handfit_core.errors import ProtocolError, TakeError
 from handfit_core.slices import run_to_completion
 
@@ -35,13 +36,14 @@ SEEN = np.array([True, True, False, True])
 
 @array_dataclass
 class Motion:
-    side: str
+    side: str = value(one_of("left", "right"))
     betas: np.ndarray = array(10, finite="all", most=1e3)
     pose: np.ndarray = array("T", 45, finite="seen", sent=np.float32)
     seen: np.ndarray = array("T", kind="b", most_rows=1000)
     first: np.ndarray = array("N", kind="i", most_rows=5)
     depth: np.ndarray | None = array("T", 21, default=None)
     start: np.ndarray = array(2, 3, default=0.0)
+    fps: float = value(number, default=25.0, least=1.0, most=100.0)
 
 
 def motion(**changes: Any) -> Motion:
@@ -99,6 +101,8 @@ def test_what_is_as_declared(changes: dict[str, Any]) -> None:
         ({"first": np.array([2**64 - 1], dtype=np.uint64)}, "first holds numbers beyond 1e+09"),
         ({"depth": np.zeros((ROWS + 1, 21))}, f"depth has shape ({ROWS + 1}, 21), expected ({ROWS}, 21)"),
         ({"depth": np.full((ROWS, 21), -np.inf)}, "depth holds numbers beyond 1e+09"),
+        ({"side": "both"}, "side must be left or right, not 'both'"),
+        ({"fps": 0.5}, "fps must be a finite number from 1 to 100, not 0.5"),
     ],
     ids=lambda value: str(value)[:50],
 )
@@ -117,20 +121,20 @@ def test_sizes_that_are_known_and_errors_of_its_own() -> None:
 @pytest.mark.parametrize("depth", [None, np.ones((ROWS, 21))], ids=["absent", "present"])
 def test_they_come_back(depth: np.ndarray | None) -> None:
     one = motion(depth=depth)
-    message = json.loads(json.dumps(packed_arrays(one), allow_nan=False))
+    message = json.loads(json.dumps(packed(one), allow_nan=False))
     assert message["pose"]["dtype"] == "float32"
     stream = io.BytesIO()
     np.savez(stream, **kept_arrays(one, "hand0_", np.float32))
     archive = NpzArchive(stream.getvalue(), 100_000)
     for found in (
-        unpacked_arrays(Motion, message),
+        unpacked(Motion, message),
         run_to_completion(reading_arrays(Motion, archive, "hand0_")),
     ):
-        back = Motion("left", **found)
+        back = Motion(**{"side": "left"} | found)
         check_arrays(back, T=ROWS)
-        for name, value in arrays_of(one).items():
-            np.testing.assert_allclose(getattr(back, name), value, rtol=1e-6)
-            assert getattr(back, name).dtype == value.dtype
+        for name, rows in arrays_of(one).items():
+            np.testing.assert_allclose(getattr(back, name), rows, rtol=1e-6)
+            assert getattr(back, name).dtype == rows.dtype
         assert (back.depth is None) == (depth is None)
 
 
@@ -149,16 +153,33 @@ def test_what_is_refused_before_it_is_made(changes: dict[str, Any], of_messages:
     given = {name: value for name, value in (arrays_of(motion()) | changes).items() if value is not None}
     if of_messages:
         with pytest.raises(ProtocolError, match=of_messages):
-            unpacked_arrays(Motion, {name: pack(value) for name, value in given.items()}, "refit: ")
+            unpacked(Motion, {"side": "left"} | {n: pack(a) for n, a in given.items()}, "refit: ")
     stream = io.BytesIO()
     np.savez_compressed(stream, **{f"hand0_{name}": value for name, value in given.items()})
     with pytest.raises((KeyError, NotNpz), match=of_files):
         run_to_completion(reading_arrays(Motion, NpzArchive(stream.getvalue(), 100_000), "hand0_"))
 
 
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"side": None}, "refit: side must be left or right, not None"),
+        ({"fps": "25"}, "refit: fps must be a finite number, not '25'"),
+    ],
+)
+def test_values_in_messages(changes: dict[str, Any], said: str) -> None:
+    message = packed(motion(fps=30.0))
+    assert (message["side"], message["fps"]) == ("left", 30.0)
+    assert unpacked(Motion, {**message, "fps": 500})["fps"] == 500.0  # `check_arrays` refuses it
+    assert "fps" not in unpacked(Motion, {name: each for name, each in message.items() if name != "fps"})
+    with pytest.raises(ProtocolError) as caught:
+        unpacked(Motion, message | changes, "refit: ")
+    assert str(caught.value) == said
+
+
 def test_a_message_names_the_array_that_is_none() -> None:
     with pytest.raises(ProtocolError, match=r"^refit: betas: an array in a message must be"):
-        unpacked_arrays(Motion, {**packed_arrays(motion()), "betas": [0.0] * 10}, "refit: ")
+        unpacked(Motion, {**packed(motion()), "betas": [0.0] * 10}, "refit: ")
 
 
 @pytest.mark.parametrize("dtype", ["bool", "uint8", "int32", "int64", "float32", "float64"])
@@ -181,9 +202,9 @@ def test_nan_order_and_bytes_of_arrays() -> None:
 
 
 def test_arrays_of_objects_are_not_packed() -> None:
-    for value in (np.array(["a"]), np.array([None]), np.array([1j])):
+    for held in (np.array(["a"]), np.array([None]), np.array([1j])):
         with pytest.raises(ProtocolError, match="float64; not"):
-            pack(value)
+            pack(held)
 
 
 @pytest.mark.parametrize(

@@ -205,8 +205,8 @@ points = np.concatenate([hand.keypoints_2d, hand.keypoints_depth[..., None]], ax
 detections = tuple(HandDetection(hand.side, *one) for one in zip(hand.score, points, hand.world_landmarks))
 pins = np.full((len(points), 21, 2), np.nan)
 pins[2, 8] = hand.keypoints_2d[2, 8] + 10.0
-rest = pins, hand.global_orient, hand.hand_pose, hand.transl, np.zeros(16, dtype=bool)
-corrected = RefineHand(hand.side, hand.betas, take.intrinsics, detections, *rest)
+rest = take.intrinsics, detections, pins, np.zeros(16, dtype=bool)
+corrected = RefineHand(hand.side, hand.betas, *hand.pose, *rest)
 warm_up()
 for found in (refit_each(corrected), refit_range(corrected)):
     assert found.present.all()

@@ -15,8 +15,9 @@ import pytest
 
 from handfit_core.errors import Cancelled, InputError, OptionError
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.frame_range import CHUNK_FRAMES, FrameRange, part_ranges
+from handfit_core.media.frame_range import FrameRange, part_ranges
 from handfit_core.media.opening import open_media
+from handfit_core.media.settings import MEDIA
 from handfit_core.options import CaptureOptions
 from handfit_core.parts import Part, Parts, chunks_in
 from handfit_core.pipeline import Progress, capture_to_file, detect_to_file
@@ -80,7 +81,7 @@ def test_ranges_that_fit_no_chunk(clip: Path, captured: bytes, ranges: list[str]
     for i, text in enumerate(ranges):
         paths.append(tmp_path / f"{i}.npz")
         done = detect_to_file(clip, paths[-1], ALONE, FrameRange.parse(text))
-        assert done["frames"] == 0 or done["first"] % CHUNK_FRAMES == 1
+        assert done["frames"] == 0 or done["first"] % MEDIA.chunk_frames == 1
     assert solved(clip, paths, tmp_path) == captured
 
 
@@ -254,8 +255,8 @@ def test_where_the_header_does_not_tell_how_long_a_clip_is(clip: Path) -> None:
 def test_proposed_ranges_tile_a_clip(frames: range, most: int) -> None:
     parts = part_ranges(frames, most)
     assert 1 <= len(parts) <= most
-    counts = [sum(number in part for number in frames[::CHUNK_FRAMES]) for part in parts]
-    assert sum(counts) == len(frames[::CHUNK_FRAMES])
+    counts = [sum(number in part for number in frames[:: MEDIA.chunk_frames]) for part in parts]
+    assert sum(counts) == len(frames[:: MEDIA.chunk_frames])
     assert max(counts) - min(counts) <= 1
     assert len(parts) == 1 or (min(counts) >= 4 and (len(parts) == most or max(counts) < 8))
     assert parts[0].first == frames[0]

@@ -32,12 +32,13 @@ from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import hand_summaries
 from handfit_core.registry import Registry
-from handfit_core.solvers import SOLVERS, Solver, TrackFit, TrackSolver, get_solver
+from handfit_core.solvers import SOLVERS, Solver, TrackSolver, get_solver
 from handfit_core.sources import _rate
 from tests.conftest import ROOT
 
@@ -181,7 +182,7 @@ def test_a_take_keeps_what_the_solver_was_given(
     def watched(name: str, *options: Any) -> TrackSolver:
         solve = get_solver(name, *options)
 
-        def solver(*arguments: Any, **named: Any) -> TrackFit:
+        def solver(*arguments: Any, **named: Any) -> HandMotion:
             given.append(arguments[1])
             return solve(*arguments, **named)
 
@@ -271,7 +272,7 @@ def test_filled_frames_have_a_pose_but_nothing_seen() -> None:
     rows = [np.array(a[:3]) for a in (truth.global_orient, truth.hand_pose, truth.transl)]
     for row in rows:
         row[2] = np.nan
-    fit = TrackFit(truth.betas, *rows, converged=np.array([True, False, False]))
+    fit = HandMotion("right", truth.betas, *rows)
     camera = Intrinsics.assumed(640, 480)
     track = hand_track(load_model(None, "right"), DetectedTrack("right", (found, None, None)), fit, camera)
     np.testing.assert_array_equal(track.detected, [True, False, False])

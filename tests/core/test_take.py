@@ -16,7 +16,7 @@ import pytest
 from handfit_core.errors import OutputError, TakeError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import Source
-from handfit_core.take import FORMAT_VERSION, MOST_HANDS, HandTrack, Take, is_take
+from handfit_core.take import FORMAT_VERSION, TAKE_LIMITS, HandTrack, Take, is_take
 
 FRAMES = 4
 SHAPES = {
@@ -459,9 +459,12 @@ def test_a_small_file_takes_no_more_memory_than_small_takes(tmp_path: Path) -> N
 
 def test_a_take_holds_so_many_hands(tmp_path: Path) -> None:
     hand = track()
-    assert len(Take.load(take(hands=(hand,) * MOST_HANDS).save(tmp_path / "a.npz")).hands) == MOST_HANDS
+    assert (
+        len(Take.load(take(hands=(hand,) * TAKE_LIMITS.max_hands).save(tmp_path / "a.npz")).hands)
+        == TAKE_LIMITS.max_hands
+    )
     with pytest.raises(TakeError, match="at most 200 hands, not 201"):
-        take(hands=(hand,) * (MOST_HANDS + 1))
+        take(hands=(hand,) * (TAKE_LIMITS.max_hands + 1))
 
 
 def test_what_nobody_could_read_is_not_saved(tmp_path: Path) -> None:

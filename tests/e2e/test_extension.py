@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.detect.landmark_model import SHA256_2020
+from handfit_core.detect.landmark_model import NETWORK_2020
 from scripts.build_extension import build, this_platform
 from scripts.extension import wheels
 from scripts.extension.core_wheel import (
@@ -96,7 +96,7 @@ def test_the_core_is_its_source_with_the_models_and_without_evaluation_and_netwo
         models = [wheel.read(name) for name in (LANDMARK_MODEL, LANDMARKS_2020)]
         names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     sums = [hashlib.sha256(content).hexdigest() for content in models]
-    assert sums == [LANDMARK_MODEL_SHA256, SHA256_2020]
+    assert sums == [LANDMARK_MODEL_SHA256, NETWORK_2020.sha256]
     assert {name for name in names if not name.endswith(".py")} == {
         "handfit_core/py.typed",
         "handfit_core/detect/data/LICENSE-landmark-model.txt",

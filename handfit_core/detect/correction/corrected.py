@@ -15,20 +15,9 @@ from handfit_core.detect.keypoints import HandDetection, Landmarked
 from handfit_core.geometry.crossing import Crossing
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
 
-_KNUCKLES: Final = [5, 9, 13, 17]
 _THUMB: Final = [2, 3, 4]
-
-LEAST_SIGMA: Final = 0.1
-"""Pixels; the least expected error, or landmarks in one place would be surer than anything"""
 BATCH: Final = 512
 """Detections in one forward pass; bounds the memory"""
-DETECTOR_ODDS: Final = 3.0
-"""Factor on the network's odds for the detector's side. The network was trained on painted pictures, where
-the detector names the wrong side five times as often as in photos"""
-
-OVERLAPPED: Final = 4.0
-"""Factor on the expected errors of points that lie on another hand: the detector finds one hand at a time,
-and takes fingers of the other for that one's. Guessed points have it, too"""
 
 
 @dataclass(frozen=True)
@@ -72,6 +61,12 @@ class Trust:
     there than in the painted pictures that the network knows"""
     floor: float = 0.006
     """Hand sizes in the picture; the least expected error"""
+    detector_odds: float = 3.0
+    """Factor on the network's odds for the detector's side. The network was trained on painted pictures,
+    where the detector names the wrong side five times as often as in photos"""
+    overlapped: float = 4.0
+    """Factor on the expected errors of points that lie on another hand: the detector finds one hand at a
+    time, and takes fingers of the other for that one's. Guessed points have it, too"""
 
 
 TRUST: Final = Trust()
@@ -95,7 +90,7 @@ def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = T
     if not overlapped:
         return landmarks
     factor = np.ones(landmarks.depth.shape)
-    factor[list(overlapped)] = np.where(list(overlapped.values()), OVERLAPPED, 1.0)
+    factor[list(overlapped)] = np.where(list(overlapped.values()), TRUST.overlapped, 1.0)
     return replace(
         landmarks,
         pixel_sigma=landmarks.pixel_sigma * factor[..., None],
@@ -110,7 +105,7 @@ def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]
     for part in slices(len(detections), BATCH):
         found, probabilities = _correct_batch(detections[part], sides[part], TRUST)
         for detection, row, probability in zip(detections[part], found.table, probabilities, strict=True):
-            odds = DETECTOR_ODDS * probability / max(1.0 - probability, 1e-9)
+            odds = TRUST.detector_odds * probability / max(1.0 - probability, 1e-9)
             right = float(odds / (1.0 + odds))
             judged.append(replace(detection, right_side=right, corrected=(detection.side, row)))
     return judged
@@ -153,8 +148,9 @@ def _correct_batch(
         depths_apart[asked] = SECOND.depth_doubted * np.abs(difference)
         doubted[asked] = np.clip(apart / SECOND.doubted, 1.0, SECOND.most_doubted)[asked]
     points = seen.to_picture(canonical_points)
-    sigma = np.maximum(np.maximum(correction.sigma, trust.floor) * seen.size[:, None, None], LEAST_SIGMA)
-    sigma[:, _KNUCKLES] *= trust.knuckles
+    # The least expected error is in pixels, or landmarks in one place would be surer than anything
+    sigma = np.maximum(np.maximum(correction.sigma, trust.floor) * seen.size[:, None, None], 0.1)
+    sigma[:, [5, 9, 13, 17]] *= trust.knuckles
     plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
     plane *= doubted[:, None, None]
     depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)

@@ -13,15 +13,8 @@ from handfit_core.evaluate.labels import Dataset, Labels, MeshLabel, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-KIND = "freihand"
-LAYOUT = (
-    "FreiHAND's layout: training/rgb/00000000.jpg ..., training_K.json, training_xyz.json, and likewise "
-    "evaluation/rgb, evaluation_K.json, evaluation_xyz.json (also *_scale.json, *_verts.json)"
-)
 SPLITS = ("evaluation", "training")
 
-TRAINING_LABELS = 32560
-"""The released training set shows each of them four times, before other backgrounds."""
 
 _COPIES = 4
 
@@ -41,12 +34,12 @@ def read(root: Path, split: str | None = None) -> Dataset:
     Only K is read now: it is small, and tells how many labels there are. Raises DatasetError,
     OptionError.
     """
-    split = reading.split_of(root, split, SPLITS, "{0}_xyz.json", "{0}/rgb", LAYOUT)
+    split = reading.split_of(root, split, SPLITS, "{0}_xyz.json", "{0}/rgb", READER.layout)
     folder = root / split / "rgb"
     if not folder.is_dir() and (root / "rgb").is_dir():
         folder = root / "rgb"
     if not folder.is_dir():
-        raise reading.lacks(root, f"{split}/rgb", LAYOUT)
+        raise reading.lacks(root, f"{split}/rgb", READER.layout)
     labels = _Labels(root, split)
     count = len(labels.cameras)
 
@@ -62,7 +55,7 @@ def read(root: Path, split: str | None = None) -> Dataset:
     )
     return Dataset(
         name=f"FreiHAND ({split})",
-        kind=KIND,
+        kind="freihand",
         root=root,
         entries=entries,
         problems=problems,
@@ -80,7 +73,8 @@ def _picture_limit(split: str, count: int, pictures: Iterable[Path]) -> int:
     be wrong and pair pictures with others' labels, so copies are trusted only where they are complete.
     """
     last = 1 + max((int(p.stem) for p in pictures if p.stem.isascii() and p.stem.isdigit()), default=-1)
-    complete = count == TRAINING_LABELS or (count > 0 and last % count == 0 and last <= _COPIES * count)
+    # The released training set shows each of them four times, before other backgrounds.
+    complete = count == 32560 or (count > 0 and last % count == 0 and last <= _COPIES * count)
     return _COPIES * count if split == "training" and complete else count
 
 
@@ -89,15 +83,15 @@ class _Labels:
 
     def __init__(self, root: Path, split: str) -> None:
         self._files = {name: root / f"{split}_{name}.json" for name in ("K", "xyz", "verts")}
-        self.cameras = reading.read_json_arrays(self._files["K"], LAYOUT)
+        self.cameras = reading.read_json_arrays(self._files["K"], READER.layout)
         self._joints = reading.once(self._read_joints)
         # In single precision, as thousands of meshes stay in memory.
         self._vertices = reading.once(
-            lambda: reading.read_json_arrays(self._files["verts"], LAYOUT, np.float32)
+            lambda: reading.read_json_arrays(self._files["verts"], READER.layout, np.float32)
         )
 
     def _read_joints(self) -> list[np.ndarray | None]:
-        joints = reading.read_json_arrays(self._files["xyz"], LAYOUT)
+        joints = reading.read_json_arrays(self._files["xyz"], READER.layout)
         if len(joints) != len(self.cameras):
             raise DatasetError(
                 f"{self._files['xyz']}: {len(joints)} labels, but {len(self.cameras)} cameras in "
@@ -118,4 +112,10 @@ class _Labels:
         return reading.vertices(where, meshes[index] if index < len(meshes) else None)
 
 
-READER = Reader(LAYOUT, recognises, read, has_splits=True)
+READER = Reader(
+    "FreiHAND's layout: training/rgb/00000000.jpg ..., training_K.json, training_xyz.json, and likewise "
+    "evaluation/rgb, evaluation_K.json, evaluation_xyz.json (also *_scale.json, *_verts.json)",
+    recognises,
+    read,
+    has_splits=True,
+)

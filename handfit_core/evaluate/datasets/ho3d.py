@@ -14,13 +14,7 @@ from handfit_core.evaluate.labels import Dataset, Entry, Labels, MeshLabel, Prob
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_KEYPOINTS
 
-KIND = "ho3d"
-LAYOUT = (
-    "HO-3D's layout: train/ABF10/rgb/0000.png (v3: .jpg), train/ABF10/meta/0000.pkl, train.txt, and the "
-    "same for evaluation with evaluation.txt and evaluation_xyz.json (also evaluation_verts.json)"
-)
 SPLITS = ("evaluation", "train")
-FPS = 30.0
 
 OPENGL_TO_CAMERA = np.array([1.0, -1.0, -1.0])
 """HO-3D's points are in OpenGL's frame: y up, z backward."""
@@ -43,15 +37,15 @@ def read(root: Path, split: str | None = None) -> Dataset:
         if (root / name).is_dir() and (name == "train" or (root / "evaluation_xyz.json").is_file())
     ]
     if split in SPLITS and not (root / split).is_dir():
-        raise reading.lacks(root, split, LAYOUT)
+        raise reading.lacks(root, split, READER.layout)
     if "evaluation" not in available and (split == "evaluation" or (split is None and not available)):
         # Its meta files hold the wrist only: the authors kept the rest back for their contest.
-        raise reading.lacks(root, "evaluation_xyz.json", LAYOUT)
+        raise reading.lacks(root, "evaluation_xyz.json", READER.layout)
     split = reading.choice(root, "split", split, available, SPLITS)
     folder = root / split
     path = root / f"{split}.txt"
     lines = (
-        [line.strip() for line in reading.read_text(path, LAYOUT).split("\n") if line.strip()]
+        [line.strip() for line in reading.read_text(path, READER.layout).split("\n") if line.strip()]
         if split == "evaluation" or path.is_file()
         else None
     )
@@ -59,7 +53,7 @@ def read(root: Path, split: str | None = None) -> Dataset:
 
     found = {seq.name: _sequence(seq) for seq in sorted(folder.iterdir()) if seq.is_dir()}
     if not any(sequence.metas for sequence in found.values()):
-        raise reading.lacks(root, f"{split}/{next(iter(found), 'ABF10')}/meta/*.pkl", LAYOUT)
+        raise reading.lacks(root, f"{split}/{next(iter(found), 'ABF10')}/meta/*.pkl", READER.layout)
     listed = {name: sequence.frames() for name, sequence in found.items()}
     rows: dict[str, int] = {}
     problems: list[Problem] = []
@@ -71,17 +65,17 @@ def read(root: Path, split: str | None = None) -> Dataset:
         for frame in frames:
             picture = sequence.pictures.get(frame)
             if picture is None:
-                problems.append(Problem(reading.NO_PICTURE, f"{sequence.folder / 'rgb' / frame}.*"))
+                problems.append(Problem(reading.PROBLEMS.no_picture, f"{sequence.folder / 'rgb' / frame}.*"))
             elif frame not in sequence.metas:
-                problems.append(Problem(reading.NO_LABEL, str(picture)))
+                problems.append(Problem(reading.PROBLEMS.no_label, str(picture)))
             else:
                 meta = sequence.folder / "meta" / f"{frame}.pkl"
                 read = partial(_labels, meta, rows.get(f"{name}/{frame}"), hidden)
-                time = (_number(frame) - _number(frames[0])) / FPS
+                time = (_number(frame) - _number(frames[0])) / 30.0
                 entries.append(Entry(f"{name}/{frame}", picture, read, clip=name, time=time))
     return Dataset(
         name=f"HO-3D ({split})",
-        kind=KIND,
+        kind="ho3d",
         root=root,
         entries=entries,
         problems=tuple(problems),
@@ -145,7 +139,7 @@ class _Hidden:
         self._vertices = reading.once(lambda: self._rows(self._verts, np.float32))
 
     def _rows(self, path: Path, dtype: type = np.float64) -> list[np.ndarray | None]:
-        rows = reading.read_json_arrays(path, LAYOUT, dtype)
+        rows = reading.read_json_arrays(path, READER.layout, dtype)
         if len(rows) != self._lines:
             raise DatasetError(
                 f"{path}: {len(rows)} labels, but evaluation.txt has {self._lines} lines; copy both again"
@@ -160,7 +154,7 @@ class _Hidden:
 
 def _labels(meta: Path, row: int | None, hidden: _Hidden | None) -> Labels:
     where = str(meta)
-    content = reading.read_pickle(meta, LAYOUT)
+    content = reading.read_pickle(meta, READER.layout)
     camera = None
     if content.get("camMat") is not None:
         camera = reading.pickled_array(where, content, "camMat", (3, 3))
@@ -178,4 +172,10 @@ def _labels(meta: Path, row: int | None, hidden: _Hidden | None) -> Labels:
     return Labels((reading.hand_label("right", joints, intrinsics, mesh=mesh),), intrinsics)
 
 
-READER = Reader(LAYOUT, recognises, read, has_splits=True)
+READER = Reader(
+    "HO-3D's layout: train/ABF10/rgb/0000.png (v3: .jpg), train/ABF10/meta/0000.pkl, train.txt, and the "
+    "same for evaluation with evaluation.txt and evaluation_xyz.json (also evaluation_verts.json)",
+    recognises,
+    read,
+    has_splits=True,
+)

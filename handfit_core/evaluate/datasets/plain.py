@@ -19,15 +19,9 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, load_model
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES, Side
 
-KIND = "plain"
 INDEX = "index.json"
-LAYOUT = (
-    "the plain layout: pictures, and index.json with a list of "
-    '{"file", "hand", "joints_3d_mm", "keypoints_2d_px", "K"}; see docs/data-sets.md'
-)
 DEFAULT_FPS = 25.0
 
-_MM = 1000.0
 _MANO_SHAPES = {"betas": NUM_BETAS, "global_orient": 3, "hand_pose": 45, "transl": 3}
 _HAND_KEYS = ("hand", "joints_3d_mm", "keypoints_2d_px", "mano")
 
@@ -43,11 +37,11 @@ def read(root: Path) -> Dataset:
     Raises DatasetError where the index is missing, damaged, or of another form.
     """
     path = root / INDEX
-    index = reading.read_json(path, LAYOUT)
+    index = reading.read_json(path, READER.layout)
     whole: dict[str, Any] = index if isinstance(index, dict) else {"pictures": index}
     items, fps, notes = whole.get("pictures"), whole.get("fps", DEFAULT_FPS), whole.get("notes", [])
     if not isinstance(items, list):
-        raise DatasetError(f"{path}: it holds no list of pictures; expected {LAYOUT}")
+        raise DatasetError(f"{path}: it holds no list of pictures; expected {READER.layout}")
     if not _is_number(fps) or fps <= 0:
         raise DatasetError(f"{path}: fps is {fps!r}, expected pictures per second, as in 25")
     if not (isinstance(notes, list) and all(isinstance(note, str) for note in notes)):
@@ -78,7 +72,7 @@ def read(root: Path) -> Dataset:
             continue
         seen.add(file)
         if item.get("K") is None:
-            problems.append(Problem(reading.NO_CAMERA, file))
+            problems.append(Problem(reading.PROBLEMS.no_camera, file))
         time = item.get("time")
         if time is not None and not _is_number(time):
             problems.append(Problem("time is no number", file))
@@ -95,7 +89,7 @@ def read(root: Path) -> Dataset:
         stills.setdefault(f"clip {clip}" if clip is not None else f"still {number}", []).append(entry)
     return Dataset(
         name=str(whole.get("name") or root.resolve().name),
-        kind=KIND,
+        kind="plain",
         root=root,
         entries=[e for group in stills.values() for e in sorted(group, key=lambda entry: entry.time)],
         problems=tuple(problems),
@@ -151,8 +145,8 @@ def _problem_of(root: Path, file: str, item: dict[str, Any], seen: set[str]) -> 
         return "listed twice"
     with suppress(OSError):  # a name that no file system takes
         if (root / file).is_file():
-            return None if any(key in item for key in ("hands", *_HAND_KEYS)) else reading.NO_LABEL
-    return reading.NO_PICTURE
+            return None if any(key in item for key in ("hands", *_HAND_KEYS)) else reading.PROBLEMS.no_label
+    return reading.PROBLEMS.no_picture
 
 
 def _tags(item: dict[str, Any]) -> dict[str, str]:
@@ -183,7 +177,7 @@ def _hand(hand: Any, intrinsics: Intrinsics | None, file: str) -> HandLabel:
     joints = _points(hand, "joints_3d_mm", 3, file)
     return reading.hand_label(
         side,
-        None if joints is None else joints / _MM,
+        None if joints is None else joints / 1000.0,
         intrinsics,
         _points(hand, "keypoints_2d_px", 2, file),
         _mesh(hand, side, file),
@@ -233,4 +227,9 @@ def _mesh(hand: dict[str, Any], side: Side | None, file: str) -> MeshLabel | Non
     return MeshLabel(lambda: model.posed(**found).vertices, digests)
 
 
-READER = Reader(LAYOUT, recognises, read)
+READER = Reader(
+    "the plain layout: pictures, and index.json with a list of "
+    '{"file", "hand", "joints_3d_mm", "keypoints_2d_px", "K"}; see docs/data-sets.md',
+    recognises,
+    read,
+)

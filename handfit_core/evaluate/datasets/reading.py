@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -19,16 +20,18 @@ from handfit_core.skeleton import NUM_KEYPOINTS, Side
 T = TypeVar("T")
 Label = TypeVar("Label", bound=Hashable)
 
-NO_PICTURE: Final = "picture missing"
-NO_LABEL: Final = "picture without a label"
-UNPAIRED_LABEL: Final = "label without a picture"
-NO_CAMERA: Final = "camera (K) missing"
 
-MAX_PICKLE_BYTES: Final = 500_000_000
-"""RHD's training labels have 94 MB."""
+@dataclass(frozen=True)
+class ProblemNames:
+    """What may be wrong with a picture or a label."""
 
-MAX_PICKLE_STEPS: Final = 10_000_000
-"""RHD's 41 000 training labels have about 3 million instructions."""
+    no_picture: str = "picture missing"
+    no_label: str = "picture without a label"
+    unpaired_label: str = "label without a picture"
+    no_camera: str = "camera (K) missing"
+
+
+PROBLEMS: Final = ProblemNames()
 
 
 def once(read: Callable[[], T]) -> Callable[[], T]:
@@ -158,9 +161,11 @@ def read_pickle(path: Path, layout: str) -> dict[Any, Any]:
 
     Raises DatasetError where it is missing, damaged, too large, or asks for more than arrays.
     """
-    data = read_bytes(path, layout, MAX_PICKLE_BYTES)
+    # RHD's training labels have 94 MB.
+    data = read_bytes(path, layout, 500_000_000)
     try:
-        content = safe_pickle.load(data, most_steps=MAX_PICKLE_STEPS, numbered=True)
+        # RHD's 41 000 training labels have about 3 million instructions.
+        content = safe_pickle.load(data, most_steps=10_000_000, numbered=True)
     except safe_pickle.Refused as error:
         raise DatasetError(f"{path}: refused: the file {error}; labels never do, do not trust it") from error
     except Exception as error:  # a damaged pickle can fail in any way
@@ -282,8 +287,11 @@ def paired(
 def unpaired(pictures: Iterable[Path], file: Path, labels: Iterable[object]) -> tuple[Problem, ...]:
     """A problem for each of these pictures, which have no label, and of a file's labels without a picture."""
     return (
-        *(Problem(NO_LABEL, str(picture)) for picture in pictures),
-        *(Problem(UNPAIRED_LABEL, f"{file}: label {name}") for name in sorted(labels, key=_in_order)),
+        *(Problem(PROBLEMS.no_label, str(picture)) for picture in pictures),
+        *(
+            Problem(PROBLEMS.unpaired_label, f"{file}: label {name}")
+            for name in sorted(labels, key=_in_order)
+        ),
     )
 
 

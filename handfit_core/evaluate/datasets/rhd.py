@@ -10,17 +10,10 @@ import numpy as np
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, HandLabel, Labels, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
-KIND = "rhd"
-LAYOUT = (
-    "RHD's layout (RHD_published_v2): training/color/00000.png ..., training/anno_training.pickle, and "
-    "the same for evaluation"
-)
 SPLITS = ("evaluation", "training")
 
-_HANDS: dict[Side, slice] = {"left": slice(0, 21), "right": slice(21, 42)}
-"""Which of RHD's 42 points belong to which hand"""
 _ORDER = [0, *(1 + 4 * finger + 3 - joint for finger in range(5) for joint in range(4))]
 """keypoints[k] = points[_ORDER[k]]: the wrist, then thumb to little finger, each from the tip to the palm"""
 
@@ -39,12 +32,12 @@ def read(root: Path, split: str | None = None) -> Dataset:
     The split's pickle is read now, as it alone says which labels there are; the arrays in it only when
     asked for. Raises DatasetError, OptionError.
     """
-    split = reading.split_of(root, split, SPLITS, "{0}/anno_{0}.pickle", "{0}", LAYOUT)
+    split = reading.split_of(root, split, SPLITS, "{0}/anno_{0}.pickle", "{0}", READER.layout)
     folder = root / split / "color"
     if not folder.is_dir():
-        raise reading.lacks(root, f"{split}/color", LAYOUT)
+        raise reading.lacks(root, f"{split}/color", READER.layout)
     path = root / split / f"anno_{split}.pickle"
-    annotations = reading.read_pickle(path, LAYOUT)
+    annotations = reading.read_pickle(path, READER.layout)
 
     entries, problems = reading.paired(
         split,
@@ -56,7 +49,7 @@ def read(root: Path, split: str | None = None) -> Dataset:
     )
     return Dataset(
         name=f"RHD ({split})",
-        kind=KIND,
+        kind="rhd",
         root=root,
         entries=entries,
         problems=problems,
@@ -75,10 +68,17 @@ def _labels(annotation: Any, where: str) -> Labels:
     intrinsics = reading.intrinsics_of(where, camera)
     hands: list[HandLabel] = []
     for side in SIDES:
-        own = _HANDS[side]
+        # Which of RHD's 42 points belong to which hand
+        own = {"left": slice(0, 21), "right": slice(21, 42)}[side]
         if np.any(pixels[own, 2] > 0.5):
             hands.append(reading.hand_label(side, joints[own][_ORDER], intrinsics, pixels[own, :2][_ORDER]))
     return Labels(tuple(hands), intrinsics)
 
 
-READER = Reader(LAYOUT, recognises, read, has_splits=True)
+READER = Reader(
+    "RHD's layout (RHD_published_v2): training/color/00000.png ..., training/anno_training.pickle, and "
+    "the same for evaluation",
+    recognises,
+    read,
+    has_splits=True,
+)

@@ -21,7 +21,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.opening import pictures_in, sequence_numbers
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
-FPS = 30.0
 LABELS = ("cleaned", "original")
 
 _MM = 1000.0
@@ -126,13 +125,13 @@ class TipSet:
             problems.append(Problem("pictures and labels differ in number, paired in order", counts))
         for picture, row in zip(pictures, rows, strict=True):
             if row >= len(lines):
-                problems.append(Problem(reading.NO_LABEL, str(picture)))
+                problems.append(Problem(reading.PROBLEMS.no_label, str(picture)))
                 continue
             read = partial(self._labels, lines[row], f"{path}: line {row + 1}", published_frame)
             name = f"{sequence.name}/{picture.stem}"
-            entries.append(Entry(name, picture, read, clip=sequence.name, time=row / FPS))
+            entries.append(Entry(name, picture, read, clip=sequence.name, time=row / 30.0))
         lonely = sorted(set(range(len(lines))) - set(rows))
-        problems += [Problem(reading.UNPAIRED_LABEL, f"{path}: line {row + 1}") for row in lonely]
+        problems += [Problem(reading.PROBLEMS.unpaired_label, f"{path}: line {row + 1}") for row in lonely]
 
     def _labels(self, line: str, where: str, published_frame: bool) -> Labels:
         tips = self.clean(parse_line(line, where))
@@ -212,9 +211,6 @@ EGODEXTER = TipSet(
 )
 """Mueller et al. 2017: left hands with objects, seen from the wearer's shoulder, 640x480"""
 
-_MISSING_DEPTH = 32001.0
-"""What Dexter+Object's depth camera gives where it sees nothing"""
-
 
 def _dexter_files(folder: Path, sequence: str, labels: str) -> tuple[Path, ...]:
     name = f"{sequence}3D.txt" if labels == "original" else f"my_{sequence}3D.txt"
@@ -226,7 +222,8 @@ def _dexter_files(folder: Path, sequence: str, labels: str) -> tuple[Path, ...]:
 def _dexter_tips(tips: np.ndarray) -> np.ndarray:
     """x and y are written with the opposite sign."""
     depth = tips[:, 2:]
-    given = np.all(np.isfinite(tips), axis=1, keepdims=True) & (depth >= 1e-6) & (depth < _MISSING_DEPTH)
+    # What Dexter+Object's depth camera gives where it sees nothing
+    given = np.all(np.isfinite(tips), axis=1, keepdims=True) & (depth >= 1e-6) & (depth < 32001.0)
     return np.where(given, tips * np.array([-1.0, -1.0, 1.0]), np.nan)
 
 

@@ -39,8 +39,6 @@ REPORT_FILES = (
     *("worst.jpg", "best.jpg", "missed.jpg"),
 )
 """Every name that a report may use. Those that one does not need are removed, so that none is from before"""
-EXAMPLES = 10
-"""Examples of each kind of problem on the page; `problems.csv` has them all"""
 
 
 def write_report(folder: Path, evaluation: Evaluation, *, focus: str | None = None) -> list[Path]:
@@ -130,13 +128,14 @@ def _page(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    # Examples of each kind of problem on the page; `problems.csv` has them all
     return environment.from_string(template.read_text(encoding="utf-8")).render(
         **shown,
         evaluation=evaluation,
         headline=headline(evaluation),
         count=count,
         problems=sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1])),
-        examples=EXAMPLES,
+        examples=10,
         main=main_table(evaluation),
         published=experiments_table(evaluation),
         others=others_table(evaluation, focus),

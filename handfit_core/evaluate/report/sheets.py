@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,28 +21,35 @@ from handfit_core.files import written_whole
 from handfit_core.media.pictures import read_picture
 from handfit_core.skeleton import KEYPOINT_PARENTS
 
-CELLS = 12
-"""Hands on a sheet at most"""
-COLUMNS = 4
 
-_CELL, _CAPTION, _LEGEND, _GAP = 260, 40, 30, 6
-"""pixels: a cell's picture, the caption above it, the legend above all, the space between cells"""
-_DPI = 100.0
-_MARGIN = 0.25
-"""of the hand's size, on each side"""
-_EDGE = 0.04
-"""of the hand's size: the margin that is kept even where the picture ends"""
-_SMALLEST_CROP = 24.0
-"""pixels; a smaller crop shows pixels instead of a hand"""
-_APART_SECONDS = 0.5
-"""Frames of a clip that are nearer than that look the same"""
-_LONGEST_NAME = 37
-"""letters that a caption has room for"""
+@dataclass(frozen=True)
+class SheetLayout:
+    """Sizes and colours of a sheet."""
 
-LABEL, PREDICTION = "#00e6ff", "#ff28be"
-"""Neither cyan nor magenta is a colour of skin"""
-NOTHING = "#5a5a5a"
-"""What is beyond the picture"""
+    cells: int = 12
+    """Hands on a sheet at most"""
+    columns: int = 4
+    cell: int = 260
+    """pixels of a hand's picture"""
+    caption: int = 40
+    """pixels above it"""
+    legend: int = 30
+    """pixels above all"""
+    gap: int = 6
+    """pixels between cells"""
+    dpi: float = 100.0
+    min_crop: float = 24.0
+    """pixels; a smaller crop shows pixels instead of a hand"""
+    name_letters: int = 37
+    """letters that a caption has room for"""
+    label: str = "#00e6ff"
+    prediction: str = "#ff28be"
+    """Neither cyan nor magenta is a colour of skin"""
+    nothing: str = "#5a5a5a"
+    """What is beyond the picture"""
+
+
+LAYOUT: Final = SheetLayout()
 
 
 @dataclass(frozen=True)
@@ -81,11 +89,11 @@ def write_sheets(folder: Path, evaluation: Evaluation, focus: str | None = None)
     metric = error_metric(evaluation)
     errors = hand_means(scores, metric.key)
     worst_first = np.argsort(-errors, kind="stable")[: np.isfinite(errors).sum()].tolist()
-    worst = _spread(scores, worst_first, min(CELLS, math.ceil(len(worst_first) / 2)))
+    worst = _spread(scores, worst_first, min(LAYOUT.cells, math.ceil(len(worst_first) / 2)))
     rest = [row for row in reversed(worst_first) if row not in worst]
-    best = _spread(scores, rest, min(CELLS, len(worst_first) // 2))
+    best = _spread(scores, rest, min(LAYOUT.cells, len(worst_first) // 2))
     all_missed = np.flatnonzero(~scores.detected)
-    from_all_over = np.linspace(0, len(all_missed) - 1, min(CELLS, len(all_missed)))
+    from_all_over = np.linspace(0, len(all_missed) - 1, min(LAYOUT.cells, len(all_missed)))
     missed = all_missed[from_all_over.round().astype(int)].tolist()
     text = {
         row: f"{metric.title} {text_of(float(errors[row]), metric, with_unit=True)}" for row in worst_first
@@ -103,7 +111,7 @@ def write_sheets(folder: Path, evaluation: Evaluation, focus: str | None = None)
             hands = tuple(Shown(scores.samples[r], int(scores.hands[r]), text[r]) for r in rows)
             figure = _sheet(scores, rows, hands)
             with written_whole(folder / file) as beside:
-                figure.savefig(beside, format="jpg", dpi=_DPI, pil_kwargs={"quality": 90})
+                figure.savefig(beside, format="jpg", dpi=LAYOUT.dpi, pil_kwargs={"quality": 90})
             width, height = figure.canvas.get_width_height()
             written.append(Sheet(file, title, caption, width, height, hands))
     return written
@@ -114,7 +122,8 @@ def _spread(scores: Scores, ranked: Sequence[int], wanted: int) -> list[int]:
 
     def are_twins(a: int, b: int) -> bool:
         same = (scores.clips[a], scores.hands[a]) == (scores.clips[b], scores.hands[b])
-        apart = abs(scores.times[a] - scores.times[b]) >= _APART_SECONDS
+        # Frames of a clip that are nearer than that look the same
+        apart = abs(scores.times[a] - scores.times[b]) >= 0.5
         return same and scores.clips[a] is not None and not apart
 
     chosen: list[int] = []
@@ -127,26 +136,27 @@ def _spread(scores: Scores, ranked: Sequence[int], wanted: int) -> list[int]:
 
 def _sheet(scores: Scores, rows: Sequence[int], hands: Sequence[Shown]) -> Figure:
     """A legend above a grid of cells."""
-    columns = min(COLUMNS, len(rows))
-    width = columns * (_CELL + _GAP) + _GAP
-    height = math.ceil(len(rows) / columns) * (_CELL + _CAPTION + _GAP) + _LEGEND
-    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="#222222")
+    cell, gap, above = LAYOUT.cell, LAYOUT.gap, LAYOUT.caption
+    columns = min(LAYOUT.columns, len(rows))
+    width = columns * (cell + gap) + gap
+    height = math.ceil(len(rows) / columns) * (cell + above + gap) + LAYOUT.legend
+    figure = Figure(figsize=(width / LAYOUT.dpi, height / LAYOUT.dpi), dpi=LAYOUT.dpi, facecolor="#222222")
     for i, (row, hand) in enumerate(zip(rows, hands, strict=True)):
-        x = _GAP + i % columns * (_CELL + _GAP)
-        y = height - _LEGEND - (i // columns + 1) * (_CELL + _CAPTION + _GAP) + _GAP
-        box = (x / width, y / height, _CELL / width, _CELL / height)
-        axes = figure.add_axes(box, facecolor=NOTHING, xticks=[], yticks=[])
+        x = gap + i % columns * (cell + gap)
+        y = height - LAYOUT.legend - (i // columns + 1) * (cell + above + gap) + gap
+        box = (x / width, y / height, cell / width, cell / height)
+        axes = figure.add_axes(box, facecolor=LAYOUT.nothing, xticks=[], yticks=[])
         _draw(axes, scores, row)
         several = f" (hand {hand.hand + 1})" if scores.samples.count(hand.sample) > 1 else ""
         # The font has Latin letters only; the page has the whole name.
         name = (hand.sample + several).encode("ascii", "replace").decode()
-        name = name if len(name) <= _LONGEST_NAME else f"..{name[2 - _LONGEST_NAME :]}"
+        name = name if len(name) <= LAYOUT.name_letters else f"..{name[2 - LAYOUT.name_letters :]}"
         font = {"fontsize": 8, "family": "monospace", "color": "white"}
         axes.set_title(f"{name}\n{hand.text}", loc="left", pad=3, parse_math=False, **font)
-    place = {"y": 1.0 - _LEGEND / 2 / height, "va": "center", "fontsize": 9}
-    figure.text(_GAP / width, s="label", color=LABEL, **place)
+    place = {"y": 1.0 - LAYOUT.legend / 2 / height, "va": "center", "fontsize": 9}
+    figure.text(gap / width, s="label", color=LAYOUT.label, **place)
     if scores.detected[list(rows)].any():
-        figure.text((_GAP + 45) / width, s=scores.method, color=PREDICTION, **place)
+        figure.text((gap + 45) / width, s=scores.method, color=LAYOUT.prediction, **place)
     return figure
 
 
@@ -162,7 +172,7 @@ def _draw(axes: Axes, scores: Scores, row: int) -> None:
     x, y, side = crop_box(label, prediction, width, height)
     # Pixel centres are at .5.
     axes.imshow(picture, extent=(0, width, height, 0), aspect="auto")
-    for points, colour in ((label, LABEL), (prediction, PREDICTION)):
+    for points, colour in ((label, LAYOUT.label), (prediction, LAYOUT.prediction)):
         # Far outside of the cell nothing is seen, and drawing there would overflow.
         near = (np.abs(points - (x, y)) < 20 * side).all(axis=-1, keepdims=True)
         points = np.where(near, points, np.nan)
@@ -188,14 +198,15 @@ def crop_box(
         known = [np.array([[0.0, 0.0], size])]
     low, high = known[0].min(axis=0), known[0].max(axis=0)
     if len(known) == 2:
-        reach = max(*(high - low), _SMALLEST_CROP)
+        reach = max(*(high - low), LAYOUT.min_crop)
         seen = np.clip(known[1], low - reach, high + reach)
         low, high = np.minimum(low, seen.min(axis=0)), np.maximum(high, seen.max(axis=0))
     extent = float((high - low).max())
-    edge = _EDGE * extent
-    content = max(extent + 2.0 * edge, _SMALLEST_CROP)
+    # In parts of the hand's size: the margin that is kept even where the picture ends
+    edge = 0.04 * extent
+    content = max(extent + 2.0 * edge, LAYOUT.min_crop)
     # The margin is there to show more of the picture, not what lies beyond it.
-    side = max(content, min((1.0 + 2.0 * _MARGIN) * content, float(size.max())))
+    side = max(content, min((1.0 + 2.0 * 0.25) * content, float(size.max())))
     corner = (low + high - side) / 2.0
     corner = np.where(side <= size, np.clip(corner, 0.0, np.maximum(size - side, 0.0)), (size - side) / 2.0)
     x, y = np.clip(corner, high + edge - side, low - edge)

@@ -21,8 +21,6 @@ MISSING = "–"
 """What stands where there is no number"""
 MAX_VALUES = 20
 """A tag with more values than that is a name or a number, not a group"""
-FEW_UNITS = 10
-"""With fewer stills and clips than that, a bootstrap interval is too narrow"""
 VIEWS = ("palm", "back", "edge", "unknown")
 
 _INNER_POINTS = sorted(set(range(NUM_KEYPOINTS)) - set(TIP_KEYPOINTS))
@@ -244,7 +242,8 @@ def verdict(comparison: Comparison) -> str:
         return "no hand has a result of both"
     if not (math.isfinite(c.low) and math.isfinite(c.high)):
         return "no interval: only one still or clip has results of both"
-    few = f"; only {c.units} stills or clips, so the interval is too narrow" if c.units < FEW_UNITS else ""
+    # With fewer stills and clips, a bootstrap interval is too narrow.
+    few = f"; only {c.units} stills or clips, so the interval is too narrow" if c.units < 10 else ""
     if not c.is_significant:
         return f"no difference shown ({_interval(c.low, c.high, metric)}{few})"
     better = "better" if (c.difference < 0.0) == metric.lower_is_better else "worse"

@@ -8,24 +8,19 @@ import numpy as np
 
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.self_contact import PINCH_BONES
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import PairRows, between
 from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, PAIRS, Near, Surface
-
-SIGMA: Final = 0.0015
-"""metres between skins that cost as much as one sigma"""
-ROBUST_SCALE: Final = 0.02
-"""metres: scale of Geman and McClure's kernel. Tips farther apart are outliers of the pinch detection"""
-USER_SIGMA: Final = 0.0001
-"""metres between skins that an artist wants to touch; without a robust kernel, as it is never an outlier"""
 
 _PAIRS: Final = np.array([int(np.flatnonzero((tips == PAIRS).all(axis=1))[0]) for tips in PINCH_BONES])
 
 
 class Contact:
     """One row for each pair of `seen.self_contact.pinch`: the gap g between their skins, with Geman and
-    McClure's kernel, s / (1 + s (SIGMA / ROBUST_SCALE)^2) of s = (g / SIGMA)^2. One row for each of
-    `seen.touches`: g / USER_SIGMA."""
+    McClure's kernel, s / (1 + s (touch_sigma / robust_scale)^2) of s = (g / touch_sigma)^2. One row for each
+    of
+    `seen.touches`: g / user_touch_sigma."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
@@ -37,15 +32,15 @@ class Contact:
         if seen.self_contact is not None:
             hand, pair = np.nonzero(seen.self_contact.pinch)
             near = self.surface.gaps(capsules, hand, _PAIRS[pair])
-            robust = 1.0 / (1.0 + np.square(near.gap / ROBUST_SCALE))
+            robust = 1.0 / (1.0 + np.square(near.gap / TERMS.robust_scale))
             confidence = seen.self_contact.pinch[hand, pair]
             # The kernel's slope is flat ** 2.
-            found.append(_rows(posed, near, SIGMA, robust * np.sqrt(confidence), 1.0 / robust))
+            found.append(_rows(posed, near, TERMS.touch_sigma, robust * np.sqrt(confidence), 1.0 / robust))
         if seen.touches is not None:
             hand, point = np.nonzero(np.isfinite(seen.touches))
             points = np.stack([point, seen.touches[hand, point].astype(int)], axis=1)
             near = self.surface.gaps_at(capsules, hand, points)
-            found.append(_rows(posed, near, USER_SIGMA, np.ones(len(hand)), np.ones(len(hand))))
+            found.append(_rows(posed, near, TERMS.user_touch_sigma, np.ones(len(hand)), np.ones(len(hand))))
         return PairRows(
             *(np.concatenate([getattr(r, n) for r in found]) for n in PairRows.__dataclass_fields__)
         )

@@ -5,19 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import FINGERS, Rows
+from handfit_core.hand_model.anatomy import LAST_BEND, MIDDLE_BEND
 from handfit_core.hand_model.chain import Posed
-
-MIDDLE_BEND, LAST_BEND = 5, 8
-"""Indices among a finger's nine angles"""
-SIGMA = float(np.radians(18.0))
-"""radians"""
 
 SLOPE = np.array([0.0, 0.87, 0.79, 0.73, 0.73])
 OFFSET = np.radians([0.0, 25.0, 18.0, 20.5, 20.5])
 """(5,) and (5,) radians: the last joint's bend is SLOPE times the middle one's less OFFSET. Measured on
 index, middle and ring finger; the little finger's is taken as the ring's"""
-_WEIGHT = np.array([0.0, 1.0, 1.0, 1.0, 1.0]) / SIGMA
+_WEIGHT = np.array([0.0, 1.0, 1.0, 1.0, 1.0]) / TERMS.coupling_sigma
 """The thumb has no such rule"""
 
 

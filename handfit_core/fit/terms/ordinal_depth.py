@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import PairRows, between
 from handfit_core.geometry.crossing import CROSSING
 from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.surface import FINGER_OF_BONE, Surface
 
-SIGMA: Final = 0.004
-"""metres along the line of sight that cost as much as one sigma"""
-CONTACT_SIGMA: Final = 0.0025
-"""metres between the skins of parts that are in contact"""
-ROBUST_SCALE: Final = 0.02
-"""metres: scale of Geman and McClure's kernel. Parts farther apart are outliers of the contact detection"""
-
 
 class OrdinalDepth:
     """One row for each crossing of `seen.self_contact`: r = (separation - distance in the observed order) /
-    SIGMA where that is positive. Parts farther apart than that cost nothing, unless they are in contact: then
-    r / CONTACT_SIGMA with Geman and McClure's kernel, as in `contact`."""
+    order_sigma where that is positive. Parts farther apart than that cost nothing, unless they are in
+    contact: then r / contact_sigma with Geman and McClure's kernel, as in `contact`."""
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
@@ -44,8 +36,10 @@ class OrdinalDepth:
         hand, bones, places, violation, in_contact = (
             v[counts] for v in (hand, bones, places, violation, in_contact)
         )
-        robust = np.where(in_contact > 0.0, 1.0 / (1.0 + np.square(violation / ROBUST_SCALE)), 1.0)
-        weight = np.where(in_contact > 0.0, robust * np.sqrt(in_contact) / CONTACT_SIGMA, 1.0 / SIGMA)
+        robust = np.where(in_contact > 0.0, 1.0 / (1.0 + np.square(violation / TERMS.robust_scale)), 1.0)
+        weight = np.where(
+            in_contact > 0.0, robust * np.sqrt(in_contact) / TERMS.contact_sigma, 1.0 / TERMS.order_sigma
+        )
         towards = (sight * front[:, None])[counts] * weight[:, None]
         slope = between(posed, hand, bones, places, towards)
         residual = violation * weight

@@ -5,19 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import FINGERS, Rows
 from handfit_core.hand_model.chain import Posed
 from handfit_core.skeleton import Side
 
-WEIGHT = 0.15
-"""Factor of the squared distance: with more of it, closed hands open and others are drawn to usual poses"""
-PINNED_WEIGHT = 0.7
-"""Factor of the squared distance where an artist has pinned points: little else tells where the others are"""
-
 
 class PosePrior:
-    """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times `WEIGHT`, or
-    `PINNED_WEIGHT`."""
+    """Nine rows for each finger: W (a - mean), whose squares are the Mahalanobis distance, times
+    `pose_weight`, or
+    `pinned_pose_weight`."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray, side: Side = "right") -> None:
         """mean (5, 9) radians and covariance (5, 9, 9) of right hands' angles."""
@@ -33,7 +30,10 @@ class PosePrior:
         pinned = np.zeros(len(angles), dtype=bool) if seen.pinned is None else seen.pinned.any(axis=1)
         if seen.kept is not None:
             pinned = pinned | np.isfinite(seen.kept.limits_sigma)  # a finger that goes for its pin alone
-        whiten = np.sqrt(np.where(pinned, PINNED_WEIGHT, WEIGHT))[:, None, None, None] * self._whiten
+        whiten = (
+            np.sqrt(np.where(pinned, TERMS.pinned_pose_weight, TERMS.pose_weight))[:, None, None, None]
+            * self._whiten
+        )
         rows = Rows.zeros(FINGERS, len(angles), 9)
         rows.jacobian[...] = whiten
         rows.residual[...] = (whiten @ (angles - self.mean)[..., None])[..., 0]

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import POINTS, Rows
 from handfit_core.hand_model.chain import Posed
-
-NEAREST = 0.02
-"""metres; points are projected as if no nearer than this, so that a wild step cannot divide by zero"""
 
 
 def reprojection(posed: Posed, seen: Observation) -> Rows:
     """Two rows for each point, u = f x / z + c. Pinned points are certain."""
     points = posed.points
-    inverse = 1.0 / np.maximum(points[..., 2:], NEAREST)
+    inverse = 1.0 / np.maximum(points[..., 2:], TERMS.nearest)
     slope = points[..., :2] * inverse
     in_sigmas = seen.focal[:, None] / seen.pixel_sigma  # (B, 21, 2)
     by_place = in_sigmas * inverse

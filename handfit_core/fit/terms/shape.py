@@ -5,22 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import HAND, Rows
 from handfit_core.hand_model.chain import BETAS, Posed
 from handfit_core.skeleton import NUM_BETAS
-
-LENGTH_SIGMA = 0.001
-"""metres, of a measured length; with the betas' own spread alone, proportions would overrule it"""
-
-WEIGHT = 0.2
-"""Factor of the squared betas where the length is not known: hands' proportions differ more than the open
-hand's betas, of sigma 1, expect. Their size does not, and hardly any picture tells it from the distance"""
 
 
 class Shape:
     """Ten rows, betas - expected, each of sigma 1; and one of the length, where it was measured.
 
-    Where it was not, the ten count `WEIGHT` times, except in the direction that changes the length.
+    Where it was not, the ten count `shape_weight` times, except in the direction that changes the length.
     `length_rates` (10,): metres by which the length grows with each beta, in which it is almost linear; None:
     not known. `weight`: factor of the whole cost, for clips with one shape, which would otherwise count once
     a frame.
@@ -36,12 +30,12 @@ class Shape:
     ) -> None:
         self.expected = expected
         if length_rates is not None and measured:
-            rows = np.concatenate([np.eye(NUM_BETAS), length_rates[None] / LENGTH_SIGMA])
+            rows = np.concatenate([np.eye(NUM_BETAS), length_rates[None] / TERMS.length_sigma])
         else:
-            rows = np.eye(NUM_BETAS) * np.sqrt(WEIGHT)
+            rows = np.eye(NUM_BETAS) * np.sqrt(TERMS.shape_weight)
             if length_rates is not None and length_rates.any():
                 size = length_rates / np.linalg.norm(length_rates)
-                rows = np.concatenate([rows, np.sqrt(1.0 - WEIGHT) * size[None]])
+                rows = np.concatenate([rows, np.sqrt(1.0 - TERMS.shape_weight) * size[None]])
         self._slope = rows * np.sqrt(weight)
 
     def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)

@@ -7,7 +7,7 @@ Points are named by Vision's keys (VNHLKITIP) or by its API's names (indexTip, l
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,8 @@ from handfit_core.interchange.opening import RELATIVE, scaled
 from handfit_core.interchange.point_names import is_apple
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.tables import hands_of, is_hand_table
-
-_DEEPEST: Final = 8
-_MOST_LOOKED_AT: Final = 2000
-_FARTHEST: Final = 3.0
-"""Beyond it, coordinates are no parts of the picture's size"""
 
 
 def _recognises(document: Document) -> bool:
@@ -36,13 +32,13 @@ def _recognises(document: Document) -> bool:
             is_apple(cell) for row in table.rows[:50] for cell in row
         )
         return named and is_hand_table(table)
-    return any(_names_in(content, [_MOST_LOOKED_AT]) for content in some_contents(document))
+    return any(_names_in(content, [2000]) for content in some_contents(document))
 
 
 def _names_in(content: Any, left: list[int], depth: int = 0) -> bool:
     """Whether some object has points by Vision's names; looks at as many values as are left."""
     left[0] -= 1
-    if left[0] < 0 or depth > _DEEPEST:
+    if left[0] < 0 or depth > 8:
         return False
     if isinstance(content, dict):
         if any(map(is_apple, list(content)[:100])):
@@ -95,7 +91,7 @@ def _read(document: Document, asked: Asked) -> Recording:
 def _upright(hands: ToldHands) -> tuple[ToldHands, bool, tuple[str, ...]]:
     """The hands counted from the upper left corner, whether they are in parts of the picture's size, and what
     was assumed."""
-    if np.nanmax(np.abs(hands.in_plane)) > _FARTHEST:
+    if np.nanmax(np.abs(hands.in_plane)) > LIMITS.relative:
         said = "its points are pixels, which are taken to count from the upper left corner"
         return hands, False, (said,)
     points = hands.points.copy()

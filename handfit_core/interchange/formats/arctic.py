@@ -7,10 +7,12 @@ from typing import Final
 import numpy as np
 
 from handfit_core.doors.values import Unfit
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import SIDES
 
 _PARTS: Final = {"rot", "pose", "trans"}
@@ -35,7 +37,7 @@ def _read(document: Document, asked: Asked) -> Recording:
             raise Unfit(f"trans has {len(transl)} rows where {len(orient)} are expected")
         pose = mano.from_flat(pose, side, asked, "mean")
         shape = mano.shape_of(hand.get("shape"), asked, assumed)
-        posed.append(mano.seen_from(PosedHand(side, orient, pose, transl, shape), asked, mano.Z_UP))
+        posed.append(mano.seen_from(HandMotion(side, shape, orient, pose, transl), asked, UP_AXES["z"]))
     fps = asked.rate
     frames = np.arange(1, len(posed[0].hand_pose) + 1)
     return mano.recording_of("arctic", document, fps, frames, posed, asked, assumed)

@@ -27,6 +27,7 @@ from handfit_core.interchange.every_frame import EveryFrame
 from handfit_core.interchange.humanoid import BODY, bone_names, t_pose
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import (
     UP_AXES,
     AnimatedBones,
@@ -40,19 +41,13 @@ from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS, Take
+from handfit_core.take import TAKE_LIMITS, Take
 
-_MOST_BYTES: Final = 1 << 27
-_MOST_BONES: Final = 2048
-_MOST_TURNS: Final = 1 << 23
-"""bones times frames"""
-_LONGEST_NAME: Final = 256
 _AXES: Final = {"x": 0, "y": 1, "z": 2}
 MOTION: Final = re.compile(r"^[ \t]*MOTION[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
 """Within its line: blank lines before it are not gone through again for each of them"""
 _END: Final = " end"
 _HEAD: Final = re.compile("head|neck", re.IGNORECASE)
-_FULL_TURN: Final = 2.0 * np.pi
 
 
 @dataclass
@@ -93,14 +88,14 @@ def _read(document: Document, asked: Asked) -> Recording:
         assumed.append(f"the {hand.posed.side} hand's bones are those of {hand.hand_map.rig}")
         if np.ptp(hand.posed.hand_pose, axis=0).max() == 0.0 and len(hand.posed.hand_pose) > 1:
             assumed.append(f"the {hand.posed.side} hand's fingers do not move in this file")
-    if 0.0 < degrees <= _FULL_TURN:
+    if 0.0 < degrees <= 2.0 * np.pi:
         assumed.append(
             f"no angle exceeds {degrees:.2g}: BVH has degrees; if these are radians, write them as degrees"
         )
     fps = asked.fps
     if fps is None:
         told = 1.0 / seconds if seconds > 0.0 else 0.0
-        fps = told if SMALLEST_FPS <= told <= LARGEST_FPS else DEFAULT_FPS
+        fps = told if TAKE_LIMITS.min_fps <= told <= TAKE_LIMITS.max_fps else DEFAULT_FPS
         if fps != told:
             assumed.append(f"{DEFAULT_FPS:g} frames per second, as its frame time is {seconds:g}")
     return Recording(
@@ -119,9 +114,9 @@ class _Wrong(Exception):
 
 def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
     """The bones, the seconds of a frame, and the largest angle that is written down."""
-    if len(document.bytes) > _MOST_BYTES:
+    if len(document.bytes) > LIMITS.bvh_bytes:
         size = len(document.bytes)
-        raise _Wrong(f"has {size} bytes, and at most {_MOST_BYTES} are read; cut it into parts")
+        raise _Wrong(f"has {size} bytes, and at most {LIMITS.bvh_bytes} are read; cut it into parts")
     text = document.text
     if text is None:
         text = document.bytes.decode("latin-1")
@@ -134,10 +129,10 @@ def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
     if not said:
         raise _Wrong("does not say Frames and Frame Time after MOTION")
     count, width = int(said[1]), sum(map(len, skeleton.channels))
-    if not width or count * len(skeleton.names) > _MOST_TURNS:
+    if not width or count * len(skeleton.names) > LIMITS.bvh_turns:
         raise _Wrong(
             f"has {count} frames of {len(skeleton.names)} bones and {width} channels, and at most "
-            f"{_MOST_TURNS // len(skeleton.names)} frames of so many bones are read; cut it into parts"
+            f"{LIMITS.bvh_turns // len(skeleton.names)} frames of so many bones are read; cut it into parts"
         )
     try:
         seconds = float(said[2])
@@ -173,8 +168,10 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
                     called = " ".join(name)
                     if word.upper() == "END":
                         called = skeleton.names[parent] + _END if parent >= 0 else _END
-                    if len(skeleton.names) >= _MOST_BONES or not 0 < len(called) <= _LONGEST_NAME + len(_END):
-                        raise _Wrong(f"has more than {_MOST_BONES} bones, or one without a name of its own")
+                    if len(skeleton.names) >= LIMITS.bvh_bones or not 0 < len(called) <= 256 + len(_END):
+                        raise _Wrong(
+                            f"has more than {LIMITS.bvh_bones} bones, or one without a name of its own"
+                        )
                     called = _unlike(called, taken)
                     open_bones.append(len(skeleton.names))
                     skeleton.names.append(called)

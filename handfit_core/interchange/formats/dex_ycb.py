@@ -24,7 +24,6 @@ from handfit_core.skeleton import SIDES, Side
 
 _LABELS: Final = re.compile(r"labels_(\d+)\.npz")
 _SIZE: Final = (640, 480)
-_MOST_TEXT: Final = 1 << 20
 
 
 def _labels(document: Document) -> list[Path]:
@@ -58,8 +57,8 @@ def _read(document: Document, asked: Asked) -> Recording:
         if not np.any(row):
             continue
         pose = mano.from_directions(row[None, 3:48], side, asked)
-        flat = mano.from_flat(pose, side, asked, "mean")[0]
-        found.append(mano.FoundHand(frame, side, row[:3], flat, row[48:], betas))
+        flat = mano.from_flat(pose, side, asked, "mean")
+        found.append(mano.FoundHand(side, betas, row[None, :3], flat, row[None, 48:], frame))
     if not found:
         raise Unfit("there is no hand in any of its frames")
     numbers = np.array(sorted(frames))
@@ -85,19 +84,19 @@ def _read(document: Document, asked: Asked) -> Recording:
 def _text(path: Path) -> str:
     """A small file beside the labels; nothing where there is none."""
     try:
-        return read_file(path, _MOST_TEXT).decode("utf-8", "replace")
+        return read_file(path, 1 << 20).decode("utf-8", "replace")
     except (OSError, ValueError):
         return ""
 
 
-def _betas(labels: Path, meta: str) -> np.ndarray | None:
-    """(10,) of calibration/mano_NAME/mano.yml, beside the folders of the subjects."""
+def _betas(labels: Path, meta: str) -> np.ndarray:
+    """(10,) of calibration/mano_NAME/mano.yml, beside the folders of the subjects; NaN where it is not."""
     name = re.search(r"mano_calib:\s*\n?\s*(?:-|\[)\s*['\"]?([\w-]+)", meta)
     if name is None:
-        return None
+        return mano.NO_SHAPE
     text = _text(_calibration(labels) / f"mano_{name[1]}" / "mano.yml")
     numbers = re.findall(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?", text.partition("betas:")[2])[:10]
-    return np.array(numbers, dtype=np.float64) if len(numbers) == 10 else None
+    return np.array(numbers, dtype=np.float64) if len(numbers) == 10 else mano.NO_SHAPE
 
 
 def _camera(labels: Path) -> Intrinsics | None:

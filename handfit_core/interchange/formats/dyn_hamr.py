@@ -10,10 +10,12 @@ import numpy as np
 
 from handfit_core.doors.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.axes import MIRROR_X
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.skeleton import SIDES, Side
 
 
@@ -41,10 +43,10 @@ def _read(document: Document, asked: Asked) -> Recording:
         transl = places[track]
         if side == "left":
             orient, pose = mano.left_of_right(orient, pose)
-            transl = transl @ mano.MIRROR
+            transl = transl @ MIRROR_X
         pose = mano.from_flat(pose, side, asked, "flat")
         betas = None if shapes is None or len(shapes) != tracks else shapes[track]
-        hand = PosedHand(side, orient, pose, transl, mano.shape_of(betas, asked, assumed))
+        hand = HandMotion(side, mano.shape_of(betas, asked, assumed), orient, pose, transl)
         posed.append(_before_its_camera(document, hand, asked, track, tracks, count, assumed))
     if asked.person is not None:
         of_side = {side: [hand for hand in posed if hand.side == side] for side in SIDES}
@@ -75,8 +77,14 @@ def _of_tracks(document: Document, name: str, each: int, tracks: int, count: int
 
 
 def _before_its_camera(
-    document: Document, hand: PosedHand, asked: Asked, track: int, tracks: int, count: int, assumed: list[str]
-) -> PosedHand:
+    document: Document,
+    hand: HandMotion,
+    asked: Asked,
+    track: int,
+    tracks: int,
+    count: int,
+    assumed: list[str],
+) -> HandMotion:
     turned, moved = document.value("cam_R"), document.value("cam_t")
     if turned is None or moved is None:
         mano.tell(assumed, "the camera is not told (cam_R, cam_t): the world was taken to have its axes")

@@ -20,15 +20,13 @@ from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.gather import LEAST_SURE, UNKNOWN, hands_in_space, share_left
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording, known
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.tables import columns_of, hands_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
 _HAND_FILE: Final = re.compile(r"(?:^|.*_)(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
-_OUTPUT: Final = "output_data"
 _SIGMA: Final = 0.005
 """Metres that triangulated points are expected to be off"""
-_TO_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From X to the right, Y away, Z up to the camera's x right, y down, z away"""
 _PALM: Final = 0.09
 """Metres from the wrist to the middle finger's knuckle, about"""
 
@@ -42,7 +40,7 @@ def _arrays(document: Document) -> list[Path]:
     """The files of hands in a folder, or in its output_data; the file itself."""
     if not document.is_folder:
         return [document.path] if _side_of(document.path) else []
-    for folder in (document, Document(document.path / _OUTPUT)):
+    for folder in (document, Document(document.path / "output_data")):
         found = [file for file in folder.files(".npy") if _side_of(file)]
         if found:
             return found
@@ -101,7 +99,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         raise InputError(f"{path}: FreeMoCap's hands, but some of its points lie beyond {LARGEST:g}")
     unit, said = _unit(hands, path)
     points = tuple(
-        PointsHand(hand.side, hand.points * unit @ _TO_CAMERA.T, on_joints=False, sigma=_SIGMA)
+        PointsHand(hand.side, hand.points * unit @ UP_AXES["z"].T, on_joints=False, sigma=_SIGMA)
         for hand in hands
     )
     return Recording(

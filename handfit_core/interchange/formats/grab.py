@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from handfit_core.doors.values import Unfit
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
-from handfit_core.skeleton import SIDES, Side
-
-_FPS: Final = 120.0
-_NAMES: Final[dict[Side, str]] = {"left": "lhand", "right": "rhand"}
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.skeleton import NUM_BETAS, SIDES, Side
 
 
 def _recognises(document: Document) -> bool:
@@ -28,16 +26,17 @@ def _read(document: Document, asked: Asked) -> Recording:
     )
     posed = []
     for side in SIDES:
-        params = _params(document, _NAMES[side])
+        params = _params(document, {"left": "lhand", "right": "rhand"}[side])
         orient = mano.rotations("global_orient", params["global_orient"], 1)
         pose = mano.from_flat(_pose(params, side, asked, len(orient)), side, asked, "flat")
         transl = mano.numbers("transl", params["transl"], 3)
         if len(transl) != len(orient):
             raise Unfit(f"transl has {len(transl)} rows where {len(orient)} are expected")
-        posed.append(mano.seen_from(PosedHand(side, orient, pose, transl), asked, turn))
+        hand = HandMotion(side, np.zeros(NUM_BETAS), orient, pose, transl)
+        posed.append(mano.seen_from(hand, asked, turn))
     assumed.append("the subject's own shape (vtemp) is left out")
     told = document.value("framerate")
-    fps = mano.rate(_FPS if told is None else told, asked)
+    fps = mano.rate(120.0 if told is None else told, asked)
     frames = np.arange(1, len(posed[0].hand_pose) + 1)
     return mano.recording_of("grab", document, fps, frames, posed, asked, assumed)
 

@@ -24,15 +24,13 @@ from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 
 _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
-_NESTED: Final = ("pred_mano_params", "mano_params", "wilor_preds")
-_RIGHT: Final = ("right", "is_right")
-_PLACE: Final = ("pred_cam_t_full", "cam_t_full", "cam_t")
-"""Not pred_cam_t, which is HaMeR's for the crop alone"""
-_FRAME: Final = ("frame", "frames", "frame_id", "frame_ids", "frame_idx")
-_FOCAL: Final = "scaled_focal_length"
-"""Not focal_length, which is HaMeR's and WiLoR's for the crop alone, 5000 pixels whatever the picture is"""
-_FOCAL_OF_SIZE: Final = 5000.0 / 256.0
-"""HaMeR's and WiLoR's focal length, in longer sides of the picture"""
+_NAMES: Final = {
+    "nested": ("pred_mano_params", "mano_params", "wilor_preds"),
+    "right": ("right", "is_right"),
+    # Not pred_cam_t, which is HaMeR's for the crop alone
+    "place": ("pred_cam_t_full", "cam_t_full", "cam_t"),
+    "frame": ("frame", "frames", "frame_id", "frame_ids", "frame_idx"),
+}
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
 """of a hand's number in a file's name; longer ones are frames'"""
@@ -57,11 +55,11 @@ def _flat(document_or_dict: Any) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in held.items():
         key = str(name)
-        if key in _NESTED and isinstance(value, dict):
+        if key in _NAMES["nested"] and isinstance(value, dict):
             flat.update({str(k): v for k, v in value.items()})
         else:
             # np.savez makes "pred_mano_params.hand_pose" or "pred_mano_params_hand_pose" of a loop's names.
-            for nested in _NESTED:
+            for nested in _NAMES["nested"]:
                 key = key.removeprefix(f"{nested}.").removeprefix(f"{nested}_").removeprefix(f"{nested}/")
             flat[key] = value
     return flat
@@ -71,7 +69,7 @@ def _is_hand(held: Any) -> bool:
     return (
         isinstance(held, dict)
         and {"global_orient", "hand_pose"} <= set(held)
-        and any(name in held for name in _RIGHT)
+        and any(name in held for name in _NAMES["right"])
     )
 
 
@@ -83,7 +81,7 @@ def _first(document: Document) -> dict[str, Any] | None:
     names = set(document.names)
     if names:
         shown = names | {part for name in names for part in re.split(r"[./]", name)}
-        if not (names & set(_NESTED) or {"hand_pose", "global_orient"} <= shown or _numbered(names)):
+        if not (names & set(_NAMES["nested"]) or {"hand_pose", "global_orient"} <= shown or _numbered(names)):
             return None
         if not _numbered(names):
             flat = _flat(document)
@@ -174,11 +172,12 @@ def _read(document: Document, asked: Asked, name: str, mirrored: bool) -> Record
         if not _is_hand(part.values):
             continue
         hands = _hands_of(part, asked, mirrored, assumed)
-        if part.name is None or _of(part.values, _FRAME) is not None:
+        if part.name is None or _of(part.values, _NAMES["frame"]) is not None:
             found += hands
         else:
             named.setdefault(part.name, []).extend(hands)
-        focal, told = part.values.get(_FOCAL), part.values.get("img_size")
+        # Not focal_length, which is HaMeR's and WiLoR's for the crop alone, 5000 pixels of any picture
+        focal, told = part.values.get("scaled_focal_length"), part.values.get("img_size")
         if focal is not None:
             focals += mano.numbers("the focal length", focal, 1)[:, 0].tolist()
         if told is not None and size is None:
@@ -198,7 +197,7 @@ def _read(document: Document, asked: Asked, name: str, mirrored: bool) -> Record
             if mirrored
             else "left hands were taken as left ones already, as WiLoR-mini's are",
         )
-    camera = _camera(focals, size, assumed) if posed and posed[0].transl is not None else None
+    camera = _camera(focals, size, assumed) if posed and not mano.is_nowhere(posed[0]) else None
     fps = asked.rate
     return mano.recording_of(
         name,
@@ -223,7 +222,8 @@ def _camera(focals: list[float], size: tuple[int, int] | None, assumed: list[str
             "not laid over pictures (--picture-size, or the pictures as the input and this as --keypoints)",
         )
         return None
-    focal = float(np.median(focals)) if focals else _FOCAL_OF_SIZE * max(size)
+    # HaMeR's and WiLoR's focal length, in longer sides of the picture
+    focal = float(np.median(focals)) if focals else (5000.0 / 256.0) * max(size)
     if not focals:
         mano.tell(assumed, f"a focal length of {focal:.0f} pixels, the networks' own for this size")
     return Intrinsics(focal, focal, size[0] / 2.0, size[1] / 2.0)
@@ -231,43 +231,36 @@ def _camera(focals: list[float], size: tuple[int, int] | None, assumed: list[str
 
 def _hands_of(part: _Part, asked: Asked, mirrored: bool, assumed: list[str]) -> list[mano.FoundHand]:
     values = part.values
-    right = mano.numbers("right", _of(values, _RIGHT), 1)[:, 0]
+    right = mano.numbers("right", _of(values, _NAMES["right"]), 1)[:, 0]
     if not np.isin(right, (0.0, 1.0)).all():
         raise Unfit("right must be 1 for right hands and 0 for left ones")
     count = len(right)
     orient = mano.rotations("global_orient", values["global_orient"], 1, count)
     pose = mano.rotations("hand_pose", values["hand_pose"], 15, count)
-    place = _of(values, _PLACE)
-    transl = None if place is None else mano.numbers("pred_cam_t_full", place, 3)
-    if transl is not None and len(transl) != count:
+    place = _of(values, _NAMES["place"])
+    transl = mano.nowhere(count) if place is None else mano.numbers("pred_cam_t_full", place, 3)
+    if len(transl) != count:
         raise Unfit(f"pred_cam_t_full has {len(transl)} rows where {count} are expected")
-    if transl is None:
+    if place is None:
         mano.tell(assumed, "where the hands are is not told (pred_cam_t_full): each stays in its place")
     betas = values.get("betas")
-    shapes = None if betas is None else mano.numbers("betas", betas, 10)
+    shapes = np.empty((0, 10)) if betas is None else mano.numbers("betas", betas, 10)
     found = []
     for row, frame in enumerate(_frames(part, count, right, assumed)):
         side = "right" if right[row] else "left"
-        hand = orient[row : row + 1], pose[row : row + 1]
+        one = slice(row, row + 1)
+        hand = orient[one], pose[one]
         if side == "left" and mirrored:
             hand = mano.left_of_right(*hand)
         flat = mano.from_flat(hand[1], side, asked, "flat")
-        found.append(
-            mano.FoundHand(
-                frame,
-                side,
-                hand[0][0],
-                flat[0],
-                None if transl is None else transl[row],
-                None if shapes is None or len(shapes) != count else shapes[row],
-            )
-        )
+        shape = shapes[row] if len(shapes) == count else mano.NO_SHAPE
+        found.append(mano.FoundHand(side, shape, hand[0], flat, transl[one], frame))
     return found
 
 
 def _frames(part: _Part, count: int, right: np.ndarray, assumed: list[str]) -> list[int]:
     """Each hand's frame; any where the part's name has it."""
-    told = _of(part.values, _FRAME)
+    told = _of(part.values, _NAMES["frame"])
     if told is not None:
         rows = mano.numbers("frame", told, 1)[:, 0]
         if len(rows) == 1:

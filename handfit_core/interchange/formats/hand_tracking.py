@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.arrays import LARGEST
+from handfit_core.batch import scatter
 from handfit_core.doors.values import Unfit, number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
@@ -24,15 +25,16 @@ from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL, bone_frames
 from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.numbered import check_count, told_twice
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording, known
+from handfit_core.interchange.recording import Asked, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.transfer import palm_frame
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
-from handfit_core.take import LARGEST_FPS, SMALLEST_FPS
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.take import TAKE_LIMITS
 
 _FINGER: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 JOINTS: Final = (
@@ -49,12 +51,12 @@ _OURS: Final = {
 } | {0: 0}
 """Their joint by MANO's, whose bones begin there"""
 _NOISE: Final = re.compile(r"xr|hand|joint|ext|finger|phalanx|left|right|[^a-z]")
-_POSITION: Final = ("position", "pos", "p", "translation")
-_ORIENTATION: Final = ("orientation", "rotation", "quaternion", "rot", "q")
-_NESTED: Final = ("pose", "transform")
-_TIMES: Final = ("timestamp", "time", "t", "predictedDisplayTime")
-_ALONG: Final = 0.8
-"""How well -Z must point to the next joint, as a cosine, by which orders of quaternions are told apart"""
+_NAMES: Final = {
+    "position": ("position", "pos", "p", "translation"),
+    "orientation": ("orientation", "rotation", "quaternion", "rot", "q"),
+    "nested": ("pose", "transform"),
+    "time": ("timestamp", "time", "t", "predictedDisplayTime"),
+}
 
 
 def _plain(name: str) -> str:
@@ -166,13 +168,13 @@ def _joint(told: Any) -> tuple[list[float], list[float]] | None:
         if len(told) != 7:
             raise Unfit(f"expected x, y, z and a quaternion x, y, z, w, found {shortly(told)}")
         return _numbers(told[:3], "xyz"), _numbers(told[3:], "xyzw")
-    for name in _NESTED:
+    for name in _NAMES["nested"]:
         if isinstance(told, dict) and isinstance(told.get(name), dict):
             told = told[name]
     if not isinstance(told, dict):
         raise Unfit(f"expected a position and an orientation, found {shortly(told)}")
-    place = next((told[name] for name in _POSITION if told.get(name) is not None), None)
-    turn = next((told[name] for name in _ORIENTATION if told.get(name) is not None), None)
+    place = next((told[name] for name in _NAMES["position"] if told.get(name) is not None), None)
+    turn = next((told[name] for name in _NAMES["orientation"] if told.get(name) is not None), None)
     if place is None and turn is None:
         return None
     return _numbers(place, "xyz"), _numbers(turn, "xyzw")
@@ -186,7 +188,7 @@ def _numbers(told: Any, names: str) -> list[float]:
     return [number(name, value, -LARGEST, LARGEST) for name, value in zip(names, told, strict=False)]
 
 
-def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> PosedHand:
+def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> HandMotion:
     """The pose of tracked joints. Directions and twists of fingers are the joints' own; how the hand is
     turned is told by where its knuckles and its wrist are, as wrists' axes differ between makers."""
     needed = list(_OURS.values())
@@ -225,16 +227,12 @@ def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> 
         [np.swapaxes(whole[:, PARENTS[j]], -1, -2) @ whole[:, j] for j in range(1, NUM_JOINTS)], axis=1
     )
 
-    def spread(values: np.ndarray) -> np.ndarray:
-        found = np.full((len(there), values.shape[-1]), np.nan)
-        found[there] = values
-        return found
-
-    return PosedHand(
+    return HandMotion(
         side,
-        spread(rotmat_to_rotvec(whole[:, 0])),
-        spread(rotmat_to_rotvec(local).reshape(len(places), -1)),
-        spread(transl),
+        np.zeros(NUM_BETAS),
+        scatter(rotmat_to_rotvec(whole[:, 0]), there, len(there)),
+        scatter(rotmat_to_rotvec(local).reshape(len(places), -1), there, len(there)),
+        scatter(transl, there, len(there)),
     )
 
 
@@ -251,7 +249,8 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, bool]
         frames.append(quat_to_rotmat(np.nan_to_num(quats[..., order], nan=0.5)))
         fits.append(float(np.median(-(frames[-1][:, starts][..., 2] * steps).sum(axis=-1))))
     best = int(fits[1] > fits[0])
-    if fits[best] < _ALONG:
+    # How well -Z must point to the next joint, as a cosine, by which orders of quaternions are told apart
+    if fits[best] < 0.8:
         angle = np.degrees(np.arccos(np.clip(max(fits), -1.0, 1.0)))
         raise _Wrong(
             f"has joints whose -Z points {angle:.0f} degrees past the next joint; expected OpenXR's or "
@@ -263,12 +262,14 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, bool]
 def _rate(frames: list[Any], assumed: list[str]) -> float:
     """Frames per second, by the time stamps: seconds, milliseconds, microseconds or nanoseconds, whichever
     gives between 5 and 500."""
-    times = [next((f[name] for name in _TIMES if name in f), None) for f in frames if isinstance(f, dict)]
+    times = [
+        next((f[name] for name in _NAMES["time"] if name in f), None) for f in frames if isinstance(f, dict)
+    ]
     if len(times) > 1 and all(isinstance(t, int | float) and abs(t) < 1e300 for t in times):
         step = float(np.median(np.diff(np.array(times, dtype=np.float64))))
         for unit in (1.0, 1e-3, 1e-6, 1e-9):
             if step > 0.0 and 5.0 <= 1.0 / (step * unit) <= 500.0:
-                return float(np.clip(1.0 / (step * unit), SMALLEST_FPS, LARGEST_FPS))
+                return float(np.clip(1.0 / (step * unit), TAKE_LIMITS.min_fps, TAKE_LIMITS.max_fps))
     if len(frames) > 1:
         assumed.append(f"{DEFAULT_FPS:g} frames per second, as no times tell")
     return DEFAULT_FPS

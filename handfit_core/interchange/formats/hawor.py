@@ -10,15 +10,15 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.doors.values import Unfit
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.skeleton import SIDES
 
 _FIRST_AND_LAST: Final = re.compile(r"(\d+)_(\d+)")
 _FIVE: Final = ("trans", "rot", "hand_pose", "betas", "valid")
-_MOST_FRAMES: Final = 10_000_000
 
 
 def _folder(document: Document) -> Path | None:
@@ -68,7 +68,7 @@ def _of_folder(document: Document, asked: Asked) -> Recording:
             assert match is not None
             first, last = int(match[1]), int(match[2])
             chunk = Document(path)
-            if not 0 <= last - first < _MOST_FRAMES or not isinstance(chunk.json, dict):
+            if not 0 <= last - first < 10_000_000 or not isinstance(chunk.json, dict):
                 raise Unfit(f"{path.name} must be JSON of the frames in its name, and is {chunk.found}")
             count = last - first + 1
             orient = mano.rotations("init_root_orient", chunk.value("init_root_orient"), 1, count)
@@ -80,7 +80,14 @@ def _of_folder(document: Document, asked: Asked) -> Recording:
             pose = mano.from_flat(pose, side, asked, "flat")
             found += [
                 # HaWoR counts pictures from 0.
-                mano.FoundHand(first + row + 1, side, orient[row], pose[row], transl[row], betas[row])
+                mano.FoundHand(
+                    side,
+                    betas[row],
+                    orient[row : row + 1],
+                    pose[row : row + 1],
+                    transl[row : row + 1],
+                    first + row + 1,
+                )
                 for row in range(count)
             ]
     frames = np.array(sorted({hand.frame for hand in found}))
@@ -114,9 +121,9 @@ def _of_world(document: Document, asked: Asked) -> Recording:
         transl = mano.numbers("trans", np.asarray(five["trans"])[index], 3)
         betas = None if "betas" not in five else np.asarray(five["betas"])[index]
         there = valid[index] > 0.0
-        shape = None if betas is None else mano.shape_of(betas[there], asked, assumed)
+        shape = mano.shape_of(None if betas is None else betas[there], asked, assumed)
         pose = mano.from_flat(pose, side, asked, "flat")
-        posed.append(mano.only(PosedHand(side, orient, pose, transl, shape), there))
+        posed.append(mano.only(HandMotion(side, shape, orient, pose, transl), there))
     fps = asked.rate
     return mano.recording_of("hawor", document, fps, np.arange(1, count + 1), posed, asked, assumed)
 

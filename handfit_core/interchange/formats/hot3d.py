@@ -18,13 +18,10 @@ from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.skeleton import SIDES
 
-_COEFFICIENTS: Final = 15
 _OF_CLIPS: Final = re.compile(r"(\d+)\.hands\.json")
-_NANOSECONDS: Final = 1e-9
-_TOGETHER: Final = 4_000_000
-"""nanoseconds between pictures of one moment"""
 
 
 def _recognises(document: Document) -> bool:
@@ -59,7 +56,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         lines = _of_one_camera(document.lines or [])
         times = [whole("timestamp_ns", line["timestamp_ns"]) for line in lines]
         if len(times) > 1 and np.median(np.diff(times)) > 0:
-            told = 1.0 / (_NANOSECONDS * float(np.median(np.diff(times))))
+            told = 1.0 / (1e-9 * float(np.median(np.diff(times))))
         numbers = list(range(1, len(lines) + 1))
         for number, line in zip(numbers, lines, strict=True):
             for index, pose in line["hand_poses"].items():
@@ -67,7 +64,9 @@ def _read(document: Document, asked: Asked) -> Recording:
                     raise Unfit(f"hand_poses must be 0 (left) and 1 (right), and has {index[:40]}")
                 found.append(_hand(number, int(index), pose, asked))
     frames = np.array(sorted(numbers))
-    posed = [mano.seen_from(hand, asked, mano.Z_UP) for hand in mano.followed(found, frames, asked, assumed)]
+    posed = [
+        mano.seen_from(hand, asked, UP_AXES["z"]) for hand in mano.followed(found, frames, asked, assumed)
+    ]
     fps = mano.rate(told, asked)
     return mano.recording_of("hot3d", document, fps, frames, posed, asked, assumed, chosen=True)
 
@@ -78,7 +77,8 @@ def _of_one_camera(lines: list[Any]) -> list[Any]:
     kept: list[Any] = []
     for line in lines:
         time = whole("timestamp_ns", line["timestamp_ns"])
-        if not kept or not 0 <= time - kept[-1]["timestamp_ns"] < _TOGETHER:
+        # Nanoseconds between pictures of one moment
+        if not kept or not 0 <= time - kept[-1]["timestamp_ns"] < 4_000_000:
             kept.append(line)
     return kept
 
@@ -88,19 +88,17 @@ def _hand(frame: int, index: int, pose: dict[str, Any], asked: Asked) -> mano.Fo
     if "joint_angles" in pose:
         raise Unfit("it has joint_angles, which are UmeTrack's hands: give the file of MANO's hands")
     given = pose["pose"] if "pose" in pose else pose["thetas"]
-    coefficients = mano.numbers("pose", given, _COEFFICIENTS)[:1]
+    coefficients = mano.numbers("pose", given, 15)[:1]
     wrist = pose["wrist_xform"]
     if isinstance(wrist, dict):
-        orient = rotmat_to_rotvec(quat_to_rotmat(mano.numbers("q_wxyz", wrist["q_wxyz"], 4)))[0]
-        transl = mano.numbers("t_xyz", wrist["t_xyz"], 3)[0]
+        orient = rotmat_to_rotvec(quat_to_rotmat(mano.numbers("q_wxyz", wrist["q_wxyz"], 4)))[:1]
+        transl = mano.numbers("t_xyz", wrist["t_xyz"], 3)[:1]
     else:
-        both = mano.numbers("wrist_xform", wrist, 6)[0]
-        orient, transl = both[:3], both[3:]
-    betas = pose.get("betas")
+        both = mano.numbers("wrist_xform", wrist, 6)[:1]
+        orient, transl = both[:, :3], both[:, 3:]
+    betas = mano.numbers("betas", pose["betas"], 10)[0] if pose.get("betas") is not None else mano.NO_SHAPE
     flat = mano.from_flat(mano.from_directions(coefficients, side, asked), side, asked, "mean")
-    return mano.FoundHand(
-        frame, side, orient, flat[0], transl, None if betas is None else mano.numbers("betas", betas, 10)[0]
-    )
+    return mano.FoundHand(side, betas, orient, flat, transl, frame)
 
 
 READER = Reader(

@@ -48,12 +48,12 @@ def _read(document: Document, asked: Asked) -> Recording:
             row = mano.rotations("pose", np.reshape(hand["pose"], -1), 16, 1)
             found.append(
                 mano.FoundHand(
-                    int(frame),
                     side,
-                    row[0, :3],
-                    mano.from_flat(row[:, 3:], side, asked, "mean")[0],
-                    mano.numbers("trans", hand["trans"], 3)[0],
                     mano.numbers("shape", hand["shape"], 10)[0],
+                    row[:, :3],
+                    mano.from_flat(row[:, 3:], side, asked, "mean"),
+                    mano.numbers("trans", hand["trans"], 3)[:1],
+                    int(frame),
                 )
             )
     if not found:

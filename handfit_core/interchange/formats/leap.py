@@ -26,11 +26,8 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
 _MILLIMETRES: Final = 0.001
 _JOINTS: Final = ("mcpPosition", "pipPosition", "dipPosition", "btipPosition")
-_SIGMA: Final = 0.003
-"""metres"""
 _HANDS: Final = (0.03, 0.2)
 """metres from wrist to middle knuckle: what else is another unit"""
-_MICROSECONDS: Final = 1e-6
 
 
 def _recognises(document: Document) -> bool:
@@ -82,7 +79,7 @@ def _read(document: Document, asked: Asked) -> Recording:
         twice.update(side for side, count in seen.items() if count > 1)
     found = []
     for side in SIDES:
-        hand = PointsHand(side, points[side] @ UP_AXES["y"].T * _MILLIMETRES, sigma=_SIGMA)
+        hand = PointsHand(side, points[side] @ UP_AXES["y"].T * _MILLIMETRES, sigma=0.003)
         if not hand.present.any():
             continue
         size = float(np.nanmedian(np.linalg.norm(hand.points[:, 9] - hand.points[:, 0], axis=-1)))
@@ -150,7 +147,7 @@ def _rate(frames: list[dict[str, Any]], assumed: list[str]) -> float:
     """Frames per second, by the time stamps in microseconds, or what the frames say of it."""
     times = [frame.get("timestamp") for frame in frames]
     if len(times) > 1 and all(isinstance(t, int | float) and abs(t) < 1e300 for t in times):
-        step = float(np.median(np.diff(np.array(times, dtype=np.float64)))) * _MICROSECONDS
+        step = float(np.median(np.diff(np.array(times, dtype=np.float64)))) * 1e-6
         if 1e-3 < step < 1.0:
             return 1.0 / step
     if len(frames) > 1:

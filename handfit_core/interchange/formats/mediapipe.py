@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -34,16 +34,11 @@ from handfit_core.interchange.numbered import JsonFrames, frames_of, keyed, size
 from handfit_core.interchange.opening import RELATIVE
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording, known
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.tables import hands_of, is_hand_table, rate_of
 from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.take import Take
-
-_FARTHEST: Final = 3.0
-"""Beyond it, coordinates are no parts of the picture's size"""
-_WORLD_SIGMA: Final = 0.005
-"""Metres that world landmarks are expected to be off"""
-_TIMES: Final = ("timestamp", "timestampms", "timestampinmilliseconds", "time", "timems")
 
 
 def _recognises(document: Document) -> bool:
@@ -119,7 +114,7 @@ def _rate(frames: JsonFrames) -> float:
         told = frames.header.get(key)
         if isinstance(told, int | float) and not isinstance(told, bool) and 1e-3 < told < 1e6:
             return float(told)
-    for key in _TIMES:
+    for key in ("timestamp", "timestampms", "timestampinmilliseconds", "time", "timems"):
         times = [keyed(content).get(key) for content in frames.contents]
         if all(isinstance(time, int | float) for time in times) and len(times) > 1:
             return rate_of(
@@ -166,17 +161,17 @@ def _recording(
         hands, swapped = _own_sides(hands, world, mirrored)
         hands, sides = with_sides(hands, asked.hands, world)
         check_some(replace(hands, points=world), f"{path}: MediaPipe's world landmarks")
-        points = hands_in_space(hands, len(numbers), world, on_joints=False, sigma=_WORLD_SIGMA)
+        points = hands_in_space(hands, len(numbers), world, on_joints=False, sigma=0.005)
         said = "its points are MediaPipe's world landmarks, without a place: the hands stay where they are"
         return replace(made, points=points, assumed=(*assumed, said, *swapped, *sides))
     check_some(hands, f"{path}: MediaPipe's landmarks")
     shapes = np.where(np.asarray(known(hands.world).all(axis=1))[:, None, None], hands.world, hands.points)
     hands, swapped = _own_sides(hands, shapes, mirrored)
     hands, sides = with_sides(hands, asked.hands, shapes)
-    relative = np.nanmax(np.abs(hands.in_plane)) <= _FARTHEST
+    relative = np.nanmax(np.abs(hands.in_plane)) <= LIMITS.relative
     if not relative:
         deep = hands.points[..., 2]
-        if np.isfinite(deep).any() and np.nanmax(np.abs(deep)) <= _FARTHEST:
+        if np.isfinite(deep).any() and np.nanmax(np.abs(deep)) <= LIMITS.relative:
             # Pixels beside a depth in parts of the picture's width.
             width = size or asked.picture_size
             points = hands.points.copy()

@@ -7,7 +7,7 @@ the same with the picture's size, and lists of it.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +27,8 @@ from handfit_core.interchange.numbered import first_content, frames_of, keyed, s
 from handfit_core.interchange.opening import RELATIVE, scaled
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording, known
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-
-LEAST_MEAN: Final = 0.2
-"""Mean confidence below which OpenPose does not draw a hand (--hand_render_threshold)"""
-_FARTHEST: Final = 3.0
-"""Beyond it, coordinates are no parts of the picture's size"""
 
 
 def _recognises(document: Document) -> bool:
@@ -76,7 +72,8 @@ def _read(document: Document, asked: Asked) -> Recording:
     check_person(asked.person, most, path)
     if not given:
         raise InputError(f"{path}: OpenPose's people without hands; run it with --hand")
-    hands, hidden = without_hidden(gathered.hands(), LEAST_MEAN)
+    # Mean confidence below which OpenPose does not draw a hand (--hand_render_threshold)
+    hands, hidden = without_hidden(gathered.hands(), 0.2)
     check_some(hands, f"{path}: OpenPose's people")
     hands, relative, assumed = _unscaled(hands, np.concatenate(everything))
     canvas = size_in(keyed(frames.contents[0]), "canvas")
@@ -107,7 +104,7 @@ def _unscaled(hands: ToldHands, points: np.ndarray) -> tuple[ToldHands, bool, tu
     at (-1, -1) with a confidence of 0, and with the others at (0, 0).
     """
     trusted = points[(points[:, 2] > 0.0) & known(points[:, :2]), :2]
-    if np.abs(trusted).max() > _FARTHEST:
+    if np.abs(trusted).max() > LIMITS.relative:
         return hands, False, ()
     missing = points[points[:, 2] == 0.0, :2]
     at_corner, at_zero = np.all(missing == -1.0, axis=1).any(), np.all(missing == 0.0, axis=1).any()

@@ -22,7 +22,6 @@ from handfit_core.take import Take
 
 _IN_PLANE: Final = ("x_px", "y_px")
 _IN_SPACE: Final = ("x_m", "y_m", "z_m")
-_NEEDED: Final = {"frame", "side", "point"}
 COLUMNS: Final = (
     *("frame", "time", "hand", "side", "point"),
     *(*_IN_PLANE, "confidence", *_IN_SPACE, "width", "height"),
@@ -31,7 +30,7 @@ COLUMNS: Final = (
 
 def _recognises(document: Document) -> bool:
     table = None if document.is_folder else document.table
-    if table is None or not set(table.columns) >= _NEEDED:
+    if table is None or not set(table.columns) >= {"frame", "side", "point"}:
         return False
     return set(_IN_PLANE) <= set(table.columns) or set(_IN_SPACE) <= set(table.columns)
 

@@ -31,10 +31,6 @@ _FIRST: Final[dict[Side, int]] = {"right": 21, "left": 42}
 _OURS: Final = (20, *(4 * f + 3 - k for f in range(len(FINGERS)) for k in range(4)))
 """Our 21 keypoints among them"""
 _POINTS: Final = 70
-_SIGMA: Final = 0.002
-"""metres that MHR's joints lie off ours once a hand is laid over them"""
-_SEEN_WITHIN: Final = 2.0
-"""pixels that points in the plane may lie off those in space seen through one camera"""
 _PERSON: Final = re.compile(r"(?:subj|subject|person|human|id)_?(\d+)", re.IGNORECASE)
 
 
@@ -93,7 +89,8 @@ def _read(document: Document, asked: Asked) -> Recording:
             row = int(np.searchsorted(numbers, frame))
             for side in SIDES:
                 points[side][row] = body[_FIRST[side] :][:NUM_KEYPOINTS][list(_OURS)]
-        hands += [PointsHand(side, points[side], landmarks=MHR_LANDMARKS, sigma=_SIGMA) for side in SIDES]
+        # Metres that MHR's joints lie off ours once a hand is laid over them
+        hands += [PointsHand(side, points[side], landmarks=MHR_LANDMARKS, sigma=0.002) for side in SIDES]
     assumed, camera, size = [], None, None
     if len(cameras) == sum(map(len, people.values())):
         focal, x, y = np.median(cameras, axis=0)
@@ -171,7 +168,8 @@ def _camera(document: Document, body: np.ndarray, seen: np.ndarray) -> np.ndarra
         [np.stack([rays[:, 0], ones, nothing], axis=1), np.stack([rays[:, 1], nothing, ones], axis=1)]
     )
     camera = np.linalg.lstsq(equations, seen.T.ravel(), rcond=None)[0]
-    if np.abs(equations @ camera - seen.T.ravel()).max() > _SEEN_WITHIN:
+    # Pixels that points in the plane may lie off those in space seen through one camera
+    if np.abs(equations @ camera - seen.T.ravel()).max() > 2.0:
         raise InputError(
             f"{shown(document.path)}: pred_keypoints_2d are not where one camera sees pred_keypoints_3d + "
             "pred_cam_t; are both of the same person and picture?"

@@ -13,7 +13,8 @@ from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame, written
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
@@ -28,7 +29,6 @@ _WRISTS: Final[dict[Side, slice]] = {"left": slice(60, 63), "right": slice(63, 6
 _RATES: Final = ("mocap_frame_rate", "mocap_framerate", "fps", "frame_rate")
 _PRESENT: Final = "hands_present"
 """(T, 2) bool, of our files only: frames in which the left and the right hand was seen"""
-_BETAS: Final = 16
 
 
 def _recognises(document: Document) -> bool:
@@ -52,7 +52,7 @@ def _read(document: Document, asked: Asked) -> Recording:
     posed = []
     for side in SIDES:
         flat = mano.from_flat(hands[side], side, asked, "mean" if beat else "flat")
-        hand = PosedHand(side, mano.wrist_of_body(pelvis, body, side), flat)
+        hand = mano.of_body(side, pelvis, body, flat)
         if present is not None:
             there = mano.numbers(_PRESENT, present, 2)[:, SIDES.index(side)] > 0.0
             hand = mano.only(hand, there)
@@ -90,13 +90,13 @@ def _write(take: Take, path: Path) -> None:
     present = np.zeros((len(poses), 2), dtype=bool)
     for side, hand in frames.hands.items():
         poses[:, _HANDS[165][side]] = hand.hand_pose
-        turned = mano.Y_UP @ rotvec_to_rotmat(hand.global_orient)
+        turned = UP_AXES["y"] @ rotvec_to_rotmat(hand.global_orient)
         poses[:, _WRISTS[side]] = rotmat_to_rotvec(turned)
-        present[:, SIDES.index(side)] = hand.present
+        present[:, SIDES.index(side)] = frames.present[side]
     arrays: dict[str, Any] = {
         "trans": np.zeros((len(poses), 3)),
         "gender": np.array("neutral"),
-        "betas": np.zeros(_BETAS),
+        "betas": np.zeros(16),
         "poses": poses,
         "mocap_frame_rate": np.array(frames.fps),
         "surface_model_type": np.array("smplx"),

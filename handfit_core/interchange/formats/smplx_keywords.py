@@ -15,17 +15,17 @@ import numpy as np
 
 from handfit_core.doors.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame, written
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PosedHand, Recording
+from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.interchange.writers import Writer
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 
-_FINGERS: Final = tuple(f"{side}_hand_pose" for side in SIDES)
-_BODY: Final = {"global_orient", "body_pose", *_FINGERS}
+_BODY: Final = {"global_orient", "body_pose", *tuple(f"{side}_hand_pose" for side in SIDES)}
 _FRAME_AND_BOX: Final = re.compile(r"(\d+)_(\d+)")
 
 
@@ -73,9 +73,9 @@ def _hands(document: Document, asked: Asked) -> Recording:
         orient = mano.rotations(f"{side}_global_orient", values["global_orient"], 1, len(pose))
         pose = mano.from_flat(pose, side, asked, "flat")
         place = values["transl"]
-        transl = None if place is None else mano.numbers(f"{side}_transl", place, 3)
+        transl = mano.nowhere(len(pose)) if place is None else mano.numbers(f"{side}_transl", place, 3)
         shape = mano.shape_of(values["betas"], asked, assumed)
-        hand = PosedHand(side, orient, pose, transl, shape)
+        hand = HandMotion(side, shape, orient, pose, transl)
         present = document.value(f"{side}_present")
         if present is not None:
             hand = mano.only(hand, mano.numbers(f"{side}_present", present, 1)[:, 0] > 0.0)
@@ -118,7 +118,7 @@ def _pelvis(document: Document) -> np.ndarray:
 
 def _of_one_body(
     document: Document, asked: Asked, pelvis: np.ndarray, counted: mano.Counted
-) -> list[PosedHand]:
+) -> list[HandMotion]:
     body = mano.rotations("body_pose", document.value("body_pose"), mano.BODY_JOINTS, len(pelvis))
     hands = []
     for side in SIDES:
@@ -130,7 +130,7 @@ def _of_one_body(
         else:
             pose = mano.rotations(name, value, 15, len(pelvis))
         pose = mano.from_flat(pose, side, asked, counted)
-        hands.append(PosedHand(side, mano.wrist_of_body(pelvis, body, side), pose))
+        hands.append(mano.of_body(side, pelvis, body, pose))
     return hands
 
 
@@ -149,10 +149,7 @@ def _smpler_x(document: Document, asked: Asked) -> Recording:
         if len(pelvis) != 1:
             raise Unfit(f"{path.name} must hold one body, and has {len(pelvis)}")
         for hand in _of_one_body(one, asked, pelvis, "mean"):
-            row = mano.FoundHand(
-                int(match[1]), hand.side, hand.global_orient[0], hand.hand_pose[0], person=int(match[2])
-            )
-            found.append(row)
+            found.append(mano.FoundHand(**vars(hand), frame=int(match[1]), person=int(match[2])))
     frames = np.array(sorted({hand.frame for hand in found}))
     posed = mano.followed(found, frames, asked, assumed)
     if len({hand.person for hand in found}) > 1:
@@ -172,9 +169,10 @@ def _write(take: Take, path: Path) -> None:
         "flat_hand_mean": np.array(True),
     }
     for side, hand in frames.hands.items():
-        for name in ("global_orient", "hand_pose", "transl", "betas", "present"):
-            value = getattr(hand, name)
-            arrays[f"{side}_{name}"] = value[None] if name == "betas" else value
+        for name, rows in zip(POSE_ARRAYS, hand.pose, strict=True):
+            arrays[f"{side}_{name}"] = rows
+        arrays[f"{side}_betas"] = hand.betas[None]
+        arrays[f"{side}_present"] = frames.present[side]
     written(path, arrays)
 
 

@@ -101,7 +101,7 @@ def test_hands_are_tracked_into_neighbouring_chunks(
     monkeypatch.setattr(chunks.ClipDetector, "chunk", only_the_second)
     found = detect_frames(open_media(clip), CaptureOptions(processes=1))
     counts = [len(frame) for frame in found.frames]
-    end = chunks.CHUNK_FRAMES
+    end = chunks.MEDIA.chunk_frames
     back = end - chunks.TRACKING.backtrack_frames
     assert counts[:back] == [0] * back
     assert counts[back:end] == [1 + (i >= 90) for i in range(back, end)]
@@ -172,7 +172,7 @@ def test_one_thread_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_other_threads_use_the_named_detector(clip: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Blind(chunks.ClipDetector):
         def chunk(self, index: int, *_: object) -> Chunk:
-            numbers = [7 + index] * (chunks.CHUNK_FRAMES if index < 2 else 1)
+            numbers = [7 + index] * (chunks.MEDIA.chunk_frames if index < 2 else 1)
             return Chunk(numbers, [()] * len(numbers), [], [3], [], None, None)
 
     blind = replace(DETECTORS.get("direct"), clip=Blind)

@@ -16,7 +16,7 @@ from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings, Quality
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import distance
-from handfit_core.detect.networks import HAND_INPUT_PX, PALM_INPUT_PX, Networks, crop_around
+from handfit_core.detect.networks import NETWORK, Networks, crop_around
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.stills import StillFinder
 from handfit_core.detection import find_in_frame
@@ -95,13 +95,13 @@ def test_a_palm_leads_to_its_hand(networks: Networks, plain: Detector, turn: flo
     (expected,) = plain.find(rgb)
     height, width = rgb.shape[:2]
     whole = Crop.of_square(
-        np.array([width / 2, height / 2]), 1.3 * width, PALM_INPUT_PX, turn=turn, mirrored=mirrored
+        np.array([width / 2, height / 2]), 1.3 * width, NETWORK.palm_input_px, turn=turn, mirrored=mirrored
     )
     palms = networks.detect_palms(rgb, whole, 0.5)
     assert len(palms) > 0
     assert palms.is_of(0, expected)
     assert distance(networks.predict(rgb, palms.crop(0)).hand, expected) < 0.06
-    assert palms.crop(0).size == HAND_INPUT_PX
+    assert palms.crop(0).size == NETWORK.hand_input_px
 
 
 def test_a_damaged_model(tmp_path: Path, landmark_model: Path) -> None:
@@ -261,7 +261,9 @@ def test_a_box_leaves_other_hands_as_both_networks_have_them(networks: Networks)
         np.testing.assert_array_equal(shown.keypoints, others[0].keypoints)
 
 
-@pytest.mark.parametrize(("quality", "predictions"), [("draft", 1), ("best", search.AUGMENTATION_CROPS)])
+@pytest.mark.parametrize(
+    ("quality", "predictions"), [("draft", 1), ("best", search.NETWORK.augmentation_crops)]
+)
 def test_predictions_of_a_tracked_hand_by_quality(
     quality: Quality, predictions: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

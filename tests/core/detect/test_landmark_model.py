@@ -4,6 +4,7 @@ import logging
 import struct
 import tarfile
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from handfit_core.errors import LandmarkModelError
 @pytest.fixture
 def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "cache"))
-    for name in (landmark_model.VARIABLE, landmark_model.VARIABLE_2020):
+    for name in (landmark_model.TASK.variable, landmark_model.NETWORK_2020.variable):
         monkeypatch.delenv(name, raising=False)
     return tmp_path / "cache"
 
@@ -29,7 +30,7 @@ def test_missing_file_says_what_to_do(empty_cache: Path) -> None:
 
 
 def test_order_of_places(empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    cached = empty_cache / landmark_model.FILE_NAME
+    cached = empty_cache / landmark_model.TASK.name
     cached.parent.mkdir(parents=True)
     cached.write_bytes(b"a")
     assert landmark_model.landmark_model_path() == cached
@@ -52,20 +53,24 @@ def test_another_wheel_is_refused(tmp_path: Path) -> None:
 
 def imitation_wheel(path: Path) -> Path:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as wheel:
-        for i, (_, member) in enumerate(landmark_model._ENTRIES):
+        for i, (_, member) in enumerate(landmark_model.TASK.entries):
             wheel.writestr(member, bytes([i]) * (1001 + i))
     return path
 
 
 def test_entries_are_stored_aligned_and_reproducible(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     wheel = imitation_wheel(tmp_path / "a.whl")
-    monkeypatch.setattr(landmark_model, "WHEEL_SHA256", hashlib.sha256(wheel.read_bytes()).hexdigest())
+    monkeypatch.setattr(
+        landmark_model,
+        "TASK",
+        replace(landmark_model.TASK, wheel_sha256=hashlib.sha256(wheel.read_bytes()).hexdigest()),
+    )
     task = landmark_model.assemble(wheel, tmp_path / "one.task")
     again = landmark_model.assemble(wheel, tmp_path / "two.task")
     assert task.read_bytes() == again.read_bytes()
     data = task.read_bytes()
     with zipfile.ZipFile(task) as archive:
-        assert [i.filename for i in archive.infolist()] == [name for name, _ in landmark_model._ENTRIES]
+        assert [i.filename for i in archive.infolist()] == [name for name, _ in landmark_model.TASK.entries]
         for i, info in enumerate(archive.infolist()):
             assert info.compress_type == zipfile.ZIP_STORED
             name_length, extra_length = struct.unpack_from("<HH", data, info.header_offset + 26)
@@ -105,10 +110,10 @@ def test_damaged_file_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def imitation_package(path: Path, content: bytes, member: str = landmark_model._MEMBER_2020) -> Path:
+def imitation_package(path: Path, content: bytes, member: str = landmark_model.NETWORK_2020.member) -> Path:
     """A .tgz as npm makes it, whose packed assets are so many zeros as the network has before it, then
     `content`."""
-    data = bytes(landmark_model._BYTES_2020.start) + content
+    data = bytes(landmark_model.NETWORK_2020.within.start) + content
     with tarfile.open(path, "w:gz", compresslevel=1) as package:
         info = tarfile.TarInfo(member)
         info.size = len(data)
@@ -119,8 +124,12 @@ def imitation_package(path: Path, content: bytes, member: str = landmark_model._
 def test_the_network_of_2020_is_cut_out_of_the_package(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    network = b"n" * len(landmark_model._BYTES_2020)
-    monkeypatch.setattr(landmark_model, "_BYTES_2020_SHA256", hashlib.sha256(network).hexdigest())
+    network = b"n" * len(landmark_model.NETWORK_2020.within)
+    monkeypatch.setattr(
+        landmark_model,
+        "NETWORK_2020",
+        replace(landmark_model.NETWORK_2020, within_sha256=hashlib.sha256(network).hexdigest()),
+    )
     monkeypatch.setattr(landmark_model, "with_image_metadata", lambda found, *_: b"metadata" + found)
     package = imitation_package(tmp_path / "hands.tgz", network + b"what comes after it")
     made = landmark_model.assemble_2020(package, tmp_path / "new" / "network.tflite")
@@ -152,7 +161,11 @@ def test_where_the_network_of_2020_is_sought(
     empty_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert landmark_model.landmarks_2020_path() is None
-    monkeypatch.setattr(landmark_model, "SHA256_2020", hashlib.sha256(b"network").hexdigest())
+    monkeypatch.setattr(
+        landmark_model,
+        "NETWORK_2020",
+        replace(landmark_model.NETWORK_2020, sha256=hashlib.sha256(b"network").hexdigest()),
+    )
     empty_cache.mkdir()
     for path in (landmark_model.cached_path_2020(), empty_cache / "named"):
         path.write_bytes(b"network")
@@ -194,7 +207,11 @@ def test_the_fingerprint_names_the_network_of_2020(
     first = tmp_path / "hand_landmarker.task"
     first.write_bytes(b"both networks")
     without = landmark_model.fingerprint(first)
-    monkeypatch.setattr(landmark_model, "SHA256_2020", hashlib.sha256(b"network").hexdigest())
+    monkeypatch.setattr(
+        landmark_model,
+        "NETWORK_2020",
+        replace(landmark_model.NETWORK_2020, sha256=hashlib.sha256(b"network").hexdigest()),
+    )
     empty_cache.mkdir()
     landmark_model.cached_path_2020().write_bytes(b"network")
     assert landmark_model.fingerprint(first) not in ("", without)

@@ -14,7 +14,7 @@ from handfit_core.edit import RefineHand, from_message, landmark_points, refit_e
 from handfit_core.edit.adding import KNUCKLE, WRIST, Seen, laid, with_added
 from handfit_core.errors import OptionError, ProtocolError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
-from handfit_core.fit.terms.limits import STEP_MARGIN
+from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
@@ -27,6 +27,7 @@ from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
 from scripts.benchmark.kinematics import MIRROR_ROTVEC, RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
+from tests.core.edit.test_refit import shown
 from tests.core.fit.detections import CAMERA, ends_of_range
 from tests.takes import take_of, track_of
 
@@ -65,10 +66,9 @@ def added(side: Side, pixels: np.ndarray, pinned: list[int], **fields: object) -
     pose = laid(kept_model("open-hand", side), CAMERA, pixels[WRIST], pixels[KNUCKLE])
     pins = np.full((1, 21, 2), np.nan)
     pins[0, pinned] = pixels[pinned]
-    arrays = dict(zip(("global_orient", "hand_pose", "transl"), (a[None] for a in pose), strict=True))
-    hand = RefineHand(
-        side, np.zeros(10), CAMERA, (None,), pins, **arrays, locked=np.zeros(16, dtype=bool), added=True
-    )
+    arrays = (array[None] for array in pose)
+    unlocked = np.zeros(16, dtype=bool)
+    hand = RefineHand(side, np.zeros(10), *arrays, CAMERA, (None,), pins, unlocked, added=True)
     return replace(hand, **fields)
 
 
@@ -118,7 +118,7 @@ def test_more_points_better_poses(side: Side) -> None:
         for place, true in zip(pixels, truth, strict=True):
             hand = added(side, place, pinned)
             result = refit_each(hand)
-            away = np.linalg.norm(result.landmarks_2d[0] - place, axis=1)[pinned].max()
+            away = np.linalg.norm(shown(result)[0] - place, axis=1)[pinned].max()
             left.append(away / np.ptp(place, axis=0).max())
             found.append(aligned_error(points_of(hand, result), true))
         errors[count] = float(np.mean(found))
@@ -139,8 +139,8 @@ def test_poses_are_what_a_hand_can_do(side: Side) -> None:
         result = refit_each(added(side, place, POINTS[6]))
         rotations = rotvec_to_rotmat(result.hand_pose[0].reshape(15, 3))
         angles = anatomical_angles(rotations, anatomical_axes(model))
-        assert np.all(angles < upper + STEP_MARGIN + 1e-6)
-        assert np.all(angles > lower - STEP_MARGIN - 1e-6)
+        assert np.all(angles < upper + TERMS.step_margin + 1e-6)
+        assert np.all(angles > lower - TERMS.step_margin - 1e-6)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -163,7 +163,7 @@ def test_path_does_not_count() -> None:
     np.testing.assert_array_equal(
         refit_each(hand, other, draft=True).transl, refit_each(hand, draft=True).transl
     )
-    away = np.linalg.norm(refit_each(hand, draft=True).landmarks_2d - kept.landmarks_2d, axis=-1)
+    away = np.linalg.norm(shown(refit_each(hand, draft=True)) - shown(kept), axis=-1)
     assert away.mean() < 0.1 * np.ptp(place, axis=0).max()
 
 
@@ -199,13 +199,13 @@ def test_one_palm_point() -> None:
     """In another frame of a clip a hand holds: a fingertip that is dragged there bends its finger alone."""
     place = seen("right")[1][0]
     hand = added("right", place, [])
-    at = refit_each(hand).landmarks_2d[0, 8]
+    at = shown(refit_each(hand))[0, 8]
     pins = hand.pins.copy()
     pins[0, 8] = at + [4.0, 6.0]
     found = refit_each(replace(hand, pins=pins))
     np.testing.assert_array_equal(found.transl, hand.transl)
     np.testing.assert_array_equal(found.hand_pose[0, 9:], hand.hand_pose[0, 9:])
-    assert np.linalg.norm(found.landmarks_2d[0, 8] - pins[0, 8]) < 0.5
+    assert np.linalg.norm(shown(found)[0, 8] - pins[0, 8]) < 0.5
 
 
 def test_frames_between_two_are_filled() -> None:
@@ -223,7 +223,7 @@ def test_frames_between_two_are_filled() -> None:
     hand = replace(added("right", place, []), detections=(None,) * 6, pins=pins, **arrays)
     found = refit_range(hand)
     assert found.present.all()
-    assert np.all(np.diff(found.landmarks_2d[:, KNUCKLE, 0]) > 0)
+    assert np.all(np.diff(shown(found)[:, KNUCKLE, 0]) > 0)
 
 
 def test_messages_of_added_hands() -> None:

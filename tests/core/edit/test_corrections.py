@@ -119,6 +119,15 @@ def test_text_and_back():
     assert CorrectionField().to_json() == ""
 
 
+def test_text_is_what_older_scenes_hold():
+    one = Correction({8: (1, 2.5)}, location=np.array([0.5, 0.0, 0.0]), spread=3, posed=True, touches={8: 4})
+    field = CorrectionField({5: Correction({}, added_key=True), 7: one})
+    assert field.to_json() == (
+        '{"version":1,"frames":{"5":{"pins":{},"spread":0.0,"added_key":true},"7":{"pins":{"8":[1.0,2.5]},'
+        '"spread":3.0,"added_key":false,"posed":true,"touches":{"8":4},"location":[0.5,0.0,0.0]}}}'
+    )
+
+
 @pytest.mark.parametrize(
     "text",
     [

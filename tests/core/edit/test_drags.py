@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.edit import RefineResult, landmark_points, refit_each
-from handfit_core.edit.pins import REACHED_PIXELS
-from handfit_core.fit.terms.interpenetration import COMPRESSION, EDIT_SIGMA
+from handfit_core.edit import landmark_points, refit_each
+from handfit_core.edit.settings import PINS
+from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import (
     anatomical_angles,
@@ -24,10 +24,11 @@ from handfit_core.hand_model.anatomy import (
     joint_limits,
     rotmats_from_angles,
 )
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import FINGER_OF_BONE, PAIRS, surface_of
 from handfit_core.hand_model.surface import PALM as PALM_BONES
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
-from tests.core.edit.test_refit import captured, distance, handles, make_hand, no_pins, true_hands
+from tests.core.edit.test_refit import captured, distance, handles, make_hand, no_pins, shown, true_hands
 from tests.core.fit.detections import CAMERA, landmarks_of, model_of, seen
 
 Pose = tuple[np.ndarray, ...]
@@ -60,7 +61,7 @@ class Hand:
         """pixels, as `handfit_core.edit.pins` measures it"""
         return float(np.ptp(self.before, axis=0).max())
 
-    def dragged(self, keypoint: int, by: np.ndarray, guess: RefineResult | None = None) -> RefineResult:
+    def dragged(self, keypoint: int, by: np.ndarray, guess: HandMotion | None = None) -> HandMotion:
         pins = no_pins(1)
         pins[0, keypoint] = self.before[keypoint] + by
         hand = make_hand(self.side, [self.detection], self.pose, pins)
@@ -92,11 +93,11 @@ def ways(keypoint: int) -> Iterator[tuple[Hand, np.ndarray]]:
             yield hand, far * hand.size * np.array([np.cos(angle), np.sin(angle)])
 
 
-def pressed(hand: Hand, keypoint: int, result: RefineResult) -> bool:
+def pressed(hand: Hand, keypoint: int, result: HandMotion) -> bool:
     """Whether the finger lies on another part of the hand, which keeps it from its pin: a sigma deeper than
     flesh gives, and than in the capture, where fingers that are side by side may press each other."""
     before, now = (depths_of(hand, keypoint, pose) for pose in (hand.pose[2], result.hand_pose))
-    return bool((now > np.maximum(before, COMPRESSION) + EDIT_SIGMA).any())
+    return bool((now > np.maximum(before, TERMS.compression) + TERMS.edit_penetration_sigma).any())
 
 
 def depths_of(hand: Hand, keypoint: int, pose: np.ndarray) -> np.ndarray:
@@ -170,7 +171,7 @@ def test_other_fingers_stay(keypoint: int) -> None:
     stayed, on_others = 0, 0
     for hand, by in ways(keypoint):
         result = hand.dragged(keypoint, by)
-        found = result.landmarks_2d[0]
+        found = shown(result)[0]
         bent = (result.hand_pose != hand.pose[2]).reshape(5, 9).any(axis=1)  # fingers in MANO's order
         assert bent.sum() <= 1, (hand.side, by)
         pin = hand.before[keypoint] + by
@@ -192,7 +193,7 @@ def test_points_of_the_palm_move_it(keypoint: int) -> None:
     for hand, by in ways(keypoint):
         if np.linalg.norm(by) < 0.3 * hand.size:
             found = hand.dragged(keypoint, by)
-            missed = distance(found.landmarks_2d[0, keypoint], hand.before[keypoint] + by)
+            missed = distance(shown(found)[0, keypoint], hand.before[keypoint] + by)
             assert missed < 1.0, (hand.side, by)
 
 
@@ -207,10 +208,10 @@ def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
         one, other = (hand.dragged(keypoint, by + nudge) for nudge in (0.0, 1e-4))
         if np.linalg.norm(by) > 0.5 * hand.size and pressed(hand, keypoint, one):
             continue
-        missed = distance(one.landmarks_2d[0, keypoint], hand.before[keypoint] + by)
-        if abs(missed - REACHED_PIXELS) < 0.1:  # the palm moves, or it does not
+        missed = distance(shown(one)[0, keypoint], hand.before[keypoint] + by)
+        if abs(missed - PINS.reached_pixels) < 0.1:  # the palm moves, or it does not
             continue
-        between = distance(one.landmarks_2d, other.landmarks_2d).max()
+        between = distance(shown(one), shown(other)).max()
         assert between < max(1.0, 0.01 * hand.size), (hand.side, by)
 
 
@@ -225,7 +226,7 @@ def test_drafts_hold_other_fingers_too(keypoint: int) -> None:
             start = hand.dragged(keypoint, 0.0 * by) if last is None else last
             last = hand.dragged(keypoint, share * by, start)
         assert last is not None
-        moved = distance(last.landmarks_2d[0], hand.before)[others(keypoint)].max()
+        moved = distance(shown(last)[0], hand.before)[others(keypoint)].max()
         short = shortfall(hand, keypoint, hand.before[keypoint] + by) if moved > LEAST * hand.size else 0.0
         assert moved <= LEAST * hand.size + MOST_PER_SHORTFALL * short, hand.side
 
@@ -238,4 +239,4 @@ def test_drag_over_thumb(onto: int) -> None:
         for share in (0.8, 1.0, 1.2):
             found = hand.dragged(8, share * way)
             assert surface.depths(surface.of(hand.pose[0], found.hand_pose))[0] < 0.003
-            assert distance(found.landmarks_2d[0, 8], hand.before[8] + share * way) < 0.02 * hand.size
+            assert distance(shown(found)[0, 8], hand.before[8] + share * way) < 0.02 * hand.size

@@ -13,7 +13,6 @@ import pytest
 
 from handfit_core.edit import (
     RefineHand,
-    RefineResult,
     from_message,
     gaps_between,
     refit_each,
@@ -23,9 +22,10 @@ from handfit_core.edit import (
 )
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side, can_touch
-from tests.core.edit.test_refit import make_hand, no_pins, true_hands, unlocked
+from tests.core.edit.test_refit import make_hand, no_pins, shown, true_hands, unlocked
 from tests.core.fit.detections import landmarks_of, model_of, seen
 
 COUNT = 24
@@ -53,11 +53,11 @@ def moving(side: Side = "right") -> RefineHand:
     return make_hand(side, [seen(row, side, noise=1.0, seed=n) for n, row in enumerate(points)], clip)
 
 
-def gaps(hand: RefineHand, pair: Sequence[int], found: RefineHand | RefineResult) -> np.ndarray:
+def gaps(hand: RefineHand, pair: Sequence[int], found: HandMotion) -> np.ndarray:
     return gaps_between(model_of(hand.side), hand.betas, found.hand_pose, touching_pair(*pair))
 
 
-def turned(hand: RefineHand, found: RefineResult) -> np.ndarray:
+def turned(hand: RefineHand, found: HandMotion) -> np.ndarray:
     """(T, 15) radians by which joints differ from the pose that they had."""
     before, after = (rotvec_to_rotmat(one.hand_pose.reshape(-1, 15, 3)) for one in (hand, found))
     return np.linalg.norm(rotmat_to_rotvec(before.swapaxes(-1, -2) @ after), axis=-1)
@@ -136,10 +136,10 @@ def test_a_drag_takes_along_what_touches() -> None:
     )  # fmt: skip
     start = refit_each(one)
     pins = no_pins(1)
-    pins[0, 8] = start.landmarks_2d[0, 8] + [8.0, -6.0]
+    pins[0, 8] = shown(start)[0, 8] + [8.0, -6.0]
     held = replace(one, hand_pose=start.hand_pose, pins=pins)
     for found in (refit_each(held), refit_each(held, draft=True)):
-        assert np.linalg.norm(found.landmarks_2d[0, 8] - pins[0, 8]) < 2.0
+        assert np.linalg.norm(shown(found)[0, 8] - pins[0, 8]) < 2.0
         assert np.abs(gaps(one, pair, found)).max() < TOUCHES
         assert turned(held, found)[0, ~of_fingers(pair)].max() < np.radians(2.0)
 

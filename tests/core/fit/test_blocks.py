@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.fit.blocks import DIAGONAL_FLOOR, Blocks
+from handfit_core.fit.blocks import Blocks
+from handfit_core.fit.settings import SOLVER
 from handfit_core.hand_model.chain import BETAS
 from tests.core.fit.differences import close, random
 
@@ -45,7 +46,7 @@ def make_blocks(
 
 def damped(whole: np.ndarray, damping: np.ndarray) -> np.ndarray:
     diagonal = np.einsum("bii->bi", whole)
-    return whole + (diagonal * damping[:, None] + DIAGONAL_FLOOR)[..., None] * np.eye(whole.shape[-1])
+    return whole + (diagonal * damping[:, None] + SOLVER.diagonal_floor)[..., None] * np.eye(whole.shape[-1])
 
 
 fingers_alone_or_coupled = pytest.mark.parametrize("coupled", [False, True])

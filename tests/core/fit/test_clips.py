@@ -111,8 +111,7 @@ def test_total_cost_falls() -> None:
 @pytest.mark.parametrize("motion_scale", [None, np.array([1.0, 0.3, 0.05, 0.05, 0.05, 0.1, 0.4, 1.0, 1.0])])
 def test_it_is_a_minimum(monkeypatch: pytest.MonkeyPatch, motion_scale: np.ndarray | None) -> None:
     """No small change of any kind lowers the total cost; also where the palm holds still."""
-    monkeypatch.setattr(clips, "ITERATIONS", 20)
-    monkeypatch.setattr(clips, "TOLERANCE", 1e-9)
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=20, clip_tolerance=1e-9))
     _, seen, start = clip()
     part = np.arange(9)
     known = np.array([True, True, True, False, True, True, True, True, True])
@@ -241,10 +240,9 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
     part = np.arange(count)
     # Sharp looks: what happens eight frames on has hardly any influence, as with real overlaps.
     seen, start = observe(CHAIN.pose(truth).points, noise=1.0, sigma=1.0).select(part), truth.select(part)
-    monkeypatch.setattr(clips, "ITERATIONS", 30)
-    monkeypatch.setattr(clips, "TOLERANCE", 1e-9)
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=30, clip_tolerance=1e-9))
     whole = run(seen, start)
-    monkeypatch.setattr(clips, "WINDOW_FRAMES", 12)
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, window_frames=12))
     calls = []
     window = clips._window
     monkeypatch.setattr(clips, "_window", lambda *a: calls.append(len(a[1])) or window(*a))
@@ -257,8 +255,7 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
 
 @pytest.mark.parametrize(("window", "windows"), [(600, 1), (12, 2)])
 def test_before_each_is_called(monkeypatch: pytest.MonkeyPatch, window: int, windows: int) -> None:
-    monkeypatch.setattr(clips, "WINDOW_FRAMES", window)
-    monkeypatch.setattr(clips, "TOLERANCE", 0.0)
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, window_frames=window, clip_tolerance=0.0))
     _, seen, start = clip()
     solve, done, asked = clips._solve, [], []
     monkeypatch.setattr(clips, "_solve", lambda *a: done.append(1) or solve(*a))
@@ -268,7 +265,7 @@ def test_before_each_is_called(monkeypatch: pytest.MonkeyPatch, window: int, win
         smooth_clip(clip_of(seen, motion=motion), start, before_each)
 
     smoothing(lambda: asked.append(len(done)))
-    whole = windows * clips.ITERATIONS
+    whole = windows * clips.SOLVER.clip_iterations
     assert len(done) == whole
     assert len(asked) == whole + windows
     assert set(asked) == set(range(whole))
@@ -299,7 +296,7 @@ def test_shape_is_not_touched() -> None:
 
 @pytest.mark.parametrize("window", [600, 12])
 def test_held_variables(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
-    monkeypatch.setattr(clips, "WINDOW_FRAMES", window)
+    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, window_frames=window))
     _, seen, start = clip()
     joints = np.zeros((COUNT, 16), dtype=bool)
     joints[:, [1, 2, 15]] = True

@@ -10,11 +10,12 @@ import pytest
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import doubt
-from handfit_core.fit.fast import fit_frames, fit_track, fitter_of
+from handfit_core.fit.fast import fit_track, fitter_of
 from handfit_core.fit.gaps import Times
 from handfit_core.skeleton import SIDES, Side
 from scripts.train_doubt import calibrated
 from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, mirrored, model_of, poses, seen
+from tests.core.fit.frames import fit_frames
 
 COUNT = 16
 
@@ -31,7 +32,7 @@ def expected_of(detections: list[HandDetection]) -> np.ndarray:
 def test_error_grows_with_noise() -> None:
     means = [expected_of(detections_of(noise)).mean() for noise in (0.0, 6.0, 20.0, 60.0)]
     assert np.all(np.diff(means) > 0.0)
-    assert means[0] < doubt.DOUBTFUL_ERROR < means[-1] < doubt.MAX_ERROR
+    assert means[0] < doubt.DOUBT.doubtful_error < means[-1] < doubt.DOUBT.max_error
 
 
 def test_displaced_finger_has_larger_error() -> None:
@@ -85,12 +86,12 @@ def test_degenerate_hands_have_errors() -> None:
         for sure in (-6.0, 0.0, 6.0):
             expected = doubt.expected_error(doubt.evidence(observed, points, np.array([sure])))
             assert expected.shape == (1, 5)
-            assert np.all((expected > 0.0) & (expected <= doubt.MAX_ERROR))
+            assert np.all((expected > 0.0) & (expected <= doubt.DOUBT.max_error))
     assert doubt.doubtful(doubt.expected_error(doubt.evidence(observed, np.nan * start, np.ones(1)))).all()
 
 
 def test_doubtful_threshold() -> None:
-    at = np.full((1, 5), doubt.DOUBTFUL_ERROR)
+    at = np.full((1, 5), doubt.DOUBT.doubtful_error)
     assert not doubt.doubtful(at).any()
     assert doubt.doubtful(at + np.array([1e-3, 0.0, 0.0, 0.0, 0.0])).all()
 
@@ -103,7 +104,7 @@ def test_errors_of_a_track() -> None:
     assert fit.expected_error is not None
     assert fit.doubtful is not None
     np.testing.assert_array_equal(np.isfinite(fit.expected_error).all(axis=1), track.detected)
-    np.testing.assert_array_equal(fit.doubtful, fit.expected_error.mean(axis=1) > doubt.DOUBTFUL_ERROR)
+    np.testing.assert_array_equal(fit.doubtful, fit.expected_error.mean(axis=1) > doubt.DOUBT.doubtful_error)
 
 
 def test_temporal_mean() -> None:

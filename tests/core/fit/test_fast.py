@@ -9,12 +9,12 @@ import pytest
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit import fast as fit
-from handfit_core.fit.fast import FrameFits, fit_frames, fit_track
-from handfit_core.fit.gaps import MAX_GAP_SECONDS
+from handfit_core.fit.fast import fit_track
+from handfit_core.fit.settings import MOTION
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, warn_of_odd_shapes
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import PARENTS, SIDES, Side
-from handfit_core.solvers import TrackFit
 from tests.core.fit.detections import (
     CAMERA,
     angles_of_pose,
@@ -28,6 +28,7 @@ from tests.core.fit.detections import (
     poses,
     seen,
 )
+from tests.core.fit.frames import FrameFits, fit_frames
 
 FPS = 25.0
 Parameters = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -131,7 +132,7 @@ def test_garbage_is_doubtful() -> None:
 
 
 def test_too_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fit, "MAX_ITERATIONS", 1)
+    monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, max_iterations=1))
     fits = fit_frames(model_of("right"), detections_of("right", poses(4)), CAMERA)
     assert not fits.solution.converged.any()
     assert (fits.solution.iterations == 1).all()
@@ -152,11 +153,11 @@ def clip(
     return true, DetectedTrack(side, tuple(detections), FPS)
 
 
-def fitted(track: DetectedTrack, smoothing: float = 1.0) -> TrackFit:
+def fitted(track: DetectedTrack, smoothing: float = 1.0) -> HandMotion:
     return fit_track(smoothing, model_of(track.side), track, CAMERA, lambda: None)
 
 
-def points_of_track(side: Side, found: TrackFit) -> np.ndarray:
+def points_of_track(side: Side, found: HandMotion) -> np.ndarray:
     return model_of(side).keypoints(found.betas, found.global_orient, found.hand_pose, found.transl)
 
 
@@ -165,10 +166,7 @@ def test_recovers_clip(side: Side) -> None:
     true, track = clip(side, 14)
     found = fitted(track)
     assert found.betas.shape == (10,)
-    assert found.converged.all()
     assert found.present.all()
-    assert found.filled is not None
-    assert not found.filled.any()
     points, aims = points_of_track(side, found), keypoints_of(side, *true)
     assert laid_error(points, aims).max() < 0.006  # metres
     joints = np.array(
@@ -196,21 +194,19 @@ def test_smoothing_takes_jitter_out() -> None:
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
-def test_short_gaps_are_filled_and_marked(smoothing: float) -> None:
-    most = int(MAX_GAP_SECONDS * FPS)
+def test_short_gaps_are_filled(smoothing: float) -> None:
+    most = int(MOTION.max_gap_seconds * FPS)
     true, track = clip("right", 40, missing=(0, *range(3, 6), *range(20, 20 + most + 1)))
     found = fitted(track, smoothing)
     expected = np.zeros(40, dtype=bool)
     expected[3:6] = True
-    np.testing.assert_array_equal(found.filled, expected)
     present = expected | track.detected
     np.testing.assert_array_equal(found.present, present)
     for rows in (found.global_orient, found.hand_pose, found.transl):
         np.testing.assert_array_equal(np.isfinite(rows).all(axis=1), present)
         assert np.isnan(rows[~present]).all()
-    for flags in (found.converged, found.doubtful):
-        assert flags is not None
-        assert not flags[~track.detected].any()
+    assert found.doubtful is not None
+    assert not found.doubtful[~track.detected].any()
     points = points_of_track("right", found)
     aims = keypoints_of("right", *true)
     assert laid_error(points[3:6], aims[3:6]).mean() < 0.008  # metres
@@ -223,30 +219,25 @@ def test_single_detection() -> None:
     _, track = clip("right", 5, missing=(0, 1, 3, 4))
     found = fitted(track)
     np.testing.assert_array_equal(found.present, track.detected)
-    assert found.filled is not None
-    assert not found.filled.any()
 
 
 def test_long_clips_are_cut_into_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     _, track = clip("right", 9, noise=2.0)
     whole = fitted(track, 0.0)
-    monkeypatch.setattr(fit, "CHUNK", 4)
+    monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, chunk_frames=4))
     cut = fitted(track, 0.0)
     np.testing.assert_allclose(points_of_track("right", cut), points_of_track("right", whole), atol=1e-4)
 
 
 def test_stopped_clip_keeps_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     _, track = clip("right", 9, missing=(1,), noise=2.0)
-    monkeypatch.setattr(fit, "CHUNK", 3)
+    monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, chunk_frames=3))
     calls: list[int] = []
     answers = iter([False, True])
     found = fit_track(1.0, model_of("right"), track, CAMERA, lambda: calls.append(1), lambda: next(answers))
     assert len(calls) == 6
     # Six of the eight detections, and the gap among them, which is filled.
     np.testing.assert_array_equal(found.present, [True] * 7 + [False] * 2)
-    assert found.filled is not None
-    np.testing.assert_array_equal(np.flatnonzero(found.filled), [1])
-    assert not found.converged[7:].any()
     whole = points_of_track("right", fitted(track, 0.0))[:7]
     assert laid_error(points_of_track("right", found)[:7], whole).max() < 0.004  # metres
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.fit.gaps import MAX_GAP_SECONDS, detect_cuts, interpolate_gaps, missing_between, segments
+from handfit_core.fit.gaps import detect_cuts, interpolate_gaps, missing_between, segments
+from handfit_core.fit.settings import MOTION
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import PALM_KEYPOINTS
@@ -18,7 +19,7 @@ NOT_PALM = np.setdiff1d(np.arange(21), PALM_KEYPOINTS)
 
 @pytest.mark.parametrize("fps", [5.0, 25.0, 29.97, 60.0])
 def test_gaps_up_to_the_limit_are_bridged(fps: float) -> None:
-    most = int(MAX_GAP_SECONDS * fps)
+    most = int(MOTION.max_gap_seconds * fps)
     (stretch,) = segments(np.array([3, 4, 4 + most + 1, 4 + most + 2]), fps)
     np.testing.assert_array_equal(stretch, np.arange(3, 4 + most + 3))
     first, second = segments(np.array([3, 4, 4 + most + 2, 4 + most + 3]), fps)

@@ -168,7 +168,7 @@ def test_the_status_says_why_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     assert again.iterations.max() <= 2
     close(again.cost, first.cost, rtol=1e-4, atol=0)
     # No step helps: as at a minimum that is as deep as numbers go.
-    monkeypatch.setattr(levenberg, "MAX_DAMPING", 1e-2)
+    monkeypatch.setattr(levenberg, "SOLVER", replace(levenberg.SOLVER, max_damping=1e-2))
     blocks = partial(Problem.blocks, problem)
 
     def never_better(_problem: Problem, state: State):

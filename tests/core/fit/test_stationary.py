@@ -9,7 +9,8 @@ import pytest
 
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.fit.fast import fit_track
-from handfit_core.fit.stationary import MIN_MOTION_SCALE, palm_motion_scale, wrist_distance_factors
+from handfit_core.fit.settings import MOTION
+from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
 from handfit_core.hand_model.chain import State
 from tests.core.fit.detections import CAMERA, landmarks_of, model_of, poses, seen
 from tests.core.fit.hands import chain_of, make_state, observe, repeated
@@ -169,7 +170,7 @@ def test_palms_that_hold_still() -> None:
     known[5:8] = False
     moves = palm_motion_scale(observed, known, FPS)
     rests = known & ((TIME < 1.0) | (TIME > 2.8))
-    np.testing.assert_array_equal(moves[rests], MIN_MOTION_SCALE)
+    np.testing.assert_array_equal(moves[rests], MOTION.min_scale)
     np.testing.assert_array_equal(moves[(TIME > 1.6) & (TIME < 2.2)], 1.0)
     np.testing.assert_array_equal(moves[~known], 1.0)
 

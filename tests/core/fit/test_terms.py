@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms import (
     Limits,
     PosePrior,
@@ -23,19 +24,10 @@ from handfit_core.fit.terms import (
     near_pose,
     reprojection,
 )
-from handfit_core.fit.terms.limits import (
-    BEND,
-    BENT_SPREAD_SHARE,
-    CLOSED_HAND_MARGIN,
-    PASSIVE_RANGE,
-    SIGMA,
-    SPREAD,
-)
-from handfit_core.fit.terms.pose_prior import PINNED_WEIGHT, WEIGHT
-from handfit_core.fit.terms.reprojection import NEAREST
+from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
-from handfit_core.fit.terms.shape import WEIGHT as SHAPE_WEIGHT
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.anatomy import BEND, SPREAD
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
 from tests.core.fit.differences import by_each, close, random
 from tests.core.fit.hands import MIRROR, OFFSETS, chain_of, kept_near, make_state, observe
@@ -46,7 +38,7 @@ COVARIANCE = ROOT @ ROOT.swapaxes(-1, -2)
 MEAN = random(5, 9, seed=1, scale=0.3)
 RATES = random(10, seed=5) * 0.01
 
-TERMS: list[Term] = [
+EACH_TERM: list[Term] = [
     reprojection,
     depth,
     Limits("right"),
@@ -58,7 +50,9 @@ TERMS: list[Term] = [
     Shape(random(10, seed=6), RATES, 0.3),
     Shape(random(10, seed=6), RATES, 0.3, measured=False),
 ]
-every_term = pytest.mark.parametrize("term", TERMS, ids=lambda t: getattr(t, "__name__", type(t).__name__))
+every_term = pytest.mark.parametrize(
+    "term", EACH_TERM, ids=lambda t: getattr(t, "__name__", type(t).__name__)
+)
 
 
 def hands(batch: int = 3, spread: float = 0.8) -> tuple[Posed, Observation]:
@@ -156,7 +150,7 @@ def test_reprojection() -> None:
         close(reprojection(posed, seen).residual[i], expected, rtol=1e-12, atol=1e-9)
     posed.points[0, 3, 2] = -0.4
     as_if = replace(posed, points=posed.points.copy())
-    as_if.points[0, 3, 2] = NEAREST
+    as_if.points[0, 3, 2] = TERMS.nearest
     close(reprojection(posed, seen).residual, reprojection(as_if, seen).residual)
 
 
@@ -190,20 +184,20 @@ def test_limits() -> None:
     inside[..., SPREAD] *= 0.1
     assert not limits(*with_angles(inside)).columns.any()
     outside = inside.copy()
-    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED_HAND_MARGIN[1, 5] + 3.5 * SIGMA
-    outside[0, 2, 8] = limits.lower[2, 8] - 3 * SIGMA
+    outside[0, 1, 5] = limits.upper[1, 5] + CLOSED_HAND_MARGIN[1, 5] + 3.5 * TERMS.limits_sigma
+    outside[0, 2, 8] = limits.lower[2, 8] - 3 * TERMS.limits_sigma
     residual = limits(*with_angles(outside)).residual
     assert (residual[0, 1, 5], residual[0, 2, 8]) == pytest.approx((3.5, -3.0))
     assert np.abs(residual).sum() == pytest.approx(6.5)
 
 
-@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + BENT_SPREAD_SHARE) / 2)])
+@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + TERMS.bent_spread_share) / 2)])
 def test_knuckle_spread_tightens(finger: int, left: float) -> None:
     """Half of the way at 45 degrees; not the thumb's."""
     limits = Limits("right")
     angles = np.zeros((1, 5, 9))
     angles[0, finger, BEND] = np.radians(45)
-    angles[0, finger, SPREAD] = limits.upper[finger, SPREAD] * left + 2 * SIGMA
+    angles[0, finger, SPREAD] = limits.upper[finger, SPREAD] * left + 2 * TERMS.limits_sigma
     assert limits(*with_angles(angles)).residual[0, finger, SPREAD] == pytest.approx(2.0)
 
 
@@ -214,7 +208,10 @@ def test_limits_about_kept_pose() -> None:
     kept.angles[0, 1, 5] = limits.upper[1, 5] + 0.4
     posed, seen = with_angles(np.zeros((1, 5, 9)))
     angles = posed.state.angles
-    angles[0, 1, 5], angles[0, 2, 5] = limits.upper[1, 5] + 0.41, limits.upper[2, 5] + PASSIVE_RANGE + 0.02
+    angles[0, 1, 5], angles[0, 2, 5] = (
+        limits.upper[1, 5] + 0.41,
+        limits.upper[2, 5] + TERMS.passive_range + 0.02,
+    )
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
     # No less than closed hands have.
@@ -230,16 +227,22 @@ def test_pose_prior() -> None:
     posed, seen = hands()
     away = (posed.state.angles - MEAN)[..., None]
     expected = (away.swapaxes(-1, -2) @ np.linalg.inv(COVARIANCE) @ away)[..., 0, 0]
-    close(np.square(PosePrior(MEAN, COVARIANCE)(posed, seen).residual).sum(axis=-1), WEIGHT * expected)
+    close(
+        np.square(PosePrior(MEAN, COVARIANCE)(posed, seen).residual).sum(axis=-1),
+        TERMS.pose_weight * expected,
+    )
     left = replace(posed, state=replace(posed.state, angles=posed.state.angles * MIRROR))
-    close(np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1), WEIGHT * expected)
+    close(
+        np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1),
+        TERMS.pose_weight * expected,
+    )
 
 
 def test_pose_prior_of_pinned_hands() -> None:
     """Also while a finger goes for its pin alone, which is then no surer than other points."""
     posed, seen = hands()
     prior = PosePrior(MEAN, COVARIANCE)
-    times = np.sqrt(PINNED_WEIGHT / WEIGHT)
+    times = np.sqrt(TERMS.pinned_pose_weight / TERMS.pose_weight)
     pinned = replace(seen, pinned=np.arange(63).reshape(3, 21) == 25)
     expected = prior(posed, seen).columns
     expected[1] *= times
@@ -299,13 +302,13 @@ def test_unknown_length() -> None:
     across = random(10, seed=3)
     across -= RATES * (across @ RATES) / (RATES @ RATES)
     term = Shape(np.zeros(10), RATES, measured=False)
-    for way, share in ((RATES, 1.0), (across, SHAPE_WEIGHT)):
+    for way, share in ((RATES, 1.0), (across, TERMS.shape_weight)):
         betas = 2.0 * way / np.linalg.norm(way)
         shaped = replace(posed, state=replace(posed.state, betas=betas[None]))
         assert np.square(term(shaped, seen).residual).sum() == pytest.approx(4.0 * share)
         # Of a model whose shapes do not change its length, all are proportions.
         bare = Shape(np.zeros(10), np.zeros(10), measured=False)
-        assert np.square(bare(shaped, seen).residual).sum() == pytest.approx(4.0 * SHAPE_WEIGHT)
+        assert np.square(bare(shaped, seen).residual).sum() == pytest.approx(4.0 * TERMS.shape_weight)
 
 
 def test_huber_kernel() -> None:

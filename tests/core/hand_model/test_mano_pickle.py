@@ -236,7 +236,7 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "large.pkl"
     with path.open("wb") as stream:
-        stream.truncate(mano_pickle.MAX_FILE_BYTES + 1)  # sparse, takes no room
+        stream.truncate(mano_pickle.LIMITS.file_bytes + 1)  # sparse, takes no room
     assert "too large" in message_of(path)
 
 

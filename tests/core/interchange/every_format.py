@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.interchange.mano import Z_UP
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
 from tests.core.interchange import (
     test_apple_vision,
@@ -103,7 +103,7 @@ def other_files(folder: Path) -> dict[str, list[Path]]:
     np.savez(folder / "world_space_res.npz", **test_hawor.five())
     found["hawor"] = [test_hawor.clip(folder / "hawor"), folder / "world_space_res.npz"]
     found["dyn-hamr"] = [test_dyn_hamr.results(folder / "a_world_results.npz")]
-    found["smplx"] += [test_smplx.amass(folder / f"amass{n}.npz", n, Z_UP) for n in (52, 55)]
+    found["smplx"] += [test_smplx.amass(folder / f"amass{n}.npz", n, UP_AXES["z"]) for n in (52, 55)]
     found["dex-ycb"] = [test_mano_datasets.dex_ycb(folder / "dex", "right")]
     found["hot3d"] = [test_mano_datasets.hot3d(folder / "mano_hand_pose_trajectory.jsonl")]
     found["grab"] = [test_mano_datasets.grab(folder / "mug_pass_1.npz", full=True)]

@@ -11,8 +11,9 @@ import numpy as np
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.opening import read_recording
-from handfit_core.interchange.recording import PosedHand, Recording
+from handfit_core.interchange.recording import Recording
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from tests.imitation_mano import imitation_arrays, write_mano_pickle
@@ -97,7 +98,7 @@ def read(path: Path, **options: Any) -> Recording:
     return read_recording(path, CaptureOptions(**options))
 
 
-def hand_of(recording: Recording, side: Side) -> PosedHand:
+def hand_of(recording: Recording, side: Side) -> HandMotion:
     (hand,) = [hand for hand in recording.posed if hand.side == side]
     return hand
 
@@ -109,12 +110,11 @@ def assert_same_turns(ours: np.ndarray, theirs: np.ndarray, exact: float = EXACT
     assert off.max() < exact, f"off by {np.degrees(off.max()):.3g} degrees"
 
 
-def assert_same_hand(found: PosedHand, known: KnownHand, *, placed: bool = True) -> None:
+def assert_same_hand(found: HandMotion, known: KnownHand, *, placed: bool = True) -> None:
     assert found.side == known.side
     assert_same_turns(found.global_orient, known.global_orient)
     assert_same_turns(found.hand_pose, known.hand_pose)
     if placed:
-        assert found.transl is not None
         np.testing.assert_allclose(found.transl, known.transl, atol=EXACT)
 
 

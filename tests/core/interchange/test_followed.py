@@ -9,9 +9,9 @@ import pytest
 
 from handfit_core.detect.keypoints import MOST_IN_FRAME
 from handfit_core.doors.values import Unfit
-from handfit_core.interchange.mano import POSE, FoundHand, followed
+from handfit_core.interchange.mano import NO_SHAPE, POSE, FoundHand, followed
 from handfit_core.interchange.recording import Asked
-from handfit_core.take import MOST_HANDS
+from handfit_core.take import TAKE_LIMITS
 
 
 class Counted(int):
@@ -29,7 +29,8 @@ class Counted(int):
 
 
 def hand(frame: int, x: float = 0.0, person: int | None = None) -> FoundHand:
-    return FoundHand(frame, "right", np.zeros(3), np.zeros(POSE), np.array([x, 0.0, 0.5]), person=person)
+    pose = np.zeros((1, 3)), np.zeros((1, POSE)), np.array([[x, 0.0, 0.5]])
+    return FoundHand("right", NO_SHAPE, *pose, frame, person)
 
 
 @pytest.mark.parametrize("count", [50, 400])
@@ -47,17 +48,16 @@ def test_each_goes_to_the_nearest_that_is_free() -> None:
     found = [hand(frame, x) for frame, row in enumerate(places) for x in row]
     first, second, third = followed(found, np.arange(3), Asked(), [])
     for track, xs in ((first, [0.3, 0.31, 0.32]), (second, [0.0, 0.01, 0.02]), (third, [0.9])):
-        assert track.transl is not None
         np.testing.assert_allclose(track.transl[track.present, 0], xs)
 
 
 def test_hands_and_persons_are_bounded() -> None:
-    crowd = [hand(1, x) for x in range(MOST_HANDS)]
-    assert len(followed(crowd, np.array([1]), Asked(), [])) == MOST_HANDS
+    crowd = [hand(1, x) for x in range(TAKE_LIMITS.max_hands)]
+    assert len(followed(crowd, np.array([1]), Asked(), [])) == TAKE_LIMITS.max_hands
     with pytest.raises(Unfit, match="more than 200 hands"):
         followed([*crowd, hand(1)], np.array([1]), Asked(), [])
     with pytest.raises(ValueError, match="4001 hands in frame 1, and at most 4000"):
         followed([hand(1)] * (MOST_IN_FRAME + 1), np.array([1]), Asked(), [])
-    strangers = [hand(frame, person=frame) for frame in range(MOST_HANDS + 1)]
+    strangers = [hand(frame, person=frame) for frame in range(TAKE_LIMITS.max_hands + 1)]
     with pytest.raises(Unfit, match="more than 200 hands"):
         followed(strangers, np.arange(len(strangers)), Asked(), [])

@@ -12,9 +12,9 @@ import pytest
 
 from handfit_core.errors import InputError
 from handfit_core.hand_model import load_model
-from handfit_core.interchange.numbered import MOST_FRAMES
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 
@@ -135,8 +135,8 @@ def test_bad_files_are_named_in_a_sentence(tmp_path: Path, change: Any, words: s
 
 def test_frames_without_hands_are_bounded(tmp_path: Path) -> None:
     """Each takes a kilobyte, and three bytes of the file."""
-    with pytest.raises(InputError, match=f"100003 frames, and at most {MOST_FRAMES} are read; cut it"):
-        read(tmp_path, [*websocket(), *({} for _ in range(MOST_FRAMES))])
+    with pytest.raises(InputError, match=f"100003 frames, and at most {LIMITS.frames} are read; cut it"):
+        read(tmp_path, [*websocket(), *({} for _ in range(LIMITS.frames))])
 
 
 @pytest.mark.parametrize("made", [websocket, leapc])

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handfit_core.detect.correction.corrected import OVERLAPPED, landmarked
+from handfit_core.detect.correction.corrected import TRUST, landmarked
 from handfit_core.detect.keypoints import DetectedTrack, HandDetection
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.refit import refit_range
 from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND
-from handfit_core.interchange.lift import BONE, lifted
+from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import Recording, SeenHands
 from handfit_core.interchange.taking import detected_in
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
@@ -94,9 +94,9 @@ def test_a_turned_larger_picture_is_lifted_alike() -> None:
 def test_the_world_is_that_of_an_average_hand() -> None:
     world = np.array([d.world for d in lifted_pixels("right")[1]])
     bones = np.linalg.norm(world[:, 1:] - world[:, KEYPOINT_PARENTS[1:]], axis=2)
-    assert np.allclose(bones.mean(axis=1), BONE)
+    assert np.allclose(bones.mean(axis=1), 0.0416)
     flat = model_of("right").keypoints(np.zeros(10), *(np.zeros((1, n)) for n in (3, 45, 3)))[0]
-    assert abs(np.linalg.norm(flat[1:] - flat[list(KEYPOINT_PARENTS[1:])], axis=1).mean() - BONE) < 1e-4
+    assert abs(np.linalg.norm(flat[1:] - flat[list(KEYPOINT_PARENTS[1:])], axis=1).mean() - 0.0416) < 1e-4
 
 
 def test_missing_points_are_guessed_and_believed_less() -> None:
@@ -116,7 +116,9 @@ def test_missing_points_are_guessed_and_believed_less() -> None:
         less = np.zeros(21, dtype=bool) if detection.overlapped is None else detection.overlapped
         assert np.array_equal(less, missing)
     plain = landmarked([replace(d, overlapped=None) for d in found], "right")
-    assert np.allclose(landmarked(found, "right").pixel_sigma[gone], OVERLAPPED * plain.pixel_sigma[gone])
+    assert np.allclose(
+        landmarked(found, "right").pixel_sigma[gone], TRUST.overlapped * plain.pixel_sigma[gone]
+    )
 
 
 def test_points_that_the_program_doubts_are_believed_less() -> None:
@@ -194,16 +196,14 @@ def test_a_take_of_such_keypoints_is_refitted_as_it_was_fitted() -> None:
         RefineHand(
             "right",
             kept.betas,
+            *kept.pose,
             CAMERA,
             tuple(kept.detection(row) for row in range(30)),
             np.full((30, 21, 2), np.nan),
-            kept.global_orient,
-            kept.hand_pose,
-            kept.transl,
             np.zeros(NUM_JOINTS, dtype=bool),
             OPEN_HAND,
         )
     )
-    apart = np.linalg.norm(again.joints_3d - kept.joints_3d, axis=-1)
+    apart = np.linalg.norm(model.keypoints(again.betas, *again.pose) - kept.joints_3d, axis=-1)
     assert apart.mean() < 0.002
     assert apart.max() < 0.008

@@ -11,7 +11,7 @@ import pytest
 
 from handfit_core.errors import InputError, OptionError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.interchange.mano import Z_UP
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES, Side
 from tests.core.interchange.known_hands import (
@@ -38,8 +38,8 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def in_world(hand: KnownHand, wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Orientation and place in a z-up world, with a wrist at rest at `wrist`."""
-    orient = rotmat_to_rotvec(Z_UP.T @ rotvec_to_rotmat(hand.global_orient))
-    return orient, (hand.transl + wrist) @ Z_UP - wrist
+    orient = rotmat_to_rotvec(UP_AXES["z"].T @ rotvec_to_rotmat(hand.global_orient))
+    return orient, (hand.transl + wrist) @ UP_AXES["z"] - wrist
 
 
 def few_directions(side: Side, count: int) -> tuple[np.ndarray, np.ndarray]:

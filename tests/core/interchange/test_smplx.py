@@ -13,7 +13,8 @@ from handfit_core.__main__ import main
 from handfit_core.errors import InputError, OptionError
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
-from handfit_core.interchange.mano import Y_UP, Z_UP
+from handfit_core.interchange.recording import usual_place
+from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.pipeline import capture
@@ -56,7 +57,7 @@ def body(turn: np.ndarray, seed: int = 0) -> np.ndarray:
     wrists are turned as `HANDS`: the wrist's own rotation makes up for the random joints before it."""
     rng = np.random.default_rng(seed)
     poses = rng.uniform(-0.3, 0.3, (FRAMES, 22, 3))
-    upright = turn.T @ Y_UP  # SMPL's rest is y-up
+    upright = turn.T @ UP_AXES["y"]  # SMPL's rest is y-up
     poses[:, 0] = rotmat_to_rotvec(upright @ rotvec_to_rotmat(rng.uniform(-0.2, 0.2, (FRAMES, 3))))
     for side, names in CHAINS.items():
         before = rotvec_to_rotmat(poses[:, 0])
@@ -83,21 +84,23 @@ def amass(path: Path, joints: int, turn: np.ndarray, **changes: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("turn", "up"), [(Y_UP, "y-up"), (Z_UP, "z-up"), (np.eye(3), "camera's")])
+@pytest.mark.parametrize(
+    ("turn", "up"), [(UP_AXES["y"], "y-up"), (UP_AXES["z"], "z-up"), (np.eye(3), "camera's")]
+)
 @pytest.mark.parametrize("joints", [52, 55])
 def test_hands_of_a_body(tmp_path: Path, joints: int, turn: np.ndarray, up: str) -> None:
     recording = read(amass(tmp_path / "a.npz", joints, turn))
     assert (recording.format, recording.fps) == ("smplx", 120.0)
     for side in SIDES:
         assert_same_hand(hand_of(recording, side), HANDS[side], placed=False)
-        assert hand_of(recording, side).transl is None
+        np.testing.assert_array_equal(hand_of(recording, side).transl, [usual_place(side)] * FRAMES)
     assert says(recording, f"taken to be {'the ' if up == 'camera' else ''}{up}" if up != "camera's" else up)
     assert says(recording, "where the wrists are is not known")
 
 
 def test_the_fingers_of_a_body_in_parts(tmp_path: Path) -> None:
     """As AMASS' SMPL-X files have them besides poses."""
-    whole = body(Z_UP)
+    whole = body(UP_AXES["z"])
     path = tmp_path / "a.npz"
     np.savez(
         path,
@@ -118,7 +121,7 @@ def test_the_order_of_little_and_ring(tmp_path: Path) -> None:
     pose = np.zeros((FRAMES, 165))
     pose[:, :3] = rotmat_to_rotvec(np.eye(3))
     pose[:, 120 + 18 + 2] = 1.0  # right_pinky1 is joint 40 + 6
-    path = amass(tmp_path / "a.npz", 55, Y_UP, poses=pose)
+    path = amass(tmp_path / "a.npz", 55, UP_AXES["y"], poses=pose)
     take = capture(path)
     points = take.hands[[hand.side for hand in take.hands].index("right")].joints_3d[0]
     rest = load_model(None, "right").keypoints(None, np.zeros(3), np.zeros(45), np.zeros(3))
@@ -133,13 +136,13 @@ def test_fingers_that_never_move_are_told(tmp_path: Path) -> None:
     """As in the many files of AMASS whose markers were on the body alone."""
     poses = np.zeros((FRAMES, 156))
     poses[:, 66:] = np.tile(HANDS["left"].hand_pose[0], 2)
-    assert says(read(amass(tmp_path / "a.npz", 52, Y_UP, poses=poses)), "the fingers never move")
-    assert not says(read(amass(tmp_path / "b.npz", 52, Y_UP)), "never move")
+    assert says(read(amass(tmp_path / "a.npz", 52, UP_AXES["y"], poses=poses)), "the fingers never move")
+    assert not says(read(amass(tmp_path / "b.npz", 52, UP_AXES["y"])), "never move")
 
 
 def test_hands_without_a_place_are_apart(tmp_path: Path) -> None:
     """The left hand is on the camera's right, as of a person who faces it; the wrists are 15 cm apart."""
-    left, right = capture(amass(tmp_path / "a.npz", 55, Y_UP)).hands
+    left, right = capture(amass(tmp_path / "a.npz", 55, UP_AXES["y"])).hands
     apart = left.joints_3d[:, 0] - right.joints_3d[:, 0]
     np.testing.assert_allclose(apart[:, 0], 0.158, atol=1e-6)
     assert np.ptp(apart, axis=0).max() < 1e-9
@@ -148,10 +151,14 @@ def test_hands_without_a_place_are_apart(tmp_path: Path) -> None:
 def test_beat2_counts_from_the_mean(tmp_path: Path) -> None:
     model = own_mano(tmp_path / "mano")
     relative = np.concatenate(
-        [body(Y_UP), np.zeros((FRAMES, 9)), *(HANDS[side].hand_pose - mean_of(side) for side in SIDES)],
+        [
+            body(UP_AXES["y"]),
+            np.zeros((FRAMES, 9)),
+            *(HANDS[side].hand_pose - mean_of(side) for side in SIDES),
+        ],
         axis=1,
     )
-    path = amass(tmp_path / "a.npz", 55, Y_UP, poses=relative, model=np.array("smplx2020"))
+    path = amass(tmp_path / "a.npz", 55, UP_AXES["y"], poses=relative, model=np.array("smplx2020"))
     recording = read(path, model=str(model))
     for side in SIDES:
         assert_same_hand(hand_of(recording, side), HANDS[side], placed=False)
@@ -163,7 +170,7 @@ def test_beat2_counts_from_the_mean(tmp_path: Path) -> None:
 
 def test_amass_is_read_with_the_mean_when_told(tmp_path: Path) -> None:
     model = own_mano(tmp_path / "mano")
-    recording = read(amass(tmp_path / "a.npz", 52, Z_UP), hand_mean="mean", model=str(model))
+    recording = read(amass(tmp_path / "a.npz", 52, UP_AXES["z"]), hand_mean="mean", model=str(model))
     for side in SIDES:
         assert_same_turns(hand_of(recording, side).hand_pose, HANDS[side].hand_pose + mean_of(side))
 
@@ -184,12 +191,12 @@ def test_amass_is_read_with_the_mean_when_told(tmp_path: Path) -> None:
 )
 def test_what_is_wrong_is_said(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:
-        read(amass(tmp_path / "bad.npz", 55, Y_UP, **changes))
+        read(amass(tmp_path / "bad.npz", 55, UP_AXES["y"], **changes))
     assert "\n" not in str(caught.value)
 
 
 def test_a_cut_file(tmp_path: Path) -> None:
-    path = amass(tmp_path / "a.npz", 55, Y_UP)
+    path = amass(tmp_path / "a.npz", 55, UP_AXES["y"])
     path.write_bytes(path.read_bytes()[:-200])
     with pytest.raises(InputError, match=r"a\.npz"):
         read(path)
@@ -246,7 +253,7 @@ def test_smpler_x(tmp_path: Path, given: str) -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 4, FRAMES])
 def test_arctics_bodies_are_flat(tmp_path: Path, count: int) -> None:
     """Three turns of the pelvis are as many numbers as one matrix has."""
-    whole = body(Z_UP)[:count]
+    whole = body(UP_AXES["z"])[:count]
     content = {
         "transl": np.zeros((count, 3)),
         "global_orient": whole[:, :3],
@@ -298,7 +305,6 @@ def test_what_is_written_is_read_back(take: Take, tmp_path: Path, ending: str) -
         assert_same_turns(found.global_orient[there], hand.global_orient[there])
         assert_same_turns(found.hand_pose[there], hand.hand_pose[there])
         if ending == ".mano.npz":
-            assert found.transl is not None
             np.testing.assert_allclose(found.transl[there], hand.transl[there], atol=EXACT)
             assert recording.intrinsics == take.intrinsics
             np.testing.assert_array_equal(recording.frame_numbers, take.frame_numbers)

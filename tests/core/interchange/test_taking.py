@@ -10,10 +10,11 @@ import pytest
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.interchange.recording import PointsHand, PosedHand, Recording, SeenHands
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.interchange.recording import PointsHand, Recording, SeenHands
 from handfit_core.interchange.taking import before_camera, detected_in, tracks_of
 from handfit_core.skeleton import SIDES, Side
-from handfit_core.solvers import TrackFit, get_solver
+from handfit_core.solvers import get_solver
 from tests.core.fit.detections import model_of, poses
 
 CAMERA = Intrinsics(900.0, 900.0, 640.0, 360.0)
@@ -42,7 +43,7 @@ def joints_of(side: Side) -> np.ndarray:
     return model_of(side).keypoints(BETAS, *motion(side))
 
 
-def fitted(hands: Sequence[PointsHand]) -> list[TrackFit]:
+def fitted(hands: Sequence[PointsHand]) -> list[HandMotion]:
     numbers = np.arange(1, COUNT + 1)
     recording = Recording("points", ("a",), 30.0, numbers, points=tuple(hands), intrinsics=CAMERA)
     solve = get_solver("fast")
@@ -51,7 +52,7 @@ def fitted(hands: Sequence[PointsHand]) -> list[TrackFit]:
     ]
 
 
-def off(side: Side, fit: TrackFit, truth: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
+def off(side: Side, fit: HandMotion, truth: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     """(T, 21) metres from a fit's joints to the true ones."""
     found = model_of(side).keypoints(
         fit.betas, fit.global_orient[rows], fit.hand_pose[rows], fit.transl[rows]
@@ -99,7 +100,7 @@ def test_missing_points_and_frames_leave_the_others_in_place() -> None:
         assert error[seen].mean() < 0.001
         assert np.quantile(error[seen], 0.98) < 0.005
         assert error[~seen].mean() < 0.005
-        assert (fit.filled == ~seen).all()
+        assert fit.present.all()
 
 
 def test_noise_is_told_from_bones_that_change_their_length() -> None:
@@ -131,7 +132,7 @@ def test_a_point_that_is_never_there_is_no_matter() -> None:
 def at(place: list[float], **more: Any) -> Recording:
     """Two frames of a flat hand whose wrist is there."""
     transl = np.tile(place, (2, 1))
-    hand = PosedHand("right", np.zeros((2, 3)), np.zeros((2, 45)), transl)
+    hand = HandMotion("right", np.zeros(10), np.zeros((2, 3)), np.zeros((2, 45)), transl)
     points = PointsHand("right", transl[:, None] + 0.01 * np.arange(21)[:, None])
     return Recording("a", ("a",), 30.0, np.arange(1, 3), posed=(hand,), points=(points,), **more)
 
@@ -152,7 +153,7 @@ def test_hands_that_no_camera_sees_are_moved_together_and_that_is_said(
     place: list[float], placed: bool, said: str
 ) -> None:
     recording = before_camera(at(place), placed=placed)
-    moved = np.asarray(recording.posed[0].transl)
+    moved = recording.posed[0].transl
     assert (moved[:, 2] > 0.25).all()
     np.testing.assert_allclose(recording.points[0].points[:, 0], moved)
     assert said in recording.assumed[0]

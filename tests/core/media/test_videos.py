@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -37,7 +38,7 @@ def test_frames_are_the_same_read_and_sought(video: Video, monkeypatch: pytest.M
     times = videos._times
     monkeypatch.setattr(videos, "_times", lambda name: seeks.append(name) or times(name))
     for min_frames in (10_000, 0):
-        monkeypatch.setattr(videos, "_MIN_SEEK_FRAMES", min_frames)
+        monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=min_frames))
         for numbers in ([1], [2, 3, 40], [57, 58], [1, count - 1, count]):
             found = list(video.pictures(numbers, count))
             assert len(found) == len(numbers)
@@ -49,7 +50,7 @@ def test_frames_are_the_same_read_and_sought(video: Video, monkeypatch: pytest.M
 
 def test_where_packets_are_no_frames_it_is_read(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
     """A take that ends before the video does, a video that has lost packets, times that are no frame's."""
-    monkeypatch.setattr(videos, "_MIN_SEEK_FRAMES", 0)
+    monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=0))
     true = [frame.rgb for frame in video.frames(0, 50)]
     times = videos._times(video._name)
     for told in (times, times[1:], times + 7.0, np.empty(0)):

@@ -20,9 +20,8 @@ from handfit_core.hand_model.surface import PAIRS as PARTS
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.retarget import contacts
 from handfit_core.retarget.contacts import (
-    BLEND_SECONDS,
     PAIRS,
-    TOUCH_GAP,
+    TOUCHES,
     ContactResult,
     Fingertips,
     finding_touches,
@@ -125,10 +124,10 @@ def test_nothing_else_moves(side):
     assert not moved[:, others].any()
     own = [k for k in range(len(target.bones)) if k not in others]
     assert moved[HELD][:, own].all()
-    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCH_GAP[1])
-    # Weights reach twice as far as BLEND_SECONDS, and their mean once more.
-    far = (np.arange(len(turns)) < near[0] - 3 * BLEND_SECONDS * FPS) | (
-        np.arange(len(turns)) > near[-1] + 3 * BLEND_SECONDS * FPS
+    near = np.flatnonzero(captured_gaps(side, turns, "middle") < TOUCHES.touch_gap[1])
+    # Weights reach twice as far as blend_seconds, and their mean once more.
+    far = (np.arange(len(turns)) < near[0] - 3 * TOUCHES.blend_seconds * FPS) | (
+        np.arange(len(turns)) > near[-1] + 3 * TOUCHES.blend_seconds * FPS
     )
     assert far.sum() > 20
     assert not moved[far].any()
@@ -191,8 +190,7 @@ def test_turns_come_and_go_smoothly(finger):
 def test_slices_do_not_show(monkeypatch):
     turns, target = pinching("right", "index"), character("right", 4)
     whole = kept_on(target, turns)
-    monkeypatch.setattr(contacts, "_SOLVE_FRAMES", 5)
-    monkeypatch.setattr(contacts, "_DETECT_FRAMES", 9)
+    monkeypatch.setattr(contacts, "TOUCHES", replace(contacts.TOUCHES, solve_frames=5, detect_frames=9))
     small = kept_on(target, turns)
     np.testing.assert_allclose(small.standing, whole.standing, atol=1e-9)
     steps = list(
@@ -291,12 +289,12 @@ def test_touch_weights():
     pair = PAIRS.tolist().index([0, 1])
     weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
     np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
-    assert (found.now[:, pair] == (gap <= TOUCH_GAP[0])).all()
+    assert (found.now[:, pair] == (gap <= TOUCHES.touch_gap[0])).all()
     assert (weights[found.now[:, pair]] == 1.0).all()
     assert (found.weights[:, np.arange(len(PAIRS)) != pair] == 0.0).all()
     assert np.abs(np.diff(weights)).max() < 0.35
-    near = np.flatnonzero(gap < TOUCH_GAP[1])
-    reach = int(2 * BLEND_SECONDS * FPS)
+    near = np.flatnonzero(gap < TOUCHES.touch_gap[1])
+    reach = int(2 * TOUCHES.blend_seconds * FPS)
     assert (weights[: near[0] - reach] == 0.0).all()
     assert (weights[near[-1] + reach + 1 :] == 0.0).all()
     # A pause of the touch that is shorter than the blend is none.
@@ -319,9 +317,9 @@ def test_side_by_side_is_no_touch():
         turns = turns_of(side, one[None])
         found.append(run_to_completion(finding_touches(source(side), skins(side), turns, np.zeros(1))))
     pair = PAIRS.tolist().index([1, 2])
-    assert found[0].gap[0, pair] < TOUCH_GAP[0]
+    assert found[0].gap[0, pair] < TOUCHES.touch_gap[0]
     assert found[0].weights[0, pair] == 0.0
-    assert found[1].gap[0, pair] < TOUCH_GAP[0]
+    assert found[1].gap[0, pair] < TOUCHES.touch_gap[0]
     assert found[1].weights[0, pair] > 0.9
 
 

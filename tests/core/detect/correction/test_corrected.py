@@ -9,7 +9,7 @@ import pytest
 
 from handfit_core.detect.correction import corrected as corrected_module
 from handfit_core.detect.correction.canonical import Canonical
-from handfit_core.detect.correction.corrected import DETECTOR_ODDS, corrected, landmarked, with_side_judged
+from handfit_core.detect.correction.corrected import TRUST, corrected, landmarked, with_side_judged
 from handfit_core.detect.correction.network import Correction
 from handfit_core.skeleton import SIDES, Side
 from tests.core.fit.detections import landmarks_of, poses, seen
@@ -34,7 +34,7 @@ def test_the_detectors_word_counts_more() -> None:
     for p, judged in zip(probability, with_side_judged(unsure), strict=True):
         assert judged.right_side is not None
         odds = judged.right_side / (1.0 - judged.right_side)
-        np.testing.assert_allclose(odds, DETECTOR_ODDS * p / (1.0 - p), rtol=1e-6)
+        np.testing.assert_allclose(odds, TRUST.detector_odds * p / (1.0 - p), rtol=1e-6)
 
 
 def test_nothing_else_changes() -> None:
@@ -79,6 +79,6 @@ def test_points_where_another_hand_is_are_believed_less() -> None:
         doubted = landmarked(given, "right")
         np.testing.assert_array_equal(doubted.pixels, before.pixels)
         times = np.ones((12, 21))
-        times[1, covered] = corrected_module.OVERLAPPED
+        times[1, covered] = corrected_module.TRUST.overlapped
         np.testing.assert_array_equal(doubted.pixel_sigma, before.pixel_sigma * times[..., None])
         np.testing.assert_array_equal(doubted.depth_sigma, before.depth_sigma * times)

@@ -1,0 +1,97 @@
+"""How hands are corrected and added."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class PinSettings:
+    """How sure pins are, and how uncertain they make the points around them."""
+
+    pin_sigma: float = 0.2
+    """pixels: expected error of a pin"""
+    reached_pixels: float = 0.5
+    """Distance from its pin up to which a point has reached it"""
+    limits_sigma: float = math.radians(0.3)
+    """radians beyond the passive range, see `Kept.limits_sigma`: pins are surer than a capture's landmarks,
+    and would bend fingers far beyond it"""
+    pose_sigma: float = 0.005
+    """Expected error in the picture of the landmarks of a corrected pose, in parts of the hand's size"""
+    pose_depth_sigma: float = 0.02
+    """Expected error in depth of these landmarks, in parts of the hand's size"""
+    min_pose_sigma: float = 0.5
+    """pixels: least expected error of these landmarks"""
+    sigma_per_pixel: float = 0.5
+    """Expected error in the picture that a pixel of uncertainty adds"""
+    depth_sigma_per_pixel: float = 1.0
+    """Expected error in depth that a pixel of uncertainty adds"""
+    wrist_share: float = 0.5
+    """Share of the wrist's displacement that is the uncertainty of all other points"""
+    half_blend: float = 0.05
+    """Uncertainty, in hand sizes, at which a point is half the pose's and half the detector's"""
+    distance_sigma: float = 0.002
+    """Relative deviation of the wrist's distance from the one that is kept"""
+    palm_distance_sigma: float = 0.5
+    """What a palm pin's displacement adds to that, per hand's size"""
+    angle_sigma: float = 8.0
+    """radians: deviation of an uncertain finger's angles from those that are kept, per hand's size of
+    uncertainty"""
+    idle_share: float = 0.25
+    """Share of that for fingers without pins, which ride on a palm that is moved"""
+    min_angle_sigma: float = 0.002
+    """radians: least deviation of these angles"""
+    neighbour_seconds: float = 0.25
+    """From a pin's frame to those whose landmarks become uncertain, too; the less, the farther they are"""
+
+
+PINS: Final = PinSettings()
+
+
+@dataclass(frozen=True)
+class EditSettings:
+    """How the pose of a hand that an artist corrects or adds is searched for."""
+
+    stand_in_factor: float = 4.0
+    """Factor of the expected errors of a pose's landmarks where they stand in for a detection among others"""
+    max_iterations: int = 50
+    """More than captures take. Even where they are too few, a drag's result does not depend on its way: from
+    the frame's own pose the steps are the same every time"""
+    draft_iterations: int = 6
+    """Fewer while a point is dragged, as each answer continues from the one before"""
+    free_draft_iterations: int = 10
+    """For drafts of added hands, which start anew each time, from all sides"""
+    restart_cost_ratio: float = 0.9
+    """Share of the first start's cost below which the result of another start is taken"""
+    restart_bends: tuple[tuple[float, float, float], ...] = (
+        (0.0, 0.1, 0.1),
+        (0.5, 0.5, 0.5),
+        (0.9, 0.2, 0.2),
+        (0.2, 0.9, 0.7),
+    )
+    """Other starts of a finger that does not reach its pin: bends of its joints, in parts of their range"""
+    min_palm_pins: int = 2
+    """Fewer do not tell how a hand lies: then its pose is corrected like a captured one's"""
+    rolls: tuple[float, ...] = tuple(map(math.radians, (0.0, 50.0, -50.0, 180.0, 230.0, 130.0)))
+    """radians about the palm's long axis"""
+    pitches: tuple[float, ...] = tuple(map(math.radians, (0.0, 45.0, -45.0)))
+    """radians about the axis across the palm in the picture"""
+    max_resize: float = 2.0
+    """Ratio of a start's size to the hand's at most, either way"""
+    palm_sigma: float = 0.5
+    """Expected error of palm points without a pin, in the picture and in depth, in hand sizes"""
+    distance_sigma: float = 0.15
+    """Relative deviation of the wrist's distance: a palm that looks short is tilted, or farther away"""
+    turned_over_cost: float = 4.0
+    """squared sigmas that the other side of the hand costs"""
+    neighbour_bend_share: float = 0.7
+    """Share of a finger's bends that the next one takes over; the second next takes over its square"""
+    first_pin_sigma: float = 0.02
+    """Expected error of pins in the first round, in parts of the hand's size"""
+    unseen_sigma: float = 1e9
+    """pixels: expected error of points that are neither pinned nor kept"""
+
+
+EDITS: Final = EditSettings()

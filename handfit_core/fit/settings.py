@@ -1,0 +1,143 @@
+"""What fits are weighed and stopped by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """Iterations, tolerances and batches of the fit."""
+
+    max_iterations: int = 20
+    """Most need four to seven, fists up to fifteen"""
+    tolerance: float = 5e-3
+    """Relative decrease of the cost at which to stop"""
+    pinned_tolerance: float = 2e-3
+    """Relative decrease of the cost at which to stop where an artist has pinned points or made them touch"""
+    shape_frames: int = 48
+    """Frames, evenly spread over a clip, that the hand's one shape is fitted to"""
+    shape_evidence: float = 3.0
+    """Frames of a clip that count as independent evidence of the shape: a landmark's error is much the same
+    in all"""
+    chunk_frames: int = 512
+    """Frames fitted between two chances to stop; bounds the memory"""
+    solve_batch: int = 256
+    """Frames solved at once; bounds the memory, and arrays of so many fit into the processor's cache"""
+    clip_iterations: int = 8
+    clip_tolerance: float = 3e-3
+    """Relative decrease of the total cost at which to stop"""
+    window_frames: int = 600
+    """Frames that each window of a long clip adds"""
+    batch_frames: int = 128
+    """Frames whose own matrices are made together; bounds the memory for intermediate arrays"""
+    first_damping: float = 1e-3
+    min_damping: float = 1e-7
+    max_damping: float = 1e6
+    damping_decrease: float = 0.1
+    damping_increase: float = 10.0
+    """Factors of the damping after a step that decreased the cost as predicted, and after one that did not
+    decrease it. Between them the factor depends on the gain ratio (Nielsen, "Damping parameter in Marquardt's
+    method", 1999)"""
+    min_gain_of_tolerance: float = 0.1
+    """Relative decrease of the cost, in parts of the tolerance, below which a step was the last: in a curved
+    valley steps fall short of the predicted decrease again and again"""
+    pack_below_share: float = 0.85
+    """Share of the batch that is still running from which on finished problems are dropped from it"""
+    diagonal_floor: float = 1e-6
+    """Added to every diagonal element in addition to the relative damping"""
+
+
+SOLVER: Final = SolverSettings()
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """How hands are expected to move in clips, and where gaps and cuts are."""
+
+    rotation_acceleration: float = 12.5
+    """radians per second squared: the acceleration that a joint's rotation is expected to have at strength
+    1"""
+    wrist_acceleration: float = 1.05
+    """metres per second squared: the acceleration that the wrist is expected to have at strength 1"""
+    overlap_seconds: float = 2.4
+    """seconds that two windows of a long clip share at strength 1"""
+    depth_factor: float = 1.5
+    """Factor of the expected errors of depth where motion is smoothed: from frame to frame the depth of the
+    landmark network of December 2020 trembles three to four times as much as the present one's"""
+    distance_sigma: float = 0.002
+    """Relative deviation of the wrist's distance from the one that `stationary` finds for the whole clip"""
+    max_fps: float = 1000.0
+    """Frames per second that clips are taken to have at most: beyond, changes from frame to frame vanish"""
+    palm_motion: float = 0.01
+    """Deviation of a palm's points within a quarter of a second, in parts of the hand's size in the picture,
+    from which it moves"""
+    min_scale: float = 0.05
+    """Least factor of the expected acceleration of a palm that holds still"""
+    max_gap_seconds: float = 0.5
+    """Longer gaps stay empty: nothing tells what the hand did"""
+    max_shift_of_size: float = 1.0
+    """Movement from one detection to the next, in parts of the hand's size, beyond which there is a cut
+    between"""
+    max_growth: float = 1.6
+    """Ratio of the palm's sizes from one detection to the next beyond which there is a cut between"""
+
+
+MOTION: Final = MotionSettings()
+
+
+@dataclass(frozen=True)
+class TermSettings:
+    """Expected deviations and weights of the residual terms. Sigmas are what costs as much as one sigma."""
+
+    touch_sigma: float = 0.0015
+    """metres between the skins of fingertips that touch"""
+    user_touch_sigma: float = 0.0001
+    """metres between skins that an artist wants to touch; without a robust kernel, as it is never an
+    outlier"""
+    robust_scale: float = 0.02
+    """metres: scale of Geman and McClure's kernel. Tips and parts farther apart are outliers of the pinch
+    detection, and of the contact detection"""
+    order_sigma: float = 0.004
+    """metres along the line of sight by which parts lie in the wrong order"""
+    contact_sigma: float = 0.0025
+    """metres between the skins of parts that are in contact"""
+    penetration_sigma: float = 0.001
+    """metres of penetration depth"""
+    edit_penetration_sigma: float = 0.00025
+    """metres, in place of `penetration_sigma` where an artist corrects a pose: pins are surer than landmarks,
+    and would push parts into each other"""
+    compression: float = 0.00075
+    """metres by which flesh is compressed where parts touch"""
+    coupling_sigma: float = math.radians(18.0)
+    """radians of the last joint's bend"""
+    limits_sigma: float = math.radians(1.0)
+    """radians beyond the range"""
+    bent_spread_share: float = 0.3
+    """Share of a knuckle's spread that is left when it is bent by 90 degrees: collateral ligaments tighten"""
+    passive_range: float = math.radians(10.0)
+    """radians beyond the active range of motion to which a joint of a pose that is corrected may be drawn: a
+    finger that is pressed goes further than it does by itself. Without this, a drag would move the palm where
+    a person would only bend the finger"""
+    step_margin: float = math.radians(3.0)
+    """radians beyond the range to which a solver's step may lead: no observation brings a joint back from
+    farther out"""
+    pose_weight: float = 0.15
+    """Factor of the squared distance: with more of it, closed hands open and others are drawn to usual
+    poses"""
+    pinned_pose_weight: float = 0.7
+    """Factor of the squared distance where an artist has pinned points: little else tells where the others
+    are"""
+    length_sigma: float = 0.001
+    """metres, of a measured length; with the betas' own spread alone, proportions would overrule it"""
+    shape_weight: float = 0.2
+    """Factor of the squared betas where the length is not known: hands' proportions differ more than the open
+    hand's betas, of sigma 1, expect. Their size does not, and hardly any picture tells it from the
+    distance"""
+    nearest: float = 0.02
+    """metres; hands and points count as no nearer than this, so that a wild step cannot divide by zero"""
+
+
+TERMS: Final = TermSettings()

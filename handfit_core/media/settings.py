@@ -1,0 +1,39 @@
+"""What inputs may be, and how they are read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True)
+class MediaSettings:
+    """Rates, numbers and sizes of pictures and videos, and how many are read at once."""
+
+    chunk_frames: int = 96
+    """Frames of a clip that are detected together. A chunk begins with a palm detection in the whole picture,
+    as every 24th frame has one"""
+    min_part_chunks: int = 4
+    """of a part of a clip: to start a process, and to read on to its first frame, should cost less than the
+    detection"""
+    max_range_chars: int = 40
+    """Numbers beyond any clip's frames fit in"""
+    max_frame_number: int = 1_048_574
+    """Blender's last frame."""
+    max_frame_gap: int = 10
+    """Mean distance of the frame numbers of a sequence, at most"""
+    max_fps: float = 1000.0
+    max_jitter_frames: float = 1.5
+    """By which a frame may lie before or behind its time in a video of a steady rate"""
+    min_seek_frames: int = 500
+    """Shorter videos are read from the beginning as fast as they are sought in"""
+    rows_at_once: int = 256
+    """Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the
+    picture"""
+    read_ahead_frames: int = 2
+    """Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
+    exif_bytes: int = 1 << 20
+    """EXIF tags stand at a file's beginning"""
+
+
+MEDIA: Final = MediaSettings()
