@@ -202,7 +202,7 @@ def run_again_as_another_processor(session: nox.Session, *paths: str) -> None:
 
 @nox.session(python=PYTHON)
 def hostile(session: nox.Session) -> None:
-    """Hostile files, names, peers and .blends, thousands of them, each within limits of time and memory.
+    """Hostile files, names and .blends, thousands of them, each within limits of time and memory.
 
     `-- -m quick`: a part of each kind, as CI does; `-- -k NAME`: one.
     """

@@ -14,7 +14,7 @@ from typing import Any
 
 import bpy
 
-from . import installation, verification
+from . import installation
 from .batch.commands import COMMANDS
 from .batch.console import print_error, show_all_names, stopped_by_signals
 from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
@@ -38,7 +38,7 @@ def main(argv: Sequence[str]) -> int:
     except SystemExit as ended:  # --help, or wrong options; both have printed what there is to say
         return ended.code if isinstance(ended.code, int) else EXIT_USAGE
     except (ImportError, SyntaxError) as error:  # files that are needed first here are gone or damaged
-        print_error(installation.import_problem(error).sentence, debug)
+        print_error(installation.import_fault(error).sentence, debug)
     except Exception as error:  # a defect of ours: still one line
         print_error(f"unexpected {type(error).__name__}: {error}", debug)
     return EXIT_SOME_FAILED
@@ -104,7 +104,7 @@ def _own_command() -> tuple[str, ...]:
 
 def _check(args: argparse.Namespace) -> int:
     if _print_refusal():
-        print(verification.report())
+        print(installation.report())
         return EXIT_SOME_FAILED
     # Needs handfit_core.
     from .operators.check_installation import check
@@ -121,10 +121,11 @@ def _check(args: argparse.Namespace) -> int:
 
 def _print_refusal() -> bool:
     """Say why the add-on cannot run, where it cannot."""
-    is_refused = verification.is_refused()
-    if is_refused:
-        print_error(verification.problems()[0].sentence)
-    return is_refused
+    found = installation.fault()
+    if found is None or found.runs:
+        return False
+    print_error(found.sentence)
+    return True
 
 
 def register() -> None:

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import importlib
+import importlib.util
 import sys
 import traceback
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import bpy
 
-from . import command, installation, unusable, verification
+from . import command, installation, unusable
 
 PACKAGE = __package__ or ""
 
@@ -45,8 +48,11 @@ _core: ModuleType | None = None
 def register() -> None:
     """Register every module of the add-on, or only the panel that says why it cannot run."""
     modules = _addon_modules() if _can_run() else (unusable,)
+    found = installation.fault()
+    if found is not None and not found.runs:
+        installation.print_sentence(found.sentence)
     try:
-        for module in (verification, *modules):
+        for module in modules:
             _registered.append(module)  # before: where it fails, half of it may be registered
             module.register()
         _register_command()
@@ -68,6 +74,7 @@ def unregister() -> None:
             _registered.pop().unregister()
         except Exception as error:
             errors.append(error)
+    installation.note(None)
     if errors:
         _unregister_classes()
         raise errors[0]
@@ -79,13 +86,25 @@ def runs() -> bool:
 
 
 def _can_run() -> bool:
-    verification.examine()
-    if verification.is_refused():
-        return False
+    installation.note(installation.examine(Path(bpy.utils.user_resource("EXTENSIONS"))))
+    importlib.invalidate_caches()  # Blender may just have unpacked it
+    for name in ("numpy", "handfit_core"):
+        if not installation.is_refused() and not _is_importable(name):
+            missing = ModuleNotFoundError(f"no module named {name}", name=name)
+            installation.note(installation.import_fault(missing))
     other = _running_copy()
-    if other:
-        verification.refuse(installation.second_copy_problem(other))
-    return not other
+    if other and not installation.is_refused():
+        installation.note(installation.second_copy(other))
+    return not installation.is_refused()
+
+
+def _is_importable(name: str) -> bool:
+    """Whether a package can be imported; an empty folder of its name is none."""
+    try:
+        spec = importlib.util.find_spec(name)
+    except (ImportError, ValueError):
+        return False
+    return spec is not None and spec.origin is not None
 
 
 def _register_command() -> None:
@@ -121,8 +140,8 @@ def _addon_modules() -> tuple[Any, ...]:
     """The modules to register, or the one that says why they cannot be imported."""
     global _core
     installed = installation.is_installed()
-    if installed and verification.core_problem() is not None:
-        verification.forget_core()
+    if installed and _other_core() is not None:
+        _forget_core()
     if installed and _core is not None and _core is not sys.modules.get("handfit_core"):
         # Another copy of the add-on has run meanwhile, with a handfit_core of its own.
         _unload(name for name in _loaded_modules() if name not in _WITHOUT_CORE)
@@ -136,14 +155,25 @@ def _addon_modules() -> tuple[Any, ...]:
         traceback.print_exc()
         # Half of them would be met again.
         _unload(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
-        verification.refuse(installation.import_problem(error))
+        installation.note(installation.import_fault(error))
         return (unusable,)
     _core = sys.modules.get("handfit_core")
-    problem = verification.core_problem()
-    if problem is not None:
-        verification.refuse(problem)
+    if installed and (other := _other_core()) is not None:
+        installation.note(other)
         return (unusable,)
     return modules.MODULES
+
+
+def _other_core() -> installation.Fault | None:
+    """Whether the handfit_core that is loaded belongs to another version of the add-on."""
+    loaded = getattr(sys.modules.get("handfit_core"), "__version__", None)
+    version = installation.installed_version()
+    return None if loaded in (None, version) else installation.other_core(version, str(loaded))
+
+
+def _forget_core() -> None:
+    """Have handfit_core imported anew."""
+    _unload(n for n in list(sys.modules) if n == "handfit_core" or n.startswith("handfit_core."))
 
 
 def _unregister_classes() -> None:
@@ -158,4 +188,4 @@ def _unregister_classes() -> None:
 
 if installation.is_installed() and not _running_copy():
     # The one that is loaded may be of another zip: the add-on was replaced in a running Blender.
-    verification.forget_core()
+    _forget_core()

@@ -11,11 +11,11 @@ import bpy
 
 from handfit_core.solvers import SOLVERS
 from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.events import Event, WorkerError, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
-from handfit_core.worker.runner import Event, WorkerError, as_error
 
-from . import installation, preferences, properties, verification
+from . import installation, preferences, properties
 from .cache import remove_temporary_takes
 from .wording import capitalised
 
@@ -26,7 +26,7 @@ _POLL_SECONDS = 0.2
 """seconds between two looks for answers that nobody waits for"""
 
 ADVICE = Advice(
-    where=installation.IN_PREFERENCES,
+    where="in the add-on's preferences",
     crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
 )
 """advice of errors that are shown in Blender's window"""
@@ -37,11 +37,8 @@ class BlendersWorker(Worker):
 
     def submit(self, kind: str, /, **fields: Any) -> int:
         """Ask for something. Raises WorkerError also where a part that captures need is missing."""
-        if kind == "capture" and (problem := _problem_of(self.python)):
-            sentence = problem.sentence
-            if sentence.endswith(installation.IN_PREFERENCES):
-                sentence = sentence.removesuffix(installation.IN_PREFERENCES) + self._advice.where
-            raise WorkerError(sentence)
+        if kind == "capture" and (found := _fault_of(self.python)):
+            raise WorkerError(found.sentence)
         return super().submit(kind, **fields)
 
 
@@ -113,8 +110,8 @@ def configured_worker(
 def capture_sentence(python: str | None = None) -> str:
     """Why `python`, or the Python that the preferences choose, cannot capture, as far as is known; empty
     where nothing is. For labels: with a capital, and it costs nothing."""
-    problem = _problem_of(python or find_python(_settings().python))
-    return capitalised(problem.sentence) if problem is not None else ""
+    found = _fault_of(python or find_python(_settings().python))
+    return capitalised(found.sentence) if found is not None else ""
 
 
 def stop() -> None:
@@ -154,8 +151,8 @@ def _collect() -> float | None:
     return _POLL_SECONDS if _abandoned and _worker.busy else _abandoned.clear()
 
 
-def _problem_of(python: str) -> installation.Problem | None:
-    return verification.capture_problem() if is_current_interpreter(python) else None
+def _fault_of(python: str) -> installation.Fault | None:
+    return installation.fault() if is_current_interpreter(python) else None
 
 
 def _settings() -> _Settings:
@@ -182,7 +179,7 @@ def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
     properties.choices_of_option |= {"detector": detectors, "solver": solvers}
     if sentence := capture_sentence():
-        verification.print_sentence(sentence)
+        installation.print_sentence(sentence)
 
 
 def unregister() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import verification
+from . import installation
 from .section import Section, sentence
 from .wording import capitalised
 
@@ -19,8 +19,9 @@ class _Reason:
 
     def draw(self, context):
         """Why, and what to do."""
-        for problem in verification.problems()[:1]:
-            sentence(self.layout, context, capitalised(problem.sentence), "ERROR", alert=True)
+        found = installation.fault()
+        if found is not None:
+            sentence(self.layout, context, capitalised(found.sentence), "ERROR", alert=True)
 
 
 class MANIENT_PT_unusable(_Reason, Section, bpy.types.Panel):

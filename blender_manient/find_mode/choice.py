@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.arrays import unpack
 from handfit_core.options import CROWD, HandChoice, Region
 from handfit_core.skeleton import SIDES, Side, other_side
-from handfit_core.worker import protocol
 
 SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
@@ -39,11 +39,10 @@ class FoundHand:
     @classmethod
     def of(cls, hand: dict[str, Any], drawn: tuple[float, ...] | None = None) -> FoundHand:
         """A hand of the answer to a `find` request; `drawn`: the box in which it was searched."""
-        found = protocol.FoundHand.of_message(hand)
-        points = found.keypoints
+        points, side = unpack(hand["keypoints"]).astype(float), hand["side"]
         low = points.min(axis=0)
         box = drawn or (*low.tolist(), *np.maximum(points.max(axis=0) - low, 1.0).tolist())
-        return cls(points, found.certainty, found.side, found.side, box, drawn is not None)
+        return cls(points, hand["certainty"], side, side, box, drawn is not None)
 
     @property
     def extent(self) -> float:

@@ -10,10 +10,10 @@ import bpy
 
 from handfit_core.errors import HandfitError
 from handfit_core.worker.client import Worker
+from handfit_core.worker.events import Event
 from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
-from handfit_core.worker.runner import Event
 
-from .. import cache, details, preferences, screen, shared_worker, verification
+from .. import cache, details, installation, preferences, screen, shared_worker
 from ..wording import capitalised
 from . import check_mano
 from .mixins import PollMixin, TimerMixin
@@ -36,8 +36,8 @@ class Result:
 
 
 _last: Result | None = None
-_checking: Worker | None = None
-"""The process of a check that runs beside the window's work"""
+_checking: _Check | None = None
+"""The check that runs beside the window's work"""
 
 
 def last_result() -> Result | None:
@@ -69,16 +69,7 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
     def invoke(self, context, _event):
         """Check beside the window's work."""
         global _checking
-        verification.examine()
-        # A process of its own: the shared one may be busy for minutes, and may be what is wrong.
-        self._worker = shared_worker.new_worker()
-        self._answer: Event | None = None
-        self._problem: HandfitError | None = None
-        try:
-            self._request = self._worker.submit("check")
-        except HandfitError as error:
-            self._problem = error
-        _checking = self._worker
+        self._check = _checking = _Check(None)
         self._show_status(context, "Checking the installation of Hand Capture   Esc: Stop")
         screen.redraw("PREFERENCES")
         return self._start_timer(context, _TICK)
@@ -88,22 +79,15 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
             self.cancel(context)
             self.report({"INFO"}, "The check was stopped")
             return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        if self._problem is None:
-            try:
-                self._answer = shared_worker.answer(self._request, self._worker)
-            except HandfitError as error:
-                self._problem = error
-        if self._answer is None and self._problem is None:
+        if event.type != "TIMER" or not self._check.look():
             return {"PASS_THROUGH"}
         self.cancel(context)
-        return self._show(*_outcome(self._worker, self._answer, self._problem))
+        return self._show(*self._check.outcome())
 
     def cancel(self, context):
         global _checking
         _checking = None
-        self._worker.stop()
+        self._check.worker.stop()
         self._stop_timer(context)
         screen.redraw("PREFERENCES")
 
@@ -120,53 +104,72 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class _Check:
+    """A check that is under way, in a process of its own: the shared one may be busy for minutes, and may be
+    what is wrong."""
+
+    def __init__(self, python: str | None) -> None:
+        """Begin. `python` captures instead of the one that the preferences choose."""
+        installation.note(installation.examine(Path(bpy.utils.user_resource("EXTENSIONS"))))
+        self.worker = shared_worker.new_worker(python)
+        self._answer: Event | None = None
+        self._problem = ""
+        try:
+            self._request = self.worker.submit("check")
+        except HandfitError as error:
+            self._problem = str(error)
+
+    def look(self, *, wait: bool = False) -> bool:
+        """Look for news, or wait for the end; whether it is over."""
+        if self._answer is None and not self._problem:
+            try:
+                if wait:
+                    self._answer = self.worker.wait(self._request, timeout=_LIMIT)
+                else:
+                    self._answer = shared_worker.answer(self._request, self.worker)
+            except HandfitError as error:
+                self._problem = str(error)
+        return self._answer is not None or bool(self._problem)
+
+    def outcome(self) -> tuple[Result, str]:
+        """What it came to, and the text for a bug report."""
+        missing = shared_worker.capture_sentence(self.worker.python)
+        ok = self._answer is not None and self._answer["ok"] and not missing
+        if missing:
+            sentence = missing
+        elif self._answer is None:
+            sentence = capitalised(self._problem)
+        elif ok:
+            sentence = "Everything that a capture needs is there and works"
+        else:
+            sentence = "Something that a capture needs is missing or fails: the text tells what"
+        said = f"The process that captures said:\n{self.worker.details() or '(nothing)'}"
+        parts = [
+            "Hand Capture Check",
+            sentence,
+            installation.report(),
+            details.system_text(),
+            _settings_text(self.worker),
+            said if self._answer is None else self._answer["report"],
+        ]
+        other = shared_worker.current()
+        if other is not None and not other.alive and other.details():
+            parts.append(f"The process of the last capture said:\n{other.details()}")
+        text = _without_home("\n\n".join(parts)) + "\n"
+        return Result(ok, sentence, preferences.get().python), text
+
+
 def check(python: str | None = None) -> tuple[Result, str]:
     """Check and wait for it. Returns what it came to, and the text for a bug report; raises nothing.
 
     `python` captures instead of the one that the preferences choose.
     """
-    verification.examine()
-    worker = shared_worker.new_worker(python)
-    answer, problem = None, None
+    under_way = _Check(python)
     try:
-        answer = worker.wait(worker.submit("check"), timeout=_LIMIT)
-    except HandfitError as error:
-        problem = error
+        under_way.look(wait=True)
     finally:
-        worker.stop()
-    return _outcome(worker, answer, problem)
-
-
-def _outcome(worker: Worker, answer: Event | None, problem: HandfitError | None) -> tuple[Result, str]:
-    missing = shared_worker.capture_sentence(worker.python)
-    ok = bool(answer and answer.get("ok")) and not missing
-    if missing:
-        sentence = missing
-    elif problem is not None:
-        sentence = capitalised(str(problem))
-    elif ok:
-        sentence = "Everything that a capture needs is there and works"
-    else:
-        sentence = "Something that a capture needs is missing or fails: the text tells what"
-    return Result(ok, sentence, preferences.get().python), _report_text(worker, sentence, answer)
-
-
-def _report_text(worker: Worker, sentence: str, answer: Event | None) -> str:
-    parts = [
-        "Hand Capture Check",
-        sentence,
-        verification.report(),
-        details.system_text(),
-        _settings_text(worker),
-    ]
-    if answer is not None:
-        parts.append(str(answer.get("report", "")).strip())
-    else:
-        parts.append(f"The process that captures said:\n{worker.details() or '(nothing)'}")
-    other = shared_worker.current()
-    if other is not None and not other.alive and other.details():
-        parts.append(f"The process of the last capture said:\n{other.details()}")
-    return _without_home("\n\n".join(parts)) + "\n"
+        under_way.worker.stop()
+    return under_way.outcome()
 
 
 def _settings_text(worker: Worker) -> str:
@@ -200,5 +203,5 @@ def unregister() -> None:
     """End the check's process and forget the last check."""
     global _last, _checking
     if _checking is not None:
-        _checking.stop()
+        _checking.worker.stop()
     _last = _checking = None

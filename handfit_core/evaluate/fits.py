@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import os
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from multiprocessing import get_context, parent_process
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,8 +27,7 @@ from handfit_core.fit import doubt
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, anatomy, chain, data, landmarks, load_model, surface
 from handfit_core.skeleton import Side
-from handfit_core.worker.pool import Pool
-from handfit_core.worker.runner import Answer, InProcess, OnProgress, Runner
+from handfit_core.worker.events import THREAD_VARIABLES
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,16 +61,23 @@ class Fits:
                 yield task
             else:
                 missing.append(task)
-        with self._runner(jobs if len(missing) > 1 else 1) as runner:
-            running = {runner.submit("fit", task=task, path=self._path(task)): task for task in missing}
-            for done in runner.results(*running):
-                yield running[done["id"]]
-
-    def _runner(self, jobs: int) -> Runner:
-        if jobs <= 1:
-            return InProcess(_fitting(self._protocol, self.models))
-
-        return Pool(jobs, partial(_fitting_anew, self._protocol, self._model, tuple(self.models)))
+        if jobs <= 1 or len(missing) <= 1:
+            for task in missing:
+                _fit(self._protocol, self.models, task, self._path(task))
+                yield task
+            return
+        executor = ProcessPoolExecutor(jobs, get_context("spawn"), _set_up, (self._model, tuple(self.models)))
+        try:
+            with _one_thread_per_child():
+                running = {
+                    executor.submit(_fit_in_child, self._protocol, task, self._path(task)): task
+                    for task in missing
+                }
+            for future in as_completed(running):
+                future.result()
+                yield running[future]
+        finally:
+            executor.shutdown(cancel_futures=True)
 
     def result(self, task: FitTask) -> TrackResult:
         """A task's result; made again where the kept file was damaged."""
@@ -123,20 +132,45 @@ def _code() -> str:
     return "|".join([code, *learnt])
 
 
-def _fitting(protocol: ProtocolName, models: Mapping[Side, HandModel]) -> Answer:
-    """Does the request `fit`: its `task`, whose result is kept at its `path`."""
-
-    def fit(
-        message: Mapping[str, Any], _should_stop: Callable[[], bool], _on_progress: OnProgress
-    ) -> dict[str, Any]:
-        task: FitTask = message["task"]
-        method = get_method(task.method, protocol)
-        save_kept(message["path"], vars(method(models, task.track, task.intrinsics)))
-        return {}
-
-    return fit
+def _fit(protocol: ProtocolName, models: Mapping[Side, HandModel], task: FitTask, path: Path) -> None:
+    """Do a task, and keep its result at `path`."""
+    method = get_method(task.method, protocol)
+    save_kept(path, vars(method(models, task.track, task.intrinsics)))
 
 
-def _fitting_anew(protocol: ProtocolName, model: str | None, sides: tuple[Side, ...]) -> Answer:
-    """`_fitting` in a process of its own, which reads the models once."""
-    return _fitting(protocol, {side: load_model(model, side) for side in sides})
+_models: dict[Side, HandModel] = {}
+"""The hand models of this process, where it is one of several"""
+
+
+def _set_up(model: str | None, sides: tuple[Side, ...]) -> None:
+    """Make a new process ready for tasks."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _models.update({side: load_model(model, side) for side in sides})
+
+
+def _end_with_parent() -> None:
+    """A killed parent tells its children nothing: they would wait for work for ever."""
+    parent = parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _fit_in_child(protocol: ProtocolName, task: FitTask, path: Path) -> None:
+    _fit(protocol, _models, task, path)
+
+
+@contextlib.contextmanager
+def _one_thread_per_child() -> Iterator[None]:
+    """Processes started within get one thread each: more threads than cores mostly wait for each other.
+    Libraries read these variables when they load."""
+    before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

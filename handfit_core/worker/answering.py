@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from handfit_core import edit
-from handfit_core.arrays import packed
+from handfit_core.arrays import pack
 from handfit_core.detection import find_in_frame
-from handfit_core.doors.values import shortly
-from handfit_core.errors import OptionError, PictureSizeError
+from handfit_core.errors import PictureSizeError
 from handfit_core.files import written_whole
 from handfit_core.interchange.opening import RELATIVE, open_input
 from handfit_core.media.frame_range import FrameRange
@@ -22,8 +21,7 @@ from handfit_core.pipeline import capture_to_file, detect_to_file
 from handfit_core.retiming import check_rate, is_other_rate
 from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
-from handfit_core.worker.protocol import FoundHand
-from handfit_core.worker.runner import OnProgress
+from handfit_core.worker.events import OnProgress
 
 if TYPE_CHECKING:
     from handfit_core.pipeline import Progress
@@ -35,7 +33,7 @@ MAX_PICTURE_SIDE: Final = 4096
 def answer(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
-    """Do the request of one of `protocol.JOBS`; the fields of its `done` event. Raises what it raises."""
+    """Do the request of a message; the fields of its `done` event. Raises what it raises."""
     match message["request"]:
         case "capture":
             return capture(message, should_stop, on_progress)
@@ -61,15 +59,12 @@ def capture(
 ) -> dict[str, Any]:
     """Capture as the request says, write the take. Raises what `pipeline.capture` raises, and OutputError."""
 
-    source, output = _source(message), _output(message)
-    parts = None if message.get("parts") is None else Parts(_paths(message, "parts"))
+    source, retimed = _source(message), message.get("retimed")
+    parts = Parts(message["parts"]) if "parts" in message else None
     flags = {name: message.get(name, False) for name in ("compact", "bare")}
-    for name, flag in flags.items():
-        if not isinstance(flag, bool):
-            raise OptionError(f"a capture's {name} must be true or false, not {flag!r}")
     options = CaptureOptions.of_message(message.get("options") or {})
-    if message.get("retimed") is not None:
-        _check_retimed(source, options, message["retimed"])
+    if retimed is not None:
+        _check_retimed(source, options, retimed)
     stopped = False
 
     def should_stop_once() -> bool:
@@ -80,14 +75,13 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, output, options, report, should_stop_once, **flags, parts=parts)
+    done = capture_to_file(source, message["output"], options, report, should_stop_once, **flags, parts=parts)
     return {**done, "stopped": stopped}
 
 
-def _check_retimed(source: Any, options: Any, rate: Any) -> None:
-    """Raise what keeps a clip from being retimed to a scene's rate, before anything is detected in it."""
-    if isinstance(rate, bool) or not isinstance(rate, int | float):
-        raise OptionError(f"what a clip is retimed to must be frames per second, not {shortly(rate)}")
+def _check_retimed(source: Any, options: Any, rate: float) -> None:
+    """Raise what keeps a clip from being retimed to a scene's frames per second, before anything is detected
+    in it."""
 
     media = open_input(source, options)
     if isinstance(media, Video) and is_other_rate(rate, media.fps):
@@ -101,11 +95,9 @@ def detect(
     """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
 
     part = message.get("part")
-    if part is not None and not isinstance(part, str):
-        raise OptionError(f"a part must be a range of frames, such as '961-1920', not {shortly(part)}")
     return detect_to_file(
         _source(message),
-        _output(message),
+        message["output"],
         CaptureOptions.of_message(message.get("options") or {}),
         FrameRange.parse(part) if part else None,
         lambda progress: on_progress(progress.stage, progress.done, progress.total),
@@ -140,8 +132,6 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
     `detection.find_in_frame` raises, and OutputError."""
 
     picture = message.get("picture")
-    if picture is not None and (not isinstance(picture, str) or not picture):
-        raise OptionError(f"the picture must be the path of a JPEG file to write; got {shortly(picture)}")
     frame, hands = find_in_frame(_source(message), CaptureOptions.of_message(message.get("options") or {}))
     assert frame.rgb is not None
     if picture is not None:
@@ -151,26 +141,21 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
         "width": frame.rgb.shape[1],
         "height": frame.rgb.shape[0],
         "hands": [
-            packed(
-                FoundHand(
-                    hand.given_side or hand.likely_side,
-                    hand.score if hand.certainty is None else hand.certainty,
-                    hand.keypoints_2d,
-                )
-            )
+            {
+                "side": hand.given_side or hand.likely_side,
+                "certainty": float(hand.score if hand.certainty is None else hand.certainty),
+                "keypoints": pack(np.asarray(hand.keypoints_2d, dtype=np.float32)),
+            }
             for hand in hands
         ],
     }
 
 
 def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
-    """Write the contact sheet of a take. Raises OptionError, TakeError and OutputError."""
+    """Write the contact sheet of a take. Raises TakeError and OutputError."""
 
     limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
-    take, output = message.get("take"), message.get("output")
-    if not all(isinstance(path, str) and path for path in (take, output)):
-        raise OptionError("a sheet needs the path of a take, and as its output the path of a JPEG file")
-    return {"frames": write_sheet(Take.load(str(take)), str(output), max_megapixels=limit)}
+    return {"frames": write_sheet(Take.load(message["take"]), message["output"], max_megapixels=limit)}
 
 
 def _write_picture(rgb: np.ndarray, path: str) -> None:
@@ -187,21 +172,6 @@ def _write_picture(rgb: np.ndarray, path: str) -> None:
 
 
 def _source(message: Mapping[str, Any]) -> str | list[str]:
-    """A request's `input`: a path or pattern, or the pictures of one sequence. Raises OptionError."""
-    source = _paths(message, "input")
+    """A request's `input`: a path or pattern, or the pictures of one sequence."""
+    source = message["input"]
     return source[0] if len(source) == 1 else source
-
-
-def _paths(message: Mapping[str, Any], name: str) -> list[str]:
-    paths = message.get(name)
-    if not isinstance(paths, list) or not paths or not all(isinstance(p, str) and p for p in paths):
-        what = "one path or pattern, or of pictures" if name == "input" else "the paths of part files"
-        raise OptionError(f"{name} must be a list of {what}; got {shortly(paths)}")
-    return paths
-
-
-def _output(message: Mapping[str, Any]) -> str:
-    output = message.get("output")
-    if not isinstance(output, str) or not output:
-        raise OptionError(f"a {message['request']} needs the path of the file to write, as its output")
-    return output

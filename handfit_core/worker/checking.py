@@ -22,50 +22,35 @@ from handfit_core.detect.landmark_model import landmark_model_path, landmarks_20
 from handfit_core.detect.opening import open_detector
 from handfit_core.edit import warm_up
 from handfit_core.edit.refit import seen_hand
-from handfit_core.errors import Cancelled, HandfitError, OptionError
+from handfit_core.errors import Cancelled, HandfitError
 from handfit_core.fit.fast import fitter_of
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import OPEN_HAND, load_model
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.version import __version__
-from handfit_core.worker.protocol import PROTOCOL
 
-PACKAGES: Final[dict[str, tuple[str, tuple[int, ...]]]] = {
-    "numpy": ("numpy", (1, 24)),
-    "scipy": ("scipy", (1, 11)),
-    "torch": ("torch", (2, 2)),
-    "opencv-python-headless": ("cv2", (4, 9)),
-    "mediapipe": ("mediapipe", (0, 10, 31)),
-}
-"""Name in the package index -> name to import, lowest version; as in pyproject.toml"""
-
-OPTIONAL: Final = ("torch",)
-"""Packages without which hands are captured all the same"""
+PACKAGES: Final = ("numpy", "scipy", "cv2", "mediapipe")
+"""What capturing imports"""
 
 WORST_FIT_MM: Final = 7.0
 """More than the self-test's hand is off on any machine"""
 
-_REINSTALL: Final = "install the add-on's zip again"
-
-_PRELOADED: Final = ("cv2", "scipy.optimize")
-"""What a capture loads beside what the self-tests need"""
-
 
 def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
-    """The fields of the `done` event: `report`, lines that end in "ok" or "FAILED: reason and remedy", and
-    `ok`, whether none failed. Raises Cancelled."""
+    """The fields of the `done` event: `report`, lines that end in "ok" or "FAILED: reason", and `ok`, whether
+    none failed. Raises Cancelled."""
     started = time.perf_counter()
     lines = [
-        f"Hand capture core {__version__}, worker protocol {PROTOCOL}",
+        f"Hand capture core {__version__}",
         f"Python {platform.python_version()}, {_short(Path(sys.executable))}",
         f"{platform.platform()}, {platform.machine()}, {os.cpu_count()} processors",
     ]
     steps: list[tuple[str, Callable[[], str]]] = [
         *((name, partial(_package, name)) for name in PACKAGES),
+        ("torch", _torch),
         ("landmark model", _landmark_model),
         ("landmarks of 2020", _landmarks_2020),
-        *((f"open hand, {side}", partial(_open_hand, side)) for side in SIDES),
         ("self-test of the detector", _detector),
         ("self-test of the solver", _solver),
         ("self-test of re-fitting", _refitting),
@@ -78,8 +63,12 @@ def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
             lines.append(f"{name}: {step()}: ok")
         except Exception as error:  # whatever is wrong with an installation is what the report is for
             ok = False
-            lines.append(f"{name}: FAILED: {_reason(error)}")
-    lines.append("Everything works." if ok else "Not everything works; see FAILED above.")
+            lines.append(f"{name}: FAILED: {' '.join(f'{type(error).__name__}: {error}'.split())}")
+    lines.append(
+        "Everything works."
+        if ok
+        else "Not everything works: install the add-on's zip again, or what FAILED into a Python of your own."
+    )
     return {"report": "\n".join(lines), "ok": ok, "seconds": round(time.perf_counter() - started, 3)}
 
 
@@ -87,15 +76,13 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
     """Run the detector, the fast solver and a re-fit once; the fields of the `done` event.
 
     The request's `model` is the hand model that re-fits will use, null for the open hand. Raises
-    LandmarkModelError, HandModelError, OptionError, Cancelled, and ImportError where a package is missing.
+    LandmarkModelError, HandModelError, Cancelled, and ImportError where a package is missing.
     """
-    model = message.get("model") or OPEN_HAND
-    if not isinstance(model, str):
-        raise OptionError(f"a warm request's model must be a path or '{OPEN_HAND}', not {model!r}")
 
     started = time.perf_counter()
-    later = [partial(importlib.import_module, name) for name in _PRELOADED]
-    for step in (*later, blank_picture_hands, synthetic_fit_error_mm, partial(warm_up, model)):
+    model = message.get("model") or OPEN_HAND
+    loading = [partial(importlib.import_module, name) for name in ("cv2", "scipy.optimize")]
+    for step in (*loading, blank_picture_hands, synthetic_fit_error_mm, partial(warm_up, model)):
         if should_stop():
             raise Cancelled("loading was stopped")
         step()
@@ -125,55 +112,33 @@ def synthetic_fit_error_mm(side: Side = "right") -> float:
 
 
 def _package(name: str) -> str:
-    """The version of a package. Raises HandfitError, which also says where to get one that is missing."""
-    module_name, lowest = PACKAGES[name]
-    wanted = f"{name}>={'.'.join(map(str, lowest))}"
-    remedy = f"{_REINSTALL}; a Python of your own needs {wanted}"
+    return str(getattr(importlib.import_module(name), "__version__", "of unknown version"))
+
+
+def _torch() -> str:
     try:
-        version = str(getattr(importlib.import_module(module_name), "__version__", "unknown"))
-    except ModuleNotFoundError as error:
-        if name in OPTIONAL and error.name == module_name:
-            return "not installed, which the paper's experiments alone would need"
-        what = "not installed" if error.name == module_name else f"it lacks {error.name}"
-        raise HandfitError(f"{what}; {remedy}") from error
-    except (ImportError, OSError) as error:
-        raise HandfitError(f"it does not load ({error}); {remedy}") from error
-    if _numbers(version) < lowest:
-        raise HandfitError(f"{version} is too old; {remedy}")
-    return version
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """The leading numbers of a version: 2.9.1+cpu -> (2, 9, 1)."""
-    numbers: list[int] = []
-    for part in version.split("+")[0].split("."):
-        if not part.isdigit():
-            break
-        numbers.append(int(part))
-    return tuple(numbers)
+        return _package("torch")
+    except ModuleNotFoundError:
+        return "not installed, which the paper's experiments alone would need"
 
 
 def _landmark_model() -> str:
+
     path = landmark_model_path()
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 
 def _landmarks_2020() -> str:
+
     if (path := landmarks_2020_path()) is None:
         return "not there or not whole; all works without, but depths are less exact"
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 
-def _open_hand(side: Side) -> str:
-    return f"digest {load_model(None, side).digest}"
-
-
 def _detector() -> str:
     count = blank_picture_hands()
     if count:
-        raise HandfitError(
-            f"it saw {count} hands in a blank picture; {_REINSTALL}, or fetch the landmark model again"
-        )
+        raise HandfitError(f"it saw {count} hands in a blank picture")
     return "no hand in a blank picture"
 
 
@@ -181,26 +146,16 @@ def _solver() -> str:
     worst = max(synthetic_fit_error_mm(side) for side in SIDES)
     # Written so that NaN fails.
     if not worst < WORST_FIT_MM:
-        raise HandfitError(
-            f"a hand came out {worst:.1f} mm off; {_REINSTALL}, or NumPy and SciPy into a Python of your own"
-        )
+        raise HandfitError(f"a hand came out {worst:.1f} mm off")
     return f"{worst:.1f} mm off a known hand"
 
 
 def _refitting() -> str:
+
     warm_up()
     started = time.perf_counter()
     warm_up()
     return f"{(time.perf_counter() - started) / len(SIDES) * 1e3:.0f} ms a frame"
-
-
-def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    if isinstance(error, HandfitError):
-        return text
-    if isinstance(error, ImportError):
-        return f"{text}; install what is missing, as the lines above tell"
-    return f"{type(error).__name__}: {text}; please report this"
 
 
 def _short(path: Path) -> str:

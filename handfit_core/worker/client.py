@@ -10,34 +10,35 @@ import contextlib
 import shutil
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
-from handfit_core.errors import Cancelled, ProtocolError
+from handfit_core.errors import Cancelled
 from handfit_core.version import __version__
-from handfit_core.worker import protocol
+from handfit_core.worker.events import Event, MemoryRanOut, WorkerDied, WorkerError, as_error
 from handfit_core.worker.interpreter import (
+    EXIT_UNFIT,
     find_python,
     is_current_interpreter,
     worker_command,
     worker_environment,
 )
 from handfit_core.worker.process import ChildProcess, out_of_memory_kills
-from handfit_core.worker.runner import Event, MemoryRanOut, Runner, WorkerDied, WorkerError
+from handfit_core.worker.protocol import encode
 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
-_MAX_NOISE_LINES = 200
-"""lines before the `ready` event that may be no messages"""
+_MAX_NOISE_BYTES = 100_000
+"""what a process may say before it is ready"""
+_POLL_SECONDS = 0.05
+"""seconds that one look at a process waits for news"""
 _STOP_SECONDS = 0.03
 """seconds that Blender's main thread gives a process to end by itself; one that has loaded torch needs some
 0.1, all of it to give back memory"""
 _SCRIPT_STOP_SECONDS = 3.0
 """seconds that a script gives a process to end by itself"""
-
-_MAX_MESSAGE_CHARS = 2000
-"""characters of what a worker says for people"""
 _CRASH_SIGNALS = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
 """signals of a process's own crash; other signals come from outside"""
 
@@ -64,7 +65,7 @@ ADVICE = Advice(where="with --python or in $HANDFIT_PYTHON", crash="try again wi
 """advice of errors that are printed, where no window starts the worker"""
 
 
-class Worker(Runner):
+class Worker:
     """One process that captures. It starts with the first request; after a crash the next one starts another.
 
     Nothing but `wait` blocks, and `stop` for a moment. No thread runs for it: what the process says is taken
@@ -83,7 +84,6 @@ class Worker(Runner):
         """`python`: the interpreter, as `find_python` takes it. `threads`: how many it may use, None for
         its own choice. `debug`: its stderr, with tracebacks, is repeated on ours. `bytecode`: where the
         Python that runs here keeps what it compiles for the process; None: nowhere."""
-        super().__init__()
         self.python = find_python(python)
         self._threads = threads
         self._debug = debug
@@ -95,9 +95,21 @@ class Worker(Runner):
         self._start_deadline = 0.0
         self._kills_before: int | None = None
         """`out_of_memory_kills` when the last request was sent"""
+        self._number = 0
+        self._open: dict[int, str] = {}
+        """Number -> kind of the requests that have had no last event"""
+        self._events: list[Event] = []
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop(_SCRIPT_STOP_SECONDS)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a request has not been answered, or an answer was not taken yet."""
+        return bool(self._open or self._events)
 
     @property
     def uses_current_interpreter(self) -> bool:
@@ -147,23 +159,61 @@ class Worker(Runner):
         """Ask for something; returns the number that its events carry as `id`.
 
         Starts the process if need be. Raises WorkerError when it cannot be started; ProtocolError for values
-        that JSON cannot hold, and for more of them than the process reads.
+        that JSON cannot hold.
         """
-        line = protocol.encode({"id": self._number + 1, "request": kind, **fields})
-        if len(line) > protocol.LONGEST_REQUEST:
-            raise ProtocolError(f"a {kind} of {len(line) // 1_000_000} MB is too large; give it fewer frames")
+        line = encode({"id": self._number + 1, "request": kind, **fields})
         self.start()
         assert self._child is not None
         self._kills_before = out_of_memory_kills()
         self._child.send(line)
-        return self._register(kind)
+        self._number += 1
+        self._open[self._number] = kind
+        return self._number
 
     def cancel(self, request: int) -> None:
-        """Have a request stopped as soon as it can be; its last event still comes."""
-        if request not in self._open or self._child is None:
-            return
-        self._number += 1
-        self._child.send(protocol.encode({"id": self._number, "request": "cancel", "job": request}))
+        """Have a request stopped as soon as it can be; its last event still comes. Does nothing to one that
+        is over."""
+        if request in self._open and self._child is not None:
+            self._child.send(encode({"request": "cancel", "job": request}))
+
+    def events(self, *ids: int, wait: float = 0.0) -> list[Event]:
+        """The events since the last call, in order; where there are none, it waits up to `wait` seconds.
+
+        With `ids` only those of these requests; the others are kept for who asks for them. Where the process
+        has died, every open request gets an `error`.
+        """
+        self._collect(0.0)
+        found = self._take_events(ids)
+        if not found and wait and self._open:
+            self._collect(wait)
+            found = self._take_events(ids)
+        return found
+
+    def wait(
+        self, request: int, on_event: Callable[[Event], None] | None = None, timeout: float | None = None
+    ) -> Event:
+        """Block until a request is done; returns its `done` event. `on_event` gets the events before.
+
+        Raises the HandfitError that the request ended in (InputError, NoHandFoundError, Cancelled, ...) or
+        WorkerError. After `timeout` seconds everything is ended, and with it every open request.
+        """
+        kind = self._open.get(request, "request")
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            for event in self.events(request, wait=_POLL_SECONDS):
+                if event["event"] == "done":
+                    return event
+                if event["event"] == "error":
+                    raise as_error(event)
+                if on_event:
+                    on_event(event)
+            if request not in self._open:
+                raise ValueError(f"request {request} does not exist, or was answered before")
+            if deadline is not None and time.monotonic() > deadline:
+                self._give_up(
+                    f"the {kind} took longer than {timeout:g} seconds and was stopped; allow it more time, "
+                    "or give it fewer frames"
+                )
 
     def stop(self, seconds: float = _STOP_SECONDS) -> None:
         """End the process; open requests get an `error` of type Cancelled.
@@ -186,8 +236,7 @@ class Worker(Runner):
         return "\n".join(filter(None, (child.stderr_tail().strip(), how)))
 
     def _collect(self, wait: float) -> None:
-        """Take in what the process said since the last time. Where it has died, every open request gets an
-        `error` of type WorkerError."""
+        """Take in what the process said since the last time."""
         child = self._child
         if child is None:
             return
@@ -196,30 +245,17 @@ class Worker(Runner):
         child.exchange()
         ended = child.ended()
         for message in child.received():
-            try:
-                if self._ready_event is None:
-                    self._receive_first(message)
-                else:
-                    self._receive(message)
-            except ProtocolError as error:
-                self._give_up(
-                    f"the worker process said something unknown: {error}; {self._advice.crash}",
-                    ProtocolError.__name__,
-                )
+            if self._ready_event is None:
+                self._receive_first(message)
+            elif message["id"] in self._open:
+                self._receive(message)
             if self._child is None:
                 return
-        if child.line_too_long:
-            self._give_up(
-                f"the worker process wrote a line of more than {protocol.LONGEST_EVENT >> 20} MB, and was "
-                f"stopped; {self._advice.crash}"
-                if self._ready_event
-                else f"the Python '{self.python}' is not one; {self._advice.python}"
-            )
-        elif ended:
+        if ended:
             ran_out = ran_out_of_memory(child, self._kills_before)
             kind = MemoryRanOut if ran_out else WorkerError if self._ready_event is None else WorkerDied
             self._give_up(self._death_message(child, ran_out), kind.__name__)
-        elif self._ready_event is None and child.noise > _MAX_NOISE_LINES:
+        elif self._ready_event is None and child.bytes_read > _MAX_NOISE_BYTES:
             self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
         elif self._ready_event is None and time.monotonic() > self._start_deadline:
             self._give_up(
@@ -230,25 +266,8 @@ class Worker(Runner):
     def _receive_first(self, message: Event) -> None:
         """Take in a process's first message; gives up on the process if it is not the `ready` event of this
         version."""
-        unknown = f"the Python '{self.python}' answered in an unknown way; {self._advice.python}"
-        try:
-            protocol.check_event(message)
-        except ProtocolError:
-            self._give_up(unknown)
-            return
-        version = message.get("protocol")
-        if message.get("event") == "unfit":
-            self._give_up(
-                f"the Python '{self.python}' is version {message.get('python')}, and capturing needs 3.11 or "
-                f"newer; {self._advice.python}"
-            )
-        elif message.get("event") != "ready":
-            self._give_up(unknown)
-        elif version != protocol.PROTOCOL:
-            self._give_up(
-                f"the worker of '{self.python}' speaks protocol {version}, this add-on needs "
-                f"{protocol.PROTOCOL}; install the handfit-core that belongs to the add-on there"
-            )
+        if message.get("event") != "ready":
+            self._give_up(f"the Python '{self.python}' answered in an unknown way; {self._advice.python}")
         elif message.get("version") != __version__:
             self._give_up(
                 f"the add-on was updated from version {__version__} to {message.get('version')} while "
@@ -258,23 +277,24 @@ class Worker(Runner):
             self._ready_event = message
 
     def _receive(self, message: Event) -> None:
-        """Take in an event of a request that is open. Raises ProtocolError."""
-        kind = message.get("event")
-        if kind not in ("progress", "warning", "done", "error"):
-            return
-        if kind == "error" and message.get("id") is None:  # of a line that was none of the requests'
-            return
-        job = protocol.check_id(message)
-        if job not in self._open:
-            return
-        protocol.check_event(message, self._open[job])
-        if kind in ("warning", "error"):
-            message = {**message, "message": " ".join(message["message"].split())[:_MAX_MESSAGE_CHARS]}
+        """Take in an event of a request that is open."""
+        kind = message["event"]
         if kind in ("done", "error"):
-            del self._open[job]
-        if kind == "error" and message.get("type") in ("ModuleNotFoundError", "ImportError"):
+            del self._open[message["id"]]
+        if kind == "error" and message["type"] in ("ModuleNotFoundError", "ImportError"):
             message = {**message, "type": WorkerError.__name__, "message": self._import_message(message)}
         self._events.append(message)
+
+    def _take_events(self, ids: tuple[int, ...]) -> list[Event]:
+        """Take out and return the events of these requests, of all where none are named."""
+        found = [event for event in self._events if not ids or event["id"] in ids]
+        self._events = [event for event in self._events if ids and event["id"] not in ids]
+        return found
+
+    def _fail_all(self, kind: str, message: str, details: str) -> None:
+        fields = {"event": "error", "type": kind, "message": message, "details": details}
+        self._events += [{**fields, "id": request} for request in self._open]
+        self._open.clear()
 
     def _give_up(self, why: str, kind: str = WorkerError.__name__) -> None:
         """Kill the process and answer every open request with an error of this kind."""
@@ -286,8 +306,8 @@ class Worker(Runner):
     def _import_message(self, message: Event) -> str:
         """One sentence about a package that the process could not import."""
         if self.uses_current_interpreter and self._advice.broken:
-            return self._broken_package_message(_last_line(str(message.get("details", ""))))
-        return f"{str(message.get('message', '')).rstrip('.')} {self._advice.where}"
+            return self._broken_package_message(_last_line(message["details"]))
+        return f"{message['message'].rstrip('.')} {self._advice.where}"
 
     def _broken_package_message(self, reason: str) -> str:
         """One sentence for a package that does not load although it was brought along."""
@@ -297,6 +317,8 @@ class Worker(Runner):
         """One sentence for a process that ended without saying why."""
         code = child.exit_code or 0
         last = _last_line(child.stderr_tail())
+        if code == EXIT_UNFIT and self._ready_event is None and not self.uses_current_interpreter:
+            return f"the Python '{self.python}' {last}; {self._advice.python}"
         if "No module named" in last:
             if self.uses_current_interpreter and self._advice.broken:
                 return self._broken_package_message(last)

@@ -6,13 +6,13 @@ nothing beside it comes into reach: NumPy, SciPy and the others are that Python'
 An older Python must be able to read this file, to be told that it is too old.
 """
 
-import json
 import os
 import platform
 import sys
 
 LOWEST = (3, 11)
-EXIT_UNFIT = 3
+EXIT_UNFIT = 77
+"""As in interpreter.py, which cannot be imported here yet"""
 
 
 def main():
@@ -21,7 +21,8 @@ def main():
     # Python puts a script's folder first; the modules in this one have names that anybody may use.
     sys.path[:] = [path for path in sys.path if os.path.abspath(path) != here]  # noqa: PTH100
     if sys.version_info < LOWEST:
-        print(json.dumps({"event": "unfit", "python": platform.python_version()}))
+        message = "is version {}, and capturing needs {} or newer\n"
+        sys.stderr.write(message.format(platform.python_version(), "{}.{}".format(*LOWEST)))
         return EXIT_UNFIT
     import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
     setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010

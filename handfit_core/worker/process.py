@@ -1,40 +1,48 @@
-"""One child process that speaks JSON lines; nobody here ever waits for it, and no thread runs for it."""
+"""One child process that speaks JSON lines; nobody here ever waits for it, and no thread runs for it.
+
+Threads are out of the question: Blender up to 5.0 can crash when one runs Python during an operator. So the
+child's stdin and stdout are one end of a pair of connected sockets, which can be used without waiting on all
+systems, and its stderr is a file without a name, which nobody has to read in time.
+"""
 
 from __future__ import annotations
 
 import atexit
 import contextlib
+import json
 import os
+import selectors
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import IO, Any, BinaryIO
 
-from handfit_core.errors import ProtocolError
-from handfit_core.worker import protocol
-from handfit_core.worker.pipes import ReadEnd, WriteEnd, new_pipe, wait_for
-from handfit_core.worker.protocol import LONGEST_EVENT
-
-_READ_BYTES = 1 << 14
+_READ_BYTES = 1 << 16
 """bytes of the child's output that are read between two looks at the clock"""
 _EXCHANGE_SECONDS = 0.004
 """seconds after which `exchange` reads, or writes, no more"""
-_WRITE_WAIT_SECONDS = 0.001
-"""seconds that a child which has just read gets to read on"""
+_BUFFER_BYTES = 1 << 20
+"""bytes that a socket should hold, so that the child need not wait while Blender is busy"""
 _STDERR_TAIL_BYTES = 16_384
-"""bytes of the child's stderr that are kept"""
+"""bytes of the child's stderr that are told of"""
 _EXIT_SECONDS = 1.0
 """seconds after the end of its output in which the child must end; else it is killed"""
 _POLL_SECONDS = 0.005
 """seconds between two looks at whether a child has ended"""
 _KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
-
 _PARENT_POLL_SECONDS = 1.0
 """seconds between two looks at whether the parent is still there"""
+
+_NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
+"""Has the system not kill Blender, which leaves SIGPIPE deadly, for writing to a child that is gone"""
+_SO_NOSIGPIPE = 0x1022
+"""The same on macOS, for a socket; Python has no name for it"""
 
 _killed: list[subprocess.Popen[Any]] = []
 """Processes that were killed; the system keeps their numbers until somebody asks how they ended"""
@@ -43,43 +51,43 @@ _killed: list[subprocess.Popen[Any]] = []
 class ChildProcess:
     """A child that speaks JSON lines. Nothing blocks; `exchange` has to be called again and again.
 
-    What it writes meanwhile waits in the pipes; when they are full, the child waits.
+    What it writes meanwhile waits in the socket; when that is full, the child waits.
     """
 
     def __init__(self, command: Sequence[str], environment: dict[str, str], *, echo: bool = False) -> None:
         """Start it. `echo` repeats its stderr on ours. Raises OSError."""
         reap()
-        (child_stdin, stdin), (stdout, child_stdout), (stderr, child_stderr) = (new_pipe() for _ in range(3))
-        self._stdin, self._stdout, self._stderr = WriteEnd(stdin), ReadEnd(stdout), ReadEnd(stderr)
-        try:
-            self._process = subprocess.Popen(
-                command,
-                stdin=child_stdin,
-                stdout=child_stdout,
-                stderr=child_stderr,
-                env=environment,
-                **_own_group(),
-            )
-        except OSError:
-            self._close()
-            raise
-        finally:
-            for theirs in (child_stdin, child_stdout, child_stderr):
-                os.close(theirs)
+        self._socket, theirs = socket.socketpair()
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - it lasts as long as the child
+        with theirs:
+            try:
+                # Windows connects the two over 127.0.0.1, where another program could have been faster.
+                if self._socket.getpeername() != theirs.getsockname():
+                    raise OSError("another program took the connection")
+                for end in (self._socket, theirs):
+                    end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+                if sys.platform == "darwin":
+                    self._socket.setsockopt(socket.SOL_SOCKET, _SO_NOSIGPIPE, 1)
+                self._socket.setblocking(False)
+                self._process = _started(command, environment, theirs, self._stderr)
+            except OSError:
+                self._socket.close()
+                raise
         self.pid = self._process.pid
-        self.noise = 0
-        """Lines on its stdout that were no messages"""
-        self.line_too_long = False
-        """Whether the child was cut off within a line that is longer than any message"""
+        self.bytes_read = 0
+        """How much it has said so far"""
         self.hung = False
         """Whether the child was killed because it had closed its output and did not end"""
-        self._echo = echo
-        self._stderr_tail = b""
+        self._echoed: int | None = 0 if echo else None
+        """Bytes of its stderr that were repeated on ours; None where none are to be"""
         self._line: list[bytes] = []
-        """The beginning of a line on its stdout"""
-        self._line_size = 0
+        """The beginning of a line"""
         self._received: list[dict[str, Any]] = []
         self._to_send: deque[memoryview] = deque()
+        self._closed = False
+        """Whether it says nothing any more"""
+        self._over = False
+        """Whether it has ended, and everything that it said was read"""
         self._ending_since: float | None = None
 
     @property
@@ -95,18 +103,27 @@ class ChildProcess:
     def send(self, line: bytes) -> None:
         """Put one encoded message on its way; to a child that is gone it is lost."""
         self._to_send.append(memoryview(line))
-        self._write()
+        self._write(time.perf_counter() + _EXCHANGE_SECONDS)
 
     def exchange(self) -> None:
         """Read what it said, and write what it has not taken yet; for a few milliseconds at most."""
-        self._write()
         until = time.perf_counter() + _EXCHANGE_SECONDS
-        streams = [(self._stdout, self._take_output), (self._stderr, self._take_stderr)]
-        # In turns: neither of them can keep us from hearing the other.
-        while streams:
-            streams = [stream for stream in streams if _read(*stream)]
-            if time.perf_counter() > until:
-                return
+        exited = self.exit_code is not None  # before reading: then all of what it said is there
+        self._write(until)
+        while not self._closed and time.perf_counter() < until:
+            try:
+                chunk = self._socket.recv(_READ_BYTES)
+            except BlockingIOError:
+                self._over = exited  # whatever else still holds the socket has nothing to say
+                break
+            except OSError:
+                chunk = b""
+            self._closed = not chunk
+            self._take(chunk)
+        self._over = self._over or (exited and self._closed)
+        if self._echoed is not None and sys.stderr is not None:
+            begin, self._echoed = self._echoed, os.fstat(self._stderr.fileno()).st_size
+            sys.stderr.write(self._read_stderr(begin, self._echoed))
 
     def received(self) -> list[dict[str, Any]]:
         """The messages that `exchange` has read since the last call, in order."""
@@ -115,31 +132,33 @@ class ChildProcess:
 
     def wait_for_io(self, seconds: float) -> None:
         """Wait until `exchange` has something to read or write, at most for `seconds`."""
-        wait_for((self._stdout, self._stderr), self._stdin if self._to_send else None, seconds)
+        if self._closed:
+            time.sleep(min(seconds, _POLL_SECONDS))
+            return
+        with selectors.DefaultSelector() as selector:
+            writing = selectors.EVENT_WRITE if self._to_send else 0
+            selector.register(self._socket, selectors.EVENT_READ | writing)
+            selector.select(seconds)
 
     def ended(self) -> bool:
-        """Whether it is over and everything it said was read; one that half ended is helped along."""
-        exited = self.exit_code is not None
-        if exited and self._stdout.closed and self._stderr.closed:
-            return True
-        if not exited and not self._stdout.closed:
-            return False
-        now = time.monotonic()
-        self._ending_since = self._ending_since or now
-        if now - self._ending_since < _EXIT_SECONDS:
-            return False
-        self.hung = not exited
-        self.kill()
-        return exited  # some other process holds its pipes: nothing of interest comes from there
+        """Whether it is over and everything it said was read; one that only closed its output is killed."""
+        if self._closed and not self._over:
+            self._ending_since = self._ending_since or time.monotonic()
+            if time.monotonic() - self._ending_since > _EXIT_SECONDS:
+                self.hung = self._over = True
+                self.kill()
+        return self._over
 
     def stderr_tail(self) -> str:
-        """The end of what the child wrote on stderr, with lines on stdout that were no messages."""
-        return self._stderr_tail.decode("utf-8", errors="replace")
+        """The end of what the child wrote on stderr."""
+        end = os.fstat(self._stderr.fileno()).st_size
+        return self._read_stderr(max(0, end - _STDERR_TAIL_BYTES), end)
 
     def close_stdin(self) -> None:
-        """Close the child's stdin, after which a worker ends by itself."""
+        """Let the child read the end of its stdin, after which a worker ends by itself."""
         self._to_send.clear()
-        self._stdin.close()
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
 
     def stop(self, seconds: float) -> None:
         """Close its stdin, which ends it, and kill it when that takes longer than `seconds`."""
@@ -154,7 +173,8 @@ class ChildProcess:
         """End it at once, with whatever it started; what it said last is read."""
         self.exchange()
         self._to_send.clear()
-        self._close()
+        self._socket.close()
+        self._closed = True
         if self.exit_code is not None:
             return
         with contextlib.suppress(OSError):
@@ -171,58 +191,77 @@ class ChildProcess:
         except subprocess.TimeoutExpired:
             _killed.append(self._process)
 
-    def _close(self) -> None:
-        for end in (self._stdin, self._stdout, self._stderr):
-            end.close()
-
-    def _write(self) -> None:
-        until = time.perf_counter() + _EXCHANGE_SECONDS
-        reads = False
+    def _write(self, until: float) -> None:
         while self._to_send and time.perf_counter() < until:
             try:
-                taken = self._stdin.write(self._to_send[0])
-            except OSError:  # it is gone, as its stdout tells
+                taken = self._socket.send(self._to_send[0][:_BUFFER_BYTES], _NO_SIGNAL)
+            except BlockingIOError:
+                return
+            except OSError:  # it is gone, as reading tells
                 self._to_send.clear()
-                self._stdin.close()
                 return
-            if not taken and not (reads and self._stdin.wait_for_room(_WRITE_WAIT_SECONDS)):
-                return
-            reads = taken > 0
             rest = self._to_send.popleft()[taken:]
             if rest:
                 self._to_send.appendleft(rest)
 
-    def _take_output(self, chunk: bytes) -> None:
+    def _take(self, chunk: bytes) -> None:
+        self.bytes_read += len(chunk)
         first, *others = chunk.split(b"\n")
         self._line.append(first)
-        self._line_size += len(first)
-        if self._line_size > LONGEST_EVENT:
-            self.line_too_long = True
-            self._line = []
-            self._stdout.close()
-            return
-        noise: list[bytes] = []
         for other in others:
             line = b"".join(self._line)
-            self._line, self._line_size = [other], len(other)
-            if not line.strip():
-                continue
-            message = _message(line)
-            if message is None:  # some library prints
-                noise.append(line)
-            else:
-                self._received.append(message)
-        if noise:
-            self.noise += len(noise)
-            self._keep_tail(b"\n".join(noise) + b"\n")
+            self._line = [other]
+            # Another line is what something prints before the worker has its stdout to itself.
+            with contextlib.suppress(ValueError):
+                message = json.loads(line)
+                if isinstance(message, dict):
+                    self._received.append(message)
 
-    def _take_stderr(self, chunk: bytes) -> None:
-        self._keep_tail(chunk)
-        if self._echo and sys.stderr is not None:
-            sys.stderr.write(chunk.decode("utf-8", errors="replace"))
+    def _read_stderr(self, begin: int, end: int) -> str:
+        if hasattr(os, "pread"):
+            said = os.pread(self._stderr.fileno(), end - begin, begin)
+        else:
+            self._stderr.seek(begin)
+            said = self._stderr.read(end - begin)
+            self._stderr.seek(0, os.SEEK_END)  # the child writes where we stand
+        return said.decode("utf-8", errors="replace")
 
-    def _keep_tail(self, text: bytes) -> None:
-        self._stderr_tail = (self._stderr_tail + text)[-_STDERR_TAIL_BYTES:]
+
+def _started(
+    command: Sequence[str], environment: dict[str, str], end: socket.socket, stderr: IO[bytes]
+) -> subprocess.Popen[Any]:
+    """Start a process whose stdin and stdout are that end of a connection. Raises OSError."""
+    if sys.platform == "win32":
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=stderr, stderr=stderr, env=environment, **_own_group()
+        )
+        assert process.stdin is not None
+        with process.stdin as stdin:
+            stdin.write(end.share(process.pid))
+        return process
+    number = end.fileno()
+    return subprocess.Popen(
+        command, stdin=number, stdout=number, stderr=stderr, env=environment, **_own_group()
+    )
+
+
+def own_streams() -> tuple[BinaryIO, BinaryIO]:
+    """The stdin and stdout of a process that `ChildProcess` has started, for its messages alone.
+
+    What a library prints goes to stderr. Descriptor 0 gets an empty file: on Windows a library that asks
+    about stdin while it loads would wait for the thread that reads there.
+    """
+    sys.stdout.flush()
+    if sys.platform == "win32":
+        connection = socket.fromshare(sys.stdin.buffer.read())
+        requests, events = connection.makefile("rb"), connection.makefile("wb")
+    else:
+        requests, events = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    with open(os.devnull, "rb") as nothing:
+        os.dup2(nothing.fileno(), 0)
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    return requests, events
 
 
 def out_of_memory_kills() -> int | None:
@@ -269,27 +308,6 @@ def wait_for_killed(seconds: float) -> bool:
         if not _killed or time.monotonic() > until:
             return not _killed
         time.sleep(_POLL_SECONDS)
-
-
-def _read(end: ReadEnd, take: Callable[[bytes], None]) -> bool:
-    """Take one chunk; whether there was one."""
-    if end.closed:
-        return False
-    chunk = end.read(_READ_BYTES)
-    if chunk:
-        take(chunk)
-    elif chunk is not None:
-        end.close()
-    return bool(chunk)
-
-
-def _message(line: bytes) -> dict[str, Any] | None:
-    if not line.startswith(b"{"):  # a flood of other lines is dealt with quickly
-        return None
-    try:
-        return protocol.decode(line)
-    except ProtocolError:
-        return None
 
 
 SAME_GROUP = "HANDFIT_SAME_GROUP"

@@ -7,6 +7,7 @@ thread, one request at a time. Nothing heavy loads before a request needs it.
 from __future__ import annotations
 
 import faulthandler
+import json
 import os
 import platform
 import queue
@@ -20,13 +21,13 @@ from dataclasses import dataclass, field
 from typing import Any, BinaryIO, Final
 
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.doors.values import shortly
 from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
-from handfit_core.worker.protocol import JOBS, LONGEST_REQUEST, PROTOCOL, REQUESTS, check_id, decode, encode
-from handfit_core.worker.runner import THREAD_VARIABLES, OnProgress, error_fields, log_warnings_to
+from handfit_core.worker.events import THREAD_VARIABLES, OnProgress, error_fields, log_warnings_to
+from handfit_core.worker.process import own_streams
+from handfit_core.worker.protocol import encode
 
 PROGRESS_SECONDS: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
@@ -42,7 +43,6 @@ class _ClientGone(BaseException):
 @dataclass(eq=False)
 class _Job:
     number: int
-    kind: str
     message: dict[str, Any]
     cancelled: threading.Event = field(default_factory=threading.Event)
     closed: bool = False
@@ -50,7 +50,7 @@ class _Job:
 
 
 class Server:
-    """Answers the requests of one client, until it says `end` or closes the stream."""
+    """Answers the requests of one client, until it closes the stream."""
 
     def __init__(self, requests: BinaryIO, events: BinaryIO) -> None:
         self._requests, self._events = requests, events
@@ -68,7 +68,6 @@ class Server:
         try:
             self._send(
                 event="ready",
-                protocol=PROTOCOL,
                 version=__version__,
                 pid=os.getpid(),
                 python=platform.python_version(),
@@ -94,13 +93,9 @@ class Server:
 
     def _read(self, leave: Callable[[], None] | None) -> None:
         try:
-            while line := self._requests.readline(LONGEST_REQUEST):
-                if len(line) == LONGEST_REQUEST and not line.endswith(b"\n"):
-                    del line
-                    self._skip_line()
-                elif line.strip() and not self._receive(line):
-                    break
-        except (OSError, ValueError, _ClientGone):  # the pipe broke
+            for line in self._requests:
+                self._receive(json.loads(line))
+        except (OSError, _ClientGone):  # the connection broke
             pass
         except Exception:  # a defect, or no memory: the client finds what it was in our last words
             traceback.print_exc()
@@ -111,45 +106,16 @@ class Server:
             if not self._finished.wait(STOP_SECONDS) and leave is not None:
                 leave()
 
-    def _skip_line(self) -> None:
-        """Read on to the end of a line that is too long, and say so."""
-        while (rest := self._requests.readline(1 << 20)) and not rest.endswith(b"\n"):
-            pass
-        message = f"a line of more than {LONGEST_REQUEST} bytes came; send fewer frames at a time"
-        self._send(event="error", id=None, type=ProtocolError.__name__, message=message, details="")
-
-    def _receive(self, line: bytes) -> bool:
-        """Take one request in; False for the last one."""
-        number: int | None = None
-        try:
-            message = decode(line)
-            kind = message.get("request")
-            if kind == "end":
-                return False
-            if kind == "cancel":
-                self._cancel(check_id(message, "job"))
-                return True
-            number = check_id(message)
-            if kind not in JOBS:
-                raise ProtocolError(f"there is no request {shortly(kind)}; known are {', '.join(REQUESTS)}")
-            if number in self._jobs:
-                number = None  # the open request of that id must not seem to have failed
-                raise ProtocolError(f"a request with the id {message['id']} is still open; use a new id")
-        except ProtocolError as error:
-            self._send(event="error", id=number, type="ProtocolError", message=str(error), details="")
-            return True
-        job = self._jobs[number] = _Job(number, kind, message)
-        self._waiting.put(job)
-        return True
-
-    def _cancel(self, number: int) -> None:
-        """Stop a job that runs; answer for one that waits. One that has just ended needs nothing."""
-        job = self._jobs.get(number)
-        if job is None:
-            return
-        job.cancelled.set()
-        if job is not self._current:
-            self._close(job, "error", **error_fields(Cancelled("cancelled before it was begun")))
+    def _receive(self, message: dict[str, Any]) -> None:
+        """Take one request in. A cancel stops a job that runs, and answers for one that waits; one that has
+        just ended needs nothing."""
+        if message["request"] != "cancel":
+            job = self._jobs[message["id"]] = _Job(message["id"], message)
+            self._waiting.put(job)
+        elif (job := self._jobs.get(message["job"])) is not None:
+            job.cancelled.set()
+            if job is not self._current:
+                self._close(job, "error", **error_fields(Cancelled("cancelled before it was begun")))
 
     # The main thread
 
@@ -206,8 +172,7 @@ class Server:
         try:
             self._send(event=event, id=job.number, **fields)
         except ProtocolError as error:  # a defect of ours; the client must still get an answer
-            fields = error_fields(error)
-            self._send(event="error", id=job.number, **fields)
+            self._send(event="error", id=job.number, **error_fields(error))
 
     def _send(self, **event: Any) -> None:
         line = encode(event)
@@ -230,7 +195,7 @@ def serve(threads: int | None = None) -> None:
         raise OptionError(f"a worker needs at least 1 thread, not {threads}")
     # Ctrl-C in the terminal that Blender was started from is Blender's; the worker ends with its stdin.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    requests, events = _own_streams()
+    requests, events = own_streams()
     faulthandler.enable(sys.stderr)
     if threads is not None:
         os.environ.update(dict.fromkeys(THREAD_VARIABLES, str(threads)))
@@ -242,19 +207,3 @@ def serve(threads: int | None = None) -> None:
 
     Server(requests, events).run(leave=leave)
     leave()
-
-
-def _own_streams() -> tuple[BinaryIO, BinaryIO]:
-    """stdin and stdout for the protocol alone.
-
-    What a library prints goes to stderr. Descriptor 0 gets an empty file: on Windows a library that asks
-    about stdin while it loads would wait for the thread that reads there.
-    """
-    sys.stdout.flush()
-    requests = os.fdopen(os.dup(0), "rb")
-    events = os.fdopen(os.dup(1), "wb")
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
-    os.dup2(2, 1)
-    sys.stdout = sys.stderr
-    return requests, events

@@ -24,7 +24,6 @@ from handfit_core.media.source import Source  # noqa: E402
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
 from handfit_core.take import HandTrack, Take  # noqa: E402
 from handfit_core.version import __version__  # noqa: E402
-from handfit_core.worker.protocol import PROTOCOL  # noqa: E402
 from tests.imitation_mano import imitation_model  # noqa: E402
 
 FRAMES = np.array([3, 4, 5, 6, 7, 8, 12, 13, 14, 16, 17, 18])
@@ -69,7 +68,7 @@ def peer(tmp_path):
 
 
 READY = f"""
-ready = {{"event": "ready", "protocol": {PROTOCOL}, "version": {__version__!r}, "pid": 1, "python": "3"}}
+ready = {{"event": "ready", "version": {__version__!r}, "pid": 1, "python": "3"}}
 ready |= {{"detectors": ["mediapipe", "bright-spot"], "solvers": ["fast", "paper-a", "flat"]}}
 print(json.dumps(ready), flush=True)
 """

@@ -44,7 +44,7 @@ def state(name=NAME):
     return {
         "enabled": name in bpy.context.preferences.addons,
         "runs": module.runs(),
-        "problems": [problem.sentence for problem in module.verification.problems()],
+        "problems": [found.sentence for found in [module.installation.fault()] if found],
         "sections": [n for n in dir(bpy.types) if n.startswith("MANIENT_PT_")],
         "scene": hasattr(bpy.types.Scene, "manient"),
     }
@@ -124,7 +124,7 @@ found([before, report, off, cache, files()])
     assert "MANIENT_PT_capture" in before["sections"]
     assert report.splitlines()[4].startswith("Installed: version 0.1.0")
     # The packages of this zip are empty.
-    assert "mediapipe: FAILED" in report
+    assert "self-test of the detector: FAILED" in report
     assert "install the add-on's zip again" in report
     assert off == []
     assert "/.user/user_default/manient/cache" in cache.replace(os.sep, "/")
@@ -134,8 +134,8 @@ found([before, report, off, cache, files()])
 @pytest.mark.parametrize(
     ("damage", "said"),
     [
-        (one_byte_changed, "Blender has not unpacked handfit-core 0.1.0"),
-        (gone, "the wheel of handfit-core 0.1.0 is missing"),
+        (one_byte_changed, "handfit-core 0.1.0 is not unpacked"),
+        (gone, "handfit-core 0.1.0 is not unpacked"),
     ],
     ids=["byte", "gone"],
 )
@@ -160,8 +160,7 @@ def test_a_wheel_that_is_no_zip_keeps_blender_from_unpacking_any(blender, tmp_pa
     path = small_zip(tmp_path / "broken.zip", damage={"mediapipe": cut_short})
     done = blender(f"install({str(path)!r})\nenable()\nfound(state())")
     assert not done.value["runs"]
-    assert "wheel of mediapipe 0.10.31" in done.value["problems"][0]
-    assert "damaged" in done.value["problems"][0]
+    assert "handfit-core 0.1.0 is not unpacked" in done.value["problems"][0]
 
 
 def test_without_mediapipe_only_capturing_is_impossible(blender, tmp_path):
@@ -189,7 +188,7 @@ found([state(), said])
     state, (shown, sentence, is_refused, raised, codes, shown_later, later) = done.value
     assert state["runs"]
     assert shown
-    assert "wheel of mediapipe 0.10.31 is missing" in sentence
+    assert "mediapipe 0.10.31 is not unpacked" in sentence
     assert sentence in is_refused
     assert raised.lower() == sentence.lower()
     assert codes == [1, 1]
@@ -208,7 +207,7 @@ found([state(), sys.modules[NAME + ".command"].main(["check"])])
 """)
     state, code = done.value
     assert not state["runs"]
-    assert "wheels.json cannot be read" in state["problems"][0]
+    assert "its list of parts cannot be read" in state["problems"][0]
     assert code == 1
 
 
@@ -356,7 +355,7 @@ sys.modules.pop(NAME + ".batch.run", None)
 found(sys.modules[NAME + ".command"].main(["capture", "a.jpg", "-o", "out"]))
 """)
     assert done.value == 1
-    assert "error: the add-on's files are damaged" in done.console
+    assert "error: the add-on is not whole" in done.console
     assert "Traceback" not in done.console
 
 
@@ -401,7 +400,7 @@ found([seen, NAME in sys.modules and sys.modules[NAME].command._handle is not No
     assert [s["runs"] for s in (first, second, third, alone)] == [True, False, False, True]
     copy = "another copy of this add-on is enabled already, in the repository user_default"
     assert copy in second["problems"][0]
-    mixed = "this add-on is version 0.1.0, and its other half, handfit_core, is version 0.2.0"
+    mixed = "it is version 0.1.0, and its other half, handfit_core, is version 0.2.0"
     assert mixed in third["problems"][0]
 
 

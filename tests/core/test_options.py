@@ -100,13 +100,10 @@ def test_choices_are_looked_up_when_help_is_shown_and_not_before() -> None:
     assert "a toy: ball, blocks (default: ball)" in parser.format_help()
 
 
-@pytest.mark.parametrize(
-    ("page", "spelled"), [("batch.md", "`{flag}"), ("worker-protocol.md", "| `{name}` |")]
-)
-def test_the_docs_tell_of_every_option(page: str, spelled: str) -> None:
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    for name, option in OPTIONS.items():
-        assert spelled.format(flag=option.flag, name=name) in text, name
+def test_the_docs_tell_of_every_option() -> None:
+    text = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
+    for option in OPTIONS.values():
+        assert f"`{option.flag}" in text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Blender's doors: takes that are imported, files that are opened, peers that the worker's client talks to.
+"""Blender's doors: takes that are imported, and files that are opened.
 
 Needs one of the bpy wheels. What an operator raises is a report of Blender's: a sentence, or a traceback.
 """
@@ -18,26 +18,17 @@ from typing import Any
 import bpy
 
 import blender_manient
-from blender_manient import jobs, modules, shared_worker
+from blender_manient import modules
 from blender_manient.batch.order import Order
-from blender_manient.block_reference import BlockReference
-from blender_manient.find_mode.choice import Choice
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
-from handfit_core.edit import result_from_message
 from handfit_core.errors import HandfitError
 from handfit_core.farm.plan import Plan
 from handfit_core.media.source import Source
-from handfit_core.options import CaptureOptions
-from handfit_core.worker.client import Worker
-from handfit_core.worker.runner import WorkerError, as_error
 from scripts import batch_fit
 from tests.drawn import drawn
 from tests.hostile.core_doors import check_ending, check_take
 from tests.hostile.takes import good_take
-
-PATIENCE = 25.0
-"""seconds that the client waits for a peer"""
 
 blender_manient.register()
 
@@ -183,44 +174,6 @@ def _draw() -> None:
             drawn(cls)
 
 
-def client(peer: str, kind: str) -> None:
-    """The worker's client, and those who read its events: the source's panel, a capture's job, a re-fit."""
-    if kind == "capture":
-        _empty()
-        os.environ["HANDFIT_PYTHON"] = peer
-        shared_worker.stop()
-        try:
-            building = jobs.Building(BlockReference.of("scenes", bpy.context.scene))
-            job = jobs.Job("x", ("x.jpg",), CaptureOptions(), building)
-            jobs.submit(job)
-            jobs.run()
-            assert job.finished
-            assert not job.message.startswith("Unexpected"), job.message
-            assert job.state != "failed" or job.message
-            _draw()
-        finally:
-            jobs.abandon()
-            jobs.forget_finished()
-            shared_worker.stop()
-            del os.environ["HANDFIT_PYTHON"]
-        raise HandfitError(job.message or "done")
-    with Worker(peer, threads=1) as worker:
-        number = worker.submit(kind, input=["x.jpg"])
-        try:
-            event = worker.wait(number, timeout=PATIENCE)
-        except WorkerError as error:
-            assert "took longer" not in str(error), error
-            raise
-    if kind == "refit":
-        result_from_message(event)
-    elif kind == "find":
-        choice = Choice()
-        choice.show(event["hands"], "auto")
-        choice.regions(event["frame"])
-    else:
-        raise as_error({"message": "taken in"})
-
-
 def order(path: str) -> None:
     """What the process that does the tasks of a plan makes of its options."""
     Order.of_plan(Plan.load(Path(path)).options, debug=False, python=None)
@@ -245,7 +198,6 @@ DOORS: dict[str, Callable[..., Any]] = {
     "import_take": import_take,
     "import_of": import_of,
     "blend": blend,
-    "client": client,
     "order": order,
     "batch": batch,
 }

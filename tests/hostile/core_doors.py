@@ -14,7 +14,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -46,7 +45,6 @@ from handfit_core.sheet import write_sheet
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from handfit_core.worker import answering, protocol
-from handfit_core.worker.server import Server
 from tests.core.farm.peers import COMMAND as PEER
 from tests.core.interchange.known_hands import own_mano
 from tests.hostile.engine import MOST_BYTES
@@ -231,59 +229,6 @@ def check_ending(code: object, said: str) -> None:
     raise errors.HandfitError(lines[0])
 
 
-GOOD = 987_654_321
-"""The id of the request that the server must still answer."""
-
-
-class _Client(io.RawIOBase):
-    """What a client sends, and in the end, once it has its answer, no more."""
-
-    def __init__(self, sent: bytes, endless: int) -> None:
-        self._answered = threading.Event()
-        filling = itertools.repeat(b"x" * 65536, endless // 65536)
-        good = protocol.encode({"id": GOOD, "request": "probe", "input": ["nowhere.jpg"]})
-        self._chunks = itertools.chain((sent or b"\n",), filling, (b"\n", good))
-        self.lines = sent.count(b"\n") + 2
-        self._rest = b""
-        self.events: list[dict[str, Any]] = []
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int:
-        if not self._rest:
-            self._rest = next(self._chunks, b"")
-        if not self._rest:
-            self._answered.wait()
-        taken = self._rest[: len(buffer)]
-        buffer[: len(taken)], self._rest = taken, self._rest[len(taken) :]
-        return len(taken)
-
-    def write(self, line: Any) -> int:
-        self.events.append(protocol.decode(bytes(line)))
-        if self.events[-1].get("id") == GOOD:
-            self._answered.set()
-        return len(line)
-
-
-def server(path: str, endless: int = 0) -> None:
-    """The worker's loop, which must go on after whatever a client sends: a good request at the end is
-    answered, and every request has one last event, a sentence where it failed."""
-    client = _Client(Path(path).read_bytes(), endless)
-    Server(io.BufferedReader(client), client).run()  # type: ignore[arg-type]
-    assert client.events[0]["event"] == "ready"
-    last = [event for event in client.events if event["event"] in ("done", "error")]
-    for event in last:
-        if event["event"] == "error":
-            assert type(event["message"]) is str
-            assert "\n" not in event["message"]
-            assert "unexpected error" not in event["message"], (
-                f"{event['message']}: {event['details'][-500:]}"
-            )
-            assert isinstance(getattr(errors, event["type"], None), type), event["type"]
-    assert len(last) <= client.lines, "answered twice"
-
-
 DOORS: dict[str, Callable[..., Any]] = {
     "take": take,
     "part": part,
@@ -295,7 +240,6 @@ DOORS: dict[str, Callable[..., Any]] = {
     "find": find,
     "command": command,
     "process": process,
-    "server": server,
 }
 os.environ["OPENCV_FFMPEG_READ_ATTEMPTS"] = "64"
 pool.BACK_OFF = (0.01, 0.01)

@@ -23,7 +23,6 @@ from tests.hostile import (
     models,
     names,
     parts,
-    peers,
     pickles,
     pictures,
     recordings,
@@ -32,7 +31,7 @@ from tests.hostile import (
 )
 from tests.hostile.engine import Case, Doorkeeper
 
-KINDS = (takes, parts, recordings, farms, models, pickles, pictures, videos, names, peers, commands, blends)
+KINDS = (takes, parts, recordings, farms, models, pickles, pictures, videos, names, commands, blends)
 # By door, so that the children that hold a door open change places once.
 CASES = sorted(
     (case for kind in KINDS for case in kind.cases()), key=lambda case: case.door.partition(".")[0]

@@ -16,13 +16,14 @@ import handfit_core
 from handfit_core.errors import InputError
 from handfit_core.worker import interpreter
 from handfit_core.worker.client import Worker
+from handfit_core.worker.events import WorkerError
 from handfit_core.worker.interpreter import (
+    EXIT_UNFIT,
     find_python,
     is_current_interpreter,
     worker_command,
     worker_environment,
 )
-from handfit_core.worker.runner import WorkerError
 from tests.conftest import ROOT
 
 LAUNCHER = ROOT / "handfit_core" / "worker" / "launch.py"
@@ -215,5 +216,5 @@ def test_an_old_python_can_read_the_launcher_and_says_its_version():
         f"runpy.run_path({str(LAUNCHER)!r}, run_name='__main__')"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 3
-    assert '"event": "unfit"' in done.stdout
+    assert done.returncode == EXIT_UNFIT
+    assert "capturing needs 3.11 or newer" in done.stderr
