@@ -197,7 +197,7 @@ class Refiner:
                 side=self.side,
                 betas=betas,
                 intrinsics=self.take.intrinsics,
-                detections=tuple(self.track.detection(row) for row in rows),
+                detections=self.track.detections(np.array(rows)),
                 pins=places,
                 global_orient=start[0],
                 hand_pose=start[1],

@@ -12,7 +12,7 @@ import numpy as np
 
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.regions import detect_frame, detect_region
@@ -61,7 +61,8 @@ def detect_frames(
         if region.frame is not None and region.frame not in seen.numbers:
             log.warning("the region in frame %d was not looked at: that frame is not used", region.frame)
     with blamed():
-        return replace(seen, frames=_finite(seen.frames, options.detector))
+        finite = _finite(seen.hands, options.detector)
+    return seen if finite.all() else replace(seen, hands=seen.hands.select(finite))
 
 
 def detect_part(
@@ -118,16 +119,17 @@ def _one_by_one(
                     found.append(detect_frame(detector, frame, options.regions, first=not numbers))
                 numbers.append(frame.number)
                 on_frame(len(numbers))
-    return Detected(numbers, found, detector.most_seen)
+    with blamed():
+        return Detected(numbers, Detections.of(found), detector.most_seen)
 
 
 def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
-    frames, cuts = detector.joined(chunks)
+    hands, cuts = detector.joined(chunks)
     # At least twice, since one picture may show what only looks like a hand.
     counts = sorted(count for chunk in chunks for count in chunk.counts)
     return Detected(
         numbers=[number for chunk in chunks for number in chunk.numbers],
-        frames=frames,
+        hands=hands if isinstance(hands, Detections) else Detections.of(hands),
         most_seen=counts[-min(2, len(counts))] if counts else 0,
         cuts=tuple(cuts),
     )
@@ -150,20 +152,20 @@ def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, t
         found = () if options.only_regions else detector.find(frame.rgb, frame.time)
         shown = [hand for region in options.regions for hand in detect_region(detector, frame.rgb, region)]
         others = [hand for hand in found if not any(is_same_hand(hand, other) for other in shown)]
-        (hands,) = _finite([(*shown, *others)], options.detector)
-    return frame, hands
+        hands = (*shown, *others)
+        finite = _finite(Detections.of([hands]), options.detector)
+    return frame, tuple(hand for hand, is_finite in zip(hands, finite, strict=True) if is_finite)
 
 
-def _finite(found: list[tuple[HandDetection, ...]], detector: str) -> list[tuple[HandDetection, ...]]:
-    """Drop hands with numbers that are not finite: a single one would make its whole track useless. Raises
-    ValueError for arrays of another shape."""
-    kept = [
-        tuple(h for h in hands if np.isfinite(np.append((h.keypoints, h.world), h.score)).all())
-        for hands in found
-    ]
-    dropped = sum(map(len, found)) - sum(map(len, kept))
-    if dropped:
+def _finite(hands: Detections, detector: str) -> np.ndarray:
+    """(N,) bool: hands whose numbers are finite; a single one that is not would make its whole track
+    useless."""
+    points = (np.isfinite(each).all(axis=(1, 2)) for each in (hands.keypoints, hands.world))
+    finite = np.logical_and.reduce([*points, np.isfinite(hands.score)])
+    if not finite.all():
         log.warning(
-            "%d hands of the detector %s have numbers that are not finite: left out", dropped, detector
+            "%d hands of the detector %s have numbers that are not finite: left out",
+            (~finite).sum(),
+            detector,
         )
-    return kept
+    return finite

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.batch import slices
-from handfit_core.detect.keypoints import DetectedTrack, SideBySide
+from handfit_core.batch import scatter, slices
+from handfit_core.detect.keypoints import Track
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.length import warn_of_odd_shapes
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.taking import seen_of
 from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS
+from handfit_core.skeleton import FINGERS, SIDES
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import Found
 from handfit_core.take import HandTrack
@@ -51,11 +50,8 @@ def fit_hands(
         done += 1
         on_frame(done, total)
 
-    # A long clip's detections take most of the memory: they are there once, and not kept of hands that are
-    # fitted.
-    waiting = deque[DetectedTrack]()
-    while found.tracks:
-        waiting.append(_side_by_side(found.tracks.pop(0)))
+    # A long clip's detections take most of the memory: they are not kept of hands that are fitted.
+    waiting = found.tracks
     models = {each.side: load_model(options.model, each.side) for each in waiting}
     digests = {side: model.digest for side, model in models.items()}
     if found.fits is not None:
@@ -66,19 +62,15 @@ def fit_hands(
         warn_of_odd_shapes(next(iter(models.values())), options.hand_length)
     fitted: list[HandTrack] = []
     while waiting and not (fitted and should_stop()):
-        track = waiting.popleft()
+        track = waiting.pop(0)
         model = models[track.side]
         with SOLVERS.blamed(options.solver):
             fit = solve(model, track, found.intrinsics, one_more, should_stop)
-            hand = hand_track(model, _reached(track, fit), fit, found.intrinsics)
+            hand = hand_track(model, _where(track, fit.present), fit, found.intrinsics)
         fitted.append(
             hand if track.landmarks is None else _as_detected(model, hand, fit, fps, found.intrinsics)
         )
     return tuple(fitted), digests
-
-
-def _side_by_side(track: DetectedTrack) -> DetectedTrack:
-    return replace(track, detections=SideBySide(track.detections))
 
 
 def _after(seconds: float) -> ShouldStop:
@@ -86,12 +78,11 @@ def _after(seconds: float) -> ShouldStop:
     return lambda: time.monotonic() > end
 
 
-def _reached(track: DetectedTrack, fit: HandMotion) -> DetectedTrack:
-    """The track without the detections that a stopped solver did not come to."""
-    if fit.present[track.detected].all():
-        return track
-    kept = [d if there else None for d, there in zip(track.detections, fit.present, strict=True)]
-    return replace(track, detections=tuple(kept))
+def _where(track: Track, frames: np.ndarray) -> Track:
+    """The track without the detections in other frames than those (T,) bool, as one that a stopped solver did
+    not come to the end of."""
+    kept = frames[track.detections.frame]
+    return track if kept.all() else replace(track, detections=track.detections.select(kept))
 
 
 def _as_detected(
@@ -100,37 +91,23 @@ def _as_detected(
     """A hand that was fitted to points elsewhere on it, with those that the detector would see: with these it
     can be fitted again."""
     seen = seen_of(model, fit, intrinsics, fps, told.score)
-    rows = [d if there else None for d, there in zip(seen.detections, told.detected, strict=True)]
-    clean = hand_track(model, replace(seen, detections=tuple(rows)), fit, intrinsics)
+    clean = hand_track(model, _where(seen, told.detected), fit, intrinsics)
     return replace(clean, reprojection_error=told.reprojection_error, overlapped=told.overlapped)
 
 
-def hand_track(model: HandModel, track: DetectedTrack, fit: HandMotion, intrinsics: Intrinsics) -> HandTrack:
+def hand_track(model: HandModel, track: Track, fit: HandMotion, intrinsics: Intrinsics) -> HandTrack:
     """What a take keeps of one fitted track: the parameters and what follows from them."""
-    # A hand of hours has its arrays once here, and no list of its detections.
-    count, seen, present = len(track.detections), track.detected, fit.present
-    points, world, second, joints_3d = (np.full((count, NUM_KEYPOINTS, 3), np.nan) for _ in range(4))
-    score, right_side = np.full(count, np.nan), np.full(count, np.nan)
-    other_side, overlapped = np.zeros(count, dtype=bool), np.zeros((count, NUM_KEYPOINTS), dtype=bool)
-    for row in np.flatnonzero(seen).tolist():
-        d = track.detections[row]
-        assert d is not None
-        points[row], world[row], score[row], other_side[row] = (
-            d.keypoints,
-            d.world,
-            d.score,
-            d.side != track.side,
-        )
-        if d.keypoints_2020 is not None:
-            second[row] = d.keypoints_2020
-        if d.right_side is not None:
-            right_side[row] = d.right_side
-        if d.overlapped is not None:
-            overlapped[row] = d.overlapped
+    count, hands, present = track.frame_count, track.detections, fit.present
+
+    def over_time(rows: np.ndarray, nothing: Any = np.nan) -> np.ndarray:
+        return scatter(rows, hands.frame, count, nothing)
+
+    points, second, doubted = over_time(hands.keypoints), hands.keypoints_2020, hands.overlapped
     if fit.expected_error is None and not track.calibrated:
         fit = replace(fit, expected_error=np.full((count, len(FINGERS)), np.nan))
     keypoints_2d = points[..., :2]
     there, error = np.flatnonzero(present), np.full(count, np.nan)
+    joints_3d = np.full(points.shape, np.nan)
     for rows in (there[part] for part in slices(len(there))):
         joints_3d[rows] = model.keypoints(fit.betas, *(each[rows] for each in fit.pose))
         distance = np.linalg.norm(intrinsics.project(joints_3d[rows]) - keypoints_2d[rows], axis=-1)
@@ -140,13 +117,13 @@ def hand_track(model: HandModel, track: DetectedTrack, fit: HandMotion, intrinsi
         joints_3d=joints_3d,
         keypoints_2d=keypoints_2d,
         reprojection_error=error,
-        detected=seen,
-        score=score,
-        filled=present & ~seen,
+        detected=track.detected,
+        score=over_time(hands.score),
+        filled=present & ~track.detected,
         keypoints_depth=points[..., 2],
-        world_landmarks=world,
-        keypoints_2020=second if np.isfinite(second).any() else None,
-        right_side=right_side,
-        other_side=other_side,
-        overlapped=overlapped if overlapped.any() else None,
+        world_landmarks=over_time(hands.world),
+        keypoints_2020=None if second is None or not hands.asked_2020.any() else over_time(second),
+        right_side=over_time(hands.right_side),
+        other_side=over_time(hands.side != SIDES.index(track.side), False),
+        overlapped=None if doubted is None or not doubted.any() else over_time(doubted, False),
     )

@@ -16,18 +16,17 @@ from dataclasses import dataclass, fields
 from numbers import Real
 from typing import Any, Final, Literal, get_args
 
-from handfit_core.detect.detector import DETECTORS, Quality
+from handfit_core.detect.detector import DETECTORS, Quality, Region
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
-from handfit_core.skeleton import SIDES, Side
+from handfit_core.skeleton import SIDES, HandChoice, Side
 from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
 from handfit_core.take import TAKE_LIMITS
 
-HandChoice = Literal["auto", "left", "right", "both"]
 HandMean = Literal["auto", "flat", "mean"]
 Lens = tuple[float, float, float]
 
@@ -42,35 +41,19 @@ CROWD: Final = 10
 """More hands than this are not built without asking: each is a rig"""
 
 
-@dataclass(frozen=True)
-class Region:
-    """A box in the upright picture in which somebody has seen a hand. Pixels; y grows downwards.
-
-    The box of a hand that is found anyway, drawn about its landmarks, means that hand."""
-
-    x: float
-    y: float
-    width: float
-    height: float
-    frame: int | None = None
-    """of the source; None: the first that is used"""
-    side: Side | None = None
-    """which hand it is, as somebody says; None: as it is judged"""
-
-    @classmethod
-    def of(cls, given: Any) -> Region:
-        """From four or five numbers and perhaps a side, or a text in which commas separate them. Raises
-        ValueError."""
-        what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME and left or right, as in 120,80,60,70"
-        try:
-            parts = given.split(",") if isinstance(given, str) else list(given)
-            side: Side | None = parts.pop() if parts and parts[-1] in SIDES else None  # type: ignore
-            *box, frame = _numbers(parts if len(parts) == 5 else [*parts, -1], what, count=5)
-        except TypeError:
-            raise ValueError(what) from None
-        if min(box[2:]) < 1.0 or max(map(abs, box)) > FARTHEST or not float(frame).is_integer():
-            raise ValueError(what)
-        return cls(*box, frame=None if len(parts) == 4 else int(frame), side=side)
+def region_of(given: Any) -> Region:
+    """A region from four or five numbers and perhaps a side, or a text in which commas separate them. Raises
+    ValueError."""
+    what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME and left or right, as in 120,80,60,70"
+    try:
+        parts = given.split(",") if isinstance(given, str) else list(given)
+        side: Side | None = parts.pop() if parts and parts[-1] in SIDES else None  # type: ignore
+        *box, frame = _numbers(parts if len(parts) == 5 else [*parts, -1], what, count=5)
+    except TypeError:
+        raise ValueError(what) from None
+    if min(box[2:]) < 1.0 or max(map(abs, box)) > FARTHEST or not float(frame).is_integer():
+        raise ValueError(what)
+    return Region(*box, frame=None if len(parts) == 4 else int(frame), side=side)
 
 
 @dataclass(frozen=True)
@@ -250,7 +233,7 @@ def _size(given: Any) -> tuple[int, int]:
 def _regions(given: Any) -> tuple[Region, ...]:
     if not isinstance(given, Iterable) or isinstance(given, str):
         raise ValueError("a list of regions")
-    return tuple(each if isinstance(each, Region) else Region.of(each) for each in given)
+    return tuple(each if isinstance(each, Region) else region_of(each) for each in given)
 
 
 def _readers() -> Iterable[str]:

@@ -10,17 +10,19 @@ import hashlib
 import json
 import os
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.arrays import LARGEST
-from handfit_core.detect.chunks import Chunk, chunks_from_arrays, chunks_to_arrays
+from handfit_core.detect.chunks import Chunk
+from handfit_core.detect.clips import TrackedHand
 from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.keypoints import HandDetection, check_crowd
 from handfit_core.detect.opening import settings_of
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.detection import ChunkSource, at_least_two
@@ -33,6 +35,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.options import OPTIONS, CaptureOptions
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.take import TAKE_LIMITS
 from handfit_core.version import __version__
 
@@ -320,3 +323,102 @@ def _number(media: Media, chunk: int) -> int:
     """The number of the first frame of a chunk, or of what would come after the last one."""
     numbers = media.numbers(chunk * MEDIA.chunk_frames, 1)
     return numbers[0] if numbers else media.first_and_last[1] + 1
+
+
+_COLUMNS: Final[dict[str, tuple[int, ...]]] = {
+    "score": (),
+    "right_side": (),
+    "certainty": (),
+    "shown": (),
+    "keypoints": (NUM_KEYPOINTS, 3),
+    "world": (NUM_KEYPOINTS, 3),
+    "keypoints_2020": (NUM_KEYPOINTS, 3),
+    "spread": (NUM_KEYPOINTS, 3),
+}
+"""Fields of a detection that become arrays, and their shapes; NaN stands for None"""
+
+
+def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.ndarray]:
+    """The H hands of T frames as arrays: `counts` (T,) hands of each frame, all others (H, ...)."""
+    hands = [hand for frame in frames for hand in frame]
+
+    def column(name: str, shape: tuple[int, ...]) -> np.ndarray:
+        values = [getattr(hand, name) for hand in hands]
+        nothing = np.full(shape, np.nan)
+        return np.array([nothing if v is None else v for v in values], dtype=np.float64)
+
+    return {
+        "counts": np.array([len(frame) for frame in frames], dtype=np.int64),
+        "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
+        "given": np.array([SIDES.index(h.given_side) if h.given_side else -1 for h in hands], dtype=np.int64),
+        **{name: column(name, shape).reshape(-1, *shape) for name, shape in _COLUMNS.items()},
+    }
+
+
+def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetection, ...]]:
+    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
+    arrays do not fit together."""
+    hands = []
+    for name, shape in _COLUMNS.items():
+        if arrays[name].shape != (len(arrays["sides"]), *shape):
+            raise ValueError(f"{name} has the shape {arrays[name].shape}")
+    for i, side in enumerate(arrays["sides"]):
+        known: dict[str, Any] = {}
+        for name, shape in _COLUMNS.items():
+            if np.isfinite(value := arrays[name][i]).all():
+                known[name] = value if shape else float(value)
+        known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
+        hands.append(HandDetection(SIDES[side], **known))
+    counts = arrays["counts"]
+    # Each count is checked first, so that their sum does not overflow.
+    if np.any((counts < 0) | (counts > len(hands))) or counts.sum() != len(hands):
+        raise ValueError(f"{len(hands)} hands are not as many as its frames count")
+    check_crowd(np.repeat(np.arange(len(counts)), counts))
+    return [tuple(hands[end - n : end]) for n, end in zip(counts, np.cumsum(counts), strict=True)]
+
+
+def chunks_to_arrays(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
+    """C chunks as arrays for `.npz` files and messages: `sizes` (C, 4) counts the frames, tracked hands,
+    counts and cuts of each chunk; the other arrays have the rows of all chunks, one after the other."""
+    readable = [c for c in chunks if c.first is not None and c.last is not None]
+    thumbnails = [[each.pixels for each in (c.first, c.last) if each is not None] for c in readable]
+    sizes = [(len(c.numbers), len(c.tracked), len(c.counts), len(c.cuts)) for c in chunks]
+    return hands_to_arrays([h for c in chunks for h in (*c.frames, [t.last for t in c.tracked])]) | {
+        "sizes": np.array(sizes, dtype=np.int64).reshape(-1, 4),
+        "numbers": np.array([n for c in chunks for n in c.numbers], dtype=np.int64),
+        "velocity": np.array([t.velocity for c in chunks for t in c.tracked]).reshape(-1, 2),
+        "seen": np.array([n for c in chunks for n in c.counts], dtype=np.int64),
+        "cuts": np.array([n for c in chunks for n in c.cuts], dtype=np.int64),
+        "looked": np.array([c.first is not None for c in chunks], dtype=bool),
+        "glances": np.array(thumbnails, dtype=np.uint8) if readable else np.zeros((0, 2, 0, 0, 3), np.uint8),
+    }
+
+
+def chunks_from_arrays(arrays: Mapping[str, np.ndarray], threshold: float) -> list[Chunk]:
+    """The inverse of `chunks_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
+    arrays do not fit together."""
+    rows = {name: iter(arrays[name].tolist()) for name in ("numbers", "seen", "cuts")}
+    velocities, thumbnails = iter(arrays["velocity"]), iter(arrays["glances"])
+    hands = iter(hands_from_arrays(arrays))
+    chunks = []
+    for sizes, readable in zip(arrays["sizes"].tolist(), arrays["looked"], strict=True):
+        frame_count, tracked_count, counts, cuts = sizes
+        numbers = list(islice(rows["numbers"], frame_count))
+        frames = list(islice(hands, frame_count))
+        last_hands = next(hands, None)
+        if last_hands is None or (len(numbers), len(last_hands)) != (frame_count, tracked_count):
+            raise ValueError("its rows do not fit together")
+        moving = zip(last_hands, islice(velocities, tracked_count), strict=True)
+        first, last = map(Thumbnail, next(thumbnails, ())) if readable else (None, None)
+        chunks.append(
+            Chunk(
+                numbers,
+                frames,
+                [TrackedHand.of(hand, threshold, velocity) for hand, velocity in moving],
+                list(islice(rows["seen"], counts)),
+                list(islice(rows["cuts"], cuts)),
+                first,
+                last,
+            )
+        )
+    return chunks

@@ -16,6 +16,8 @@ import numpy as np
 
 Side = Literal["left", "right"]
 SIDES: Final[tuple[Side, Side]] = ("left", "right")
+HandChoice = Literal["auto", "left", "right", "both"]
+"""Which hands are wanted: whatever is seen, those of one side, or one of each"""
 
 FINGERS: Final = ("thumb", "index", "middle", "ring", "little")
 """The fingers in MediaPipe's order, which is also the order of every array of five fingertips."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Final, Protocol
 
-from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.detect.keypoints import Track
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.data import HandModel
@@ -40,7 +40,7 @@ class TrackSolver(Protocol):
     def __call__(
         self,
         model: HandModel,
-        track: DetectedTrack,
+        track: Track,
         intrinsics: Intrinsics,
         on_frame: OnFrame,
         should_stop: ShouldStop = never,

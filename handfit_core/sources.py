@@ -14,7 +14,7 @@ from typing import Final, Protocol, TypeVar
 import numpy as np
 
 from handfit_core.detect.detector import DETECTORS, Detected
-from handfit_core.detect.keypoints import DetectedTrack, largest_extent
+from handfit_core.detect.keypoints import Track, largest_extent
 from handfit_core.detect.opening import settings_of
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames
@@ -34,13 +34,13 @@ from handfit_core.interchange.taking import (
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import MediaInput
 from handfit_core.media.source import Media
-from handfit_core.options import CROWD, CaptureOptions, HandChoice
+from handfit_core.options import CROWD, CaptureOptions
 from handfit_core.parts import Parts
-from handfit_core.skeleton import SIDES
+from handfit_core.skeleton import SIDES, HandChoice
 from handfit_core.solvers import ShouldStop
 from handfit_core.take import TAKE_LIMITS
 
-Chosen = TypeVar("Chosen", DetectedTrack, HandMotion)
+Chosen = TypeVar("Chosen", Track, HandMotion)
 
 log = logging.getLogger("handfit")
 
@@ -66,7 +66,7 @@ class Found:
     numbers: list[int]
     """Of the source's T frames"""
     intrinsics: Intrinsics
-    tracks: list[DetectedTrack]
+    tracks: list[Track]
     """One for each hand, over these frames"""
     fits: list[HandMotion] | None = None
     """The hands as another program has posed them, which are taken as they are; None: the tracks are to be
@@ -269,19 +269,20 @@ def _tracked(
     """Detections linked to tracks, and the camera that they tell where nobody else does."""
     tracks = [replace(track, calibrated=calibrated) for track in _linked(media, options, seen, stop)]
     if known is None:
-        extent = largest_extent(d for track in tracks for d in track.detections if d is not None)
-        known = Intrinsics.assumed(media.width, media.height, extent)
+        extents = np.concatenate([track.detections.extent for track in tracks])
+        known = Intrinsics.assumed(media.width, media.height, largest_extent(extents))
     return Found(seen.numbers, known, tracks)
 
 
-def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldStop) -> list[DetectedTrack]:
+def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldStop) -> list[Track]:
     """The wanted hands, each tracked over the clip. Raises NoHandFoundError, and Cancelled where detection
     was stopped before one was found."""
     hands, most = options.hands, options.most_hands(clip=media.source.kind != "photo")
     holes = sorted({*_holes(seen.numbers), *(row - 1 for row in seen.cuts)})
     try:
         tracks, count = link_and_count(
-            seen.frames,
+            seen.hands,
+            len(seen.numbers),
             hands,
             min(TAKE_LIMITS.max_hands, max(most or TAKE_LIMITS.max_hands, len(options.regions))),
             _rate(media, seen.numbers),
@@ -291,7 +292,7 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
     except NoHandFoundError as error:
         if stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found") from None
-        there = any(hand.shown or not options.only_regions for hands in seen.frames for hand in hands)
+        there = len(seen.hands) and (seen.hands.shown.any() or not options.only_regions)
         seen_none = NONE_IN_REGION if options.regions else NONE_SEEN
         raise NoHandFoundError(f"{media.source.name}: {error if there else seen_none}") from None
     if not options.only_regions:

@@ -18,7 +18,7 @@ import numpy as np
 
 from handfit_core.arrays import array, array_dataclass, arrays_of, check_arrays, kept_arrays, reading_arrays
 from handfit_core.batch import scatter
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.doors.npz import NotNpz, NpzArchive, names_of
 from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
@@ -28,7 +28,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, can_touch, other_side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, can_touch
 from handfit_core.slices import run_to_completion
 
 FORMAT_NAME = "handfit-take"
@@ -141,29 +141,29 @@ class HandTrack(HandMotion):
         """Whether the take holds what fitting again needs."""
         return self.keypoints_depth is not None and self.world_landmarks is not None
 
-    def detection(self, row: int) -> HandDetection | None:
-        """What the detector found in frame `row` of the T; None where it found nothing. Without its
-        `spread`, which a take does not hold. Raises TakeError unless `refinable`."""
+    def detections(self, rows: np.ndarray | None = None) -> Detections:
+        """What the detector found in the frames `rows` of the T (None: in all), in which their `frame`
+        counts. Without its `spread`, which a take does not hold. Raises TakeError unless `refinable`."""
         if self.keypoints_depth is None or self.world_landmarks is None:
             raise TakeError(
                 f"the {self.side} hand's take was made before takes held what the detector found; capture it "
                 "again"
             )
-        if not self.detected[row]:
-            return None
-        named = self.side
-        if self.other_side is not None and self.other_side[row]:
-            named = other_side(self.side)
-        second = None if self.keypoints_2020 is None else np.array(self.keypoints_2020[row])
-        judged = np.nan if self.right_side is None else float(self.right_side[row])
-        return HandDetection(
-            side=named,
-            score=float(self.score[row]),
-            keypoints=np.column_stack([self.keypoints_2d[row], self.keypoints_depth[row]]),
-            world=np.array(self.world_landmarks[row]),
-            keypoints_2020=None if second is None or not np.isfinite(second).all() else second,
-            right_side=None if np.isnan(judged) else judged,
-            overlapped=None if self.overlapped is None else np.array(self.overlapped[row]),
+        rows = np.arange(len(self.detected)) if rows is None else rows
+        frame = np.flatnonzero(np.asarray(self.detected)[rows])
+        found = rows[frame]
+        side = np.full(len(found), SIDES.index(self.side))
+        return Detections(
+            frame=frame,
+            side=side if self.other_side is None else np.where(self.other_side[found], 1 - side, side),
+            score=self.score[found],
+            keypoints=np.concatenate(
+                [self.keypoints_2d[found], self.keypoints_depth[found][..., None]], axis=2
+            ),
+            world=self.world_landmarks[found],
+            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[found],
+            right_side=np.full(len(found), np.nan) if self.right_side is None else self.right_side[found],
+            overlapped=None if self.overlapped is None else self.overlapped[found],
         )
 
     @property

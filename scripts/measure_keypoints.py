@@ -20,7 +20,7 @@ if str(ROOT) not in sys.path:
 
 import numpy as np
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.errors import HandfitError
 from handfit_core.evaluate.flat import Flat, flattened
 from handfit_core.fitting import hand_track
@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def measure(name: str, take: Take, hand: HandTrack, solver: str, every: int) -> None:
     """Print what fits of one hand's keypoints are off its capture."""
     rows = np.flatnonzero(hand.detected)[::every]
-    detections = [d for row in rows if (d := hand.detection(row)) is not None]
+    detections = hand.detections(rows)
     as_captured = fitted(take, hand, detections, solver, every)
     print(f"{name}: {len(rows)} frames, its own keypoints {reprojection(as_captured):.2f} % off its fit")
     for flat in SPOILT:
@@ -75,12 +75,10 @@ def measure(name: str, take: Take, hand: HandTrack, solver: str, every: int) -> 
         )
 
 
-def fitted(
-    take: Take, hand: HandTrack, detections: list[HandDetection], solver: str, every: int
-) -> HandTrack:
+def fitted(take: Take, hand: HandTrack, detections: Detections, solver: str, every: int) -> HandTrack:
     """Those detections as one clip."""
     model = load_model(take.model, hand.side)
-    track = DetectedTrack(hand.side, tuple(detections), take.fps / every)
+    track = Track(hand.side, detections, len(detections), take.fps / every)
     fit = get_solver(solver)(model, track, take.intrinsics, lambda: None)
     return hand_track(model, track, fit, take.intrinsics)
 

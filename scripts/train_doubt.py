@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import HandfitError
 from handfit_core.evaluate.summary import doubt_figures
 from handfit_core.files import written_whole
@@ -70,19 +70,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 def fitted(samples: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """`doubt.evidence` (N, 5, 6) of samples, fitted as captures do it, and their fingers' true errors (N, 5),
     metres."""
-    named = [SIDES[side] for side in samples["detected_side"]]
-    detections = with_side_judged(
-        [
-            HandDetection(side, float(score), keypoints, world)
-            for side, score, keypoints, world in zip(
-                named, samples["score"], samples["keypoints"], samples["world"], strict=True
-            )
-        ]
-    )
+    seen = (samples[name] for name in ("detected_side", "score", "keypoints", "world"))
+    detections = with_side_judged(Detections(np.arange(len(samples["score"])), *seen))
     features, errors = [], []
     for side in SIDES:
-        rows = [row for row, detection in enumerate(detections) if detection.likely_side == side]
-        chosen, model = [detections[row] for row in rows], model_of(side)
+        rows = np.flatnonzero(detections.likely_side == SIDES.index(side))
+        chosen, model = detections.select(rows), model_of(side)
         size = int(samples["size"][0])
         camera = Intrinsics.assumed(size, size)
         fitter = fitter_of(model)

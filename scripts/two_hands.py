@@ -31,8 +31,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from handfit_core import capture
-from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.matching import overlapped
+from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.matching import covers
 from handfit_core.errors import NoHandFoundError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
 from handfit_core.geometry.camera import Intrinsics
@@ -281,8 +281,9 @@ def measured(shot: Shot, detector: str) -> Counter[str]:
 def _meet(one: np.ndarray, other: np.ndarray) -> bool:
     """Whether a keypoint (21, 2) of one of two hands lies on the other."""
     flat = np.zeros((21, 3))
-    a, b = (HandDetection("left", 1.0, np.pad(p, ((0, 0), (0, 1))), flat) for p in (one, other))
-    return bool(overlapped(a, b).any() or overlapped(b, a).any())
+    both = [HandDetection("left", 1.0, np.pad(p, ((0, 0), (0, 1))), flat) for p in (one, other)]
+    hands = Detections.of([both])
+    return any(covers(hands, np.array([1 - i]), hands.keypoints_2d[i]).any() for i in (0, 1))
 
 
 def _whose(track: HandTrack, pixels: np.ndarray, size: np.ndarray) -> np.ndarray:

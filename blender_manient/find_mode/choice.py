@@ -9,8 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.arrays import unpack
-from handfit_core.options import CROWD, HandChoice, Region
-from handfit_core.skeleton import SIDES, Side, other_side
+from handfit_core.detect.detector import Region
+from handfit_core.options import CROWD, region_of
+from handfit_core.skeleton import SIDES, HandChoice, Side, other_side
 
 SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
@@ -107,7 +108,7 @@ class Choice:
         """The chosen hands as a capture's regions; `frame` of the source, None for a photo."""
         return tuple(
             replace(
-                Region.of(hand.box), frame=frame, side=hand.side if hand.side != hand.detected_side else None
+                region_of(hand.box), frame=frame, side=hand.side if hand.side != hand.detected_side else None
             )
             for hand in self.chosen
         )

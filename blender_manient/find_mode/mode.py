@@ -14,10 +14,11 @@ import bpy
 import gpu
 import numpy as np
 
+from handfit_core.detect.detector import Region
 from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import CaptureOptions, Region
+from handfit_core.options import CaptureOptions, region_of
 from handfit_core.skeleton import other_side
 
 from .. import cache, details, jobs, screen, shared_worker
@@ -57,7 +58,7 @@ class Source(NamedTuple):
         options = replace(
             self.options,
             frames=None if self.frame is None else FrameRange(self.frame, self.frame),
-            regions=() if box is None else (Region.of(box),),
+            regions=() if box is None else (region_of(box),),
             only_regions=box is not None or picture is not None,
         )
         fields = {"input": list(self.files), "options": options.to_message()}

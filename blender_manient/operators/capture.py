@@ -6,10 +6,11 @@ from pathlib import Path
 
 import bpy
 
+from handfit_core.detect.detector import Region
 from handfit_core.errors import InputError, OptionError
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import CaptureOptions, Region
+from handfit_core.options import CaptureOptions
 from handfit_core.worker.events import WorkerError
 
 from .. import jobs, preferences, screen, shared_worker, source_info

@@ -7,10 +7,10 @@ clip's hands are the same whichever threads and machines have detected its chunk
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -24,16 +24,15 @@ from handfit_core.detect.clips import (
     extend_track,
 )
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
+from handfit_core.detect.detector import DetectorSettings, Region
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.networks import Networks
-from handfit_core.detect.opening import settings_of
 from handfit_core.detect.regions import detect_frame
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Frame, Media
-from handfit_core.options import CaptureOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,64 +59,17 @@ class Chunk:
         return cls(numbers, finder.frames, finder.tracked, finder.counts, finder.cuts, first, last)
 
 
-def chunks_to_arrays(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
-    """C chunks as arrays for `.npz` files and messages: `sizes` (C, 4) counts the frames, tracked hands,
-    counts and cuts of each chunk; the other arrays have the rows of all chunks, one after the other."""
-    readable = [c for c in chunks if c.first is not None and c.last is not None]
-    thumbnails = [[each.pixels for each in (c.first, c.last) if each is not None] for c in readable]
-    sizes = [(len(c.numbers), len(c.tracked), len(c.counts), len(c.cuts)) for c in chunks]
-    return hands_to_arrays([h for c in chunks for h in (*c.frames, [t.last for t in c.tracked])]) | {
-        "sizes": np.array(sizes, dtype=np.int64).reshape(-1, 4),
-        "numbers": np.array([n for c in chunks for n in c.numbers], dtype=np.int64),
-        "velocity": np.array([t.velocity for c in chunks for t in c.tracked]).reshape(-1, 2),
-        "seen": np.array([n for c in chunks for n in c.counts], dtype=np.int64),
-        "cuts": np.array([n for c in chunks for n in c.cuts], dtype=np.int64),
-        "looked": np.array([c.first is not None for c in chunks], dtype=bool),
-        "glances": np.array(thumbnails, dtype=np.uint8) if readable else np.zeros((0, 2, 0, 0, 3), np.uint8),
-    }
-
-
-def chunks_from_arrays(arrays: Mapping[str, np.ndarray], threshold: float) -> list[Chunk]:
-    """The inverse of `chunks_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
-    arrays do not fit together."""
-    rows = {name: iter(arrays[name].tolist()) for name in ("numbers", "seen", "cuts")}
-    velocities, thumbnails = iter(arrays["velocity"]), iter(arrays["glances"])
-    hands = iter(hands_from_arrays(arrays))
-    chunks = []
-    for sizes, readable in zip(arrays["sizes"].tolist(), arrays["looked"], strict=True):
-        frame_count, tracked_count, counts, cuts = sizes
-        numbers = list(islice(rows["numbers"], frame_count))
-        frames = list(islice(hands, frame_count))
-        last_hands = next(hands, None)
-        if last_hands is None or (len(numbers), len(last_hands)) != (frame_count, tracked_count):
-            raise ValueError("its rows do not fit together")
-        moving = zip(last_hands, islice(velocities, tracked_count), strict=True)
-        first, last = map(Thumbnail, next(thumbnails, ())) if readable else (None, None)
-        chunks.append(
-            Chunk(
-                numbers,
-                frames,
-                [TrackedHand.of(hand, threshold, velocity) for hand, velocity in moving],
-                list(islice(rows["seen"], counts)),
-                list(islice(rows["cuts"], cuts)),
-                first,
-                last,
-            )
-        )
-    return chunks
-
-
 class ClipDetector:
     """Finds the hands of one clip with MediaPipe's networks. Use it as a context manager.
 
     Raises LandmarkModelError when the model file is missing or damaged.
     """
 
-    def __init__(self, media: Media, options: CaptureOptions) -> None:
+    def __init__(self, media: Media, settings: DetectorSettings, regions: Sequence[Region] = ()) -> None:
+        """`regions`: boxes in which a person sees hands."""
         self.media = media
-        self._options = options
-        self._settings = settings_of(options, video=True)
-        self._networks = Networks(options.landmark_model, quality=options.quality)
+        self._settings, self._regions = settings, regions
+        self._networks = Networks(settings.landmark_model, quality=settings.quality)
 
     def __enter__(self) -> Self:
         return self
@@ -138,9 +90,8 @@ class ClipDetector:
         """Detect the hands of the chunk with that index, counted from 0. `on_frame` is called with the count
         of its frames so far; `should_stop` is asked before each, and ends the chunk there."""
         rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames
-        regions = [
-            r for r in self._options.regions if r.frame is None or r.frame in self.media.numbers(*rows)
-        ]
+        named = self.media.numbers(*rows)
+        regions = [r for r in self._regions if r.frame is None or r.frame in named]
         whole_past = any(region.frame is not None for region in regions)
         finder = ClipFinder(self._settings, self._networks, whole_past=whole_past)
         numbers: list[int] = []
@@ -153,7 +104,7 @@ class ClipDetector:
                 on_frame(len(numbers))
         return Chunk.of(finder, numbers)
 
-    def joined(self, chunks: Sequence[Chunk]) -> tuple[list[tuple[HandDetection, ...]], list[int]]:
+    def joined(self, chunks: Sequence[Chunk]) -> tuple[Detections, list[int]]:
         """The hands of a clip's frames, with sides judged, and the rows that begin another shot.
 
         At every seam, hands that end one chunk and do not begin the next are tracked into it, and hands that
@@ -191,8 +142,7 @@ class ClipDetector:
                 rgb = reader.picture(row)
                 if rgb is not None:
                     carried = [t for t in carried if extend_track(self._networks, t, rgb, row, frames)]
-        judged = iter(with_side_judged([hand for frame in frames for hand in frame]))
-        return [tuple(next(judged) for _ in frame) for frame in frames], sorted(cuts)
+        return with_side_judged(Detections.of(frames)), sorted(cuts)
 
 
 class _FrameReader:

@@ -17,7 +17,7 @@ from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import (
-    SAME_HAND_DISTANCE,
+    MATCHING,
     distance,
     hand_of_box,
     is_same_hand,
@@ -332,7 +332,7 @@ def _mean_with_crops(
 def overlaps(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
     """Whether all of a hand lies where another one is: hands that cross share a place, but not with all their
     points."""
-    return any(distance(hand, other) < SAME_HAND_DISTANCE for other in others)
+    return any(distance(hand, other) < MATCHING.same_hand_distance for other in others)
 
 
 def extend_track(

@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, Protocol, Self
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.media.source import Media
 from handfit_core.registry import Registry
@@ -68,12 +68,28 @@ class Detected:
 
     numbers: list[int]
     """(T) frame numbers"""
-    frames: list[tuple[HandDetection, ...]]
-    """(T) hands of each frame; an unreadable one has none"""
+    hands: Detections
+    """Of all frames; an unreadable one has none"""
     most_seen: int = 0
     """The most hands that were seen at once, be they more than are wanted; 0: they were not counted"""
     cuts: tuple[int, ...] = ()
     """Rows that begin another shot"""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box in the upright picture in which somebody has seen a hand. Pixels; y grows downwards.
+
+    The box of a hand that is found anyway, drawn about its landmarks, means that hand."""
+
+    x: float
+    y: float
+    width: float
+    height: float
+    frame: int | None = None
+    """of the source; None: the first that is used"""
+    side: Side | None = None
+    """which hand it is, as somebody says; None: as it is judged"""
 
 
 @dataclass(frozen=True)
@@ -114,8 +130,10 @@ class ChunkedDetector(Protocol):
         `on_frame` is called with the count of its frames so far; `should_stop` is asked before each, and ends
         the chunk there."""
 
-    def joined(self, chunks: Sequence[Any], /) -> tuple[list[tuple[HandDetection, ...]], list[int]]:
-        """The hands of all frames, and the rows that begin another shot."""
+    def joined(
+        self, chunks: Sequence[Any], /
+    ) -> tuple[Detections | Sequence[Sequence[HandDetection]], list[int]]:
+        """The hands of all frames, as columns or frame by frame, and the rows that begin another shot."""
         ...
 
 

@@ -9,121 +9,115 @@ a state is the last detection of either hand.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, groupby, pairwise, permutations
+from itertools import combinations, pairwise, permutations
 from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.matching import HandArrays
+from handfit_core.detect.keypoints import Detections
+from handfit_core.detect.matching import distances
 from handfit_core.skeleton import SIDES
 
-SIDE_WEIGHT: Final = 0.25
-"""Weight of a detection's side: those of neighbouring frames are wrong together"""
 
-MAX_SIDE_PROBABILITY: Final = 0.95
-"""To which the side's probability of a detection, and a hand's share of detections of one side, are
-clipped"""
+@dataclass(frozen=True)
+class IdentitySettings:
+    """Thresholds and weights of identity assignment. Motions and distances are in hand sizes, gaps in
+    frames."""
 
-MAX_MOTION: Final = 3.0
-"""Hand sizes from frame to frame beyond which all motions are equally unlikely"""
-
-START_MOTION: Final = 1.0
-"""Hand sizes of motion that the start of another hand is as unlikely as"""
-
-MIN_TYPICAL_MOTION: Final = 0.1
-"""Hand sizes a frame; the typical motion is the clip's median, and no less"""
-
-MIN_TYPICAL_DEFORMATION: Final = 0.05
-"""Hand sizes a frame; the typical motion of a hand's points about their mean is the clip's median, and no
-less. A left hand is never the shape of a right one"""
-
-GAP_GROWTH: Final = 0.5
-"""What each frame without a detection adds to how far a hand may have moved, as a share of that"""
-
-GAP_MOTION: Final = 0.15
-"""Hand sizes of motion that a gap in a hand's detections is as unlikely as"""
-
-VELOCITY_FRAMES: Final = 3
-"""Frames for which a hand may keep its velocity"""
-
-MAX_STATES: Final = 12
-"""States that are kept from frame to frame, the likeliest"""
-
-MAX_WORSE: Final = 40.0
-"""Negative log-likelihood by which a state may be worse than the likeliest one"""
-
-MIN_SIDE_DIFFERENCE: Final = 0.2
-"""Two hands whose shares of detections that are named left differ by less may be of one side, so that sides
-tell nothing"""
-
-MAX_THIRD_SHARE: Final = 0.2
-"""Of the frames with two hands or more, the share that may have three, as if a face were taken for one"""
-
-MAX_ROUNDS: Final = 3
-"""Rounds of assigning detections and estimating the hands' sides from the assignment"""
-
-MAX_TRACKS: Final = 32
-"""The surest tracks are assigned anew: most clips have two or four, and a crowd's would take long"""
-
-NEAR_DISTANCE: Final = 3.0
-"""Hand sizes; tracks come near each other where they are no farther apart than this"""
-
-NEAR_FRAMES: Final = 12
-"""within so many frames"""
-
-MAX_PARTNERS: Final = 3
-"""Other tracks from which each one is separated, one after another: as many as two people have other hands"""
-
-Track = Mapping[int, HandDetection]
-"""Detections by frame, in the order of frames"""
+    side_weight: float = 0.25
+    """Weight of a detection's side: those of neighbouring frames are wrong together"""
+    max_side_probability: float = 0.95
+    """To which the side's probability of a detection, and a hand's share of detections of one side, are
+    clipped"""
+    max_motion: float = 3.0
+    """From frame to frame, beyond which all motions are equally unlikely"""
+    start_motion: float = 1.0
+    """Motion that the start of another hand is as unlikely as"""
+    min_typical_motion: float = 0.1
+    """A frame; the typical motion is the clip's median, and no less"""
+    min_typical_deformation: float = 0.05
+    """A frame; the typical motion of a hand's points about their mean is the clip's median, and no less. A
+    left hand is never the shape of a right one"""
+    gap_growth: float = 0.5
+    """What each frame without a detection adds to how far a hand may have moved, as a share of that"""
+    gap_motion: float = 0.15
+    """Motion that a gap in a hand's detections is as unlikely as"""
+    velocity_frames: int = 3
+    """For which a hand may keep its velocity"""
+    max_states: int = 12
+    """States that are kept from frame to frame, the likeliest"""
+    max_worse: float = 40.0
+    """Negative log-likelihood by which a state may be worse than the likeliest one"""
+    min_side_difference: float = 0.2
+    """Two hands whose shares of detections that are named left differ by less may be of one side, so that
+    sides tell nothing"""
+    max_third_share: float = 0.2
+    """Of the frames with two hands or more, the share that may have three, as if a face were taken for
+    one"""
+    max_rounds: int = 3
+    """Rounds of assigning detections and estimating the hands' sides from the assignment"""
+    max_tracks: int = 32
+    """The surest tracks are assigned anew: most clips have two or four, and a crowd's would take long"""
+    near_distance: float = 3.0
+    """Tracks come near each other where they are no farther apart than this"""
+    near_frames: int = 12
+    """in frames that are no farther apart than this"""
+    max_partners: int = 3
+    """Other tracks from which each one is separated, one after another: as many as two people have other
+    hands"""
 
 
-def separate_hands(tracks: Sequence[Track]) -> list[Track]:
-    """Rearrange detections into tracks that stay on their hands where two of these come near each other. A
-    hand that was lost for a moment is one track again. `tracks`: the surest first.
+IDENTITY: Final = IdentitySettings()
+
+
+def separate_hands(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Rearrange the detections of a clip into tracks that stay on their hands where two of these come near
+    each other. A hand that was lost for a moment is one track again. `tracks`: (N,) the rows of each, in the
+    order of frames, the surest first.
 
     The sides that a person has given are kept: no track has detections of two given sides, where another one
     is near that they may be of.
     """
-    surest: list[Track] = list(tracks[:MAX_TRACKS])
+    surest = list(tracks[: IDENTITY.max_tracks])
     apart: set[tuple[int, int]] = set()
-    for _ in range(MAX_PARTNERS):
-        groups, surest = _near_groups(surest, apart), []
+    for _ in range(IDENTITY.max_partners):
+        groups, surest = _near_groups(hands, surest, apart), []
         apart = set()
         for group in groups:
             if len(group) > 1:
-                group = _assign_two(group)
+                group = _assign_two(hands, group)
                 apart.add((len(surest), len(surest) + 1))
             surest += group
         if not apart:
             break
-    return [*surest, *tracks[MAX_TRACKS:]]
+    return [*surest, *tracks[IDENTITY.max_tracks :]]
 
 
-def _near_groups(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[list[Track]]:
+def _near_groups(
+    hands: Detections, tracks: Sequence[np.ndarray], apart: set[tuple[int, int]]
+) -> list[list[np.ndarray]]:
     """Group tracks that are near each other most often, with their fragments, unless they are among the pairs
     that were just set `apart`. Few frames of a group have more than two hands."""
-    arrays = [HandArrays.of(list(track.values())) for track in tracks]
-    frames = [np.array(list(track)) for track in tracks]
+    frames = [hands.frame[track] for track in tracks]
     near: list[tuple[int, int, int]] = []
     for one, other in combinations(range(len(tracks)), 2):
         after = np.searchsorted(frames[other], frames[one])
-        other_rows = np.stack([after - 1, after]).clip(0, len(frames[other]) - 1)
-        soon = np.abs(frames[other][other_rows] - frames[one]) <= NEAR_FRAMES
-        distances = arrays[one].distances(np.nonzero(soon)[1], arrays[other], other_rows[soon], NEAR_DISTANCE)
+        beside = np.stack([after - 1, after]).clip(0, len(frames[other]) - 1)
+        soon = np.abs(frames[other][beside] - frames[one]) <= IDENTITY.near_frames
+        mine, theirs = tracks[one][np.nonzero(soon)[1]], tracks[other][beside[soon]]
         if (one, other) not in apart:
-            near.append((int(np.isfinite(distances).sum()), one, other))
+            found = distances(hands, mine, theirs, IDENTITY.near_distance)
+            near.append((int(np.isfinite(found).sum()), one, other))
     groups, of = [[track] for track in tracks], list(range(len(tracks)))
-    counts = [Counter(track.keys()) for track in tracks]
+    counts = [Counter(each.tolist()) for each in frames]
     for meetings, *both in sorted(near, key=lambda pair: -pair[0]):
         one, other = (of[track] for track in both)
         if not meetings or one == other:
             continue
         many = np.bincount(list((counts[one] + counts[other]).values()), minlength=4)
-        if len(many) == 4 and many[3] <= MAX_THIRD_SHARE * many[2:].sum():
+        if len(many) == 4 and many[3] <= IDENTITY.max_third_share * many[2:].sum():
             groups[one] += groups[other]
             counts[one] += counts[other]
             groups[other] = []
@@ -131,95 +125,84 @@ def _near_groups(tracks: Sequence[Track], apart: set[tuple[int, int]]) -> list[l
     return [group for group in groups if group]
 
 
-def _assign_two(tracks: Sequence[Track]) -> list[Track]:
+def _assign_two(hands: Detections, tracks: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Rearrange a group's detections into tracks of two hands, and of what is left in frames that have
     three."""
-    hands = sorted(
-        ((frame, number, hand) for number, track in enumerate(tracks) for frame, hand in track.items()),
-        key=lambda each: each[:2],
-    )
-    seen = _Detections.of([(frame, hand) for frame, _, hand in hands])
-    both = np.array([np.sort(seen.left[rows]) for rows in seen.rows if len(rows) == 2]).reshape(-1, 2)
-    rates = both.mean(axis=0) if len(both) else np.array([1.0 - MAX_SIDE_PROBABILITY, MAX_SIDE_PROBABILITY])
+    rows = np.concatenate(tracks)
+    number = np.repeat(np.arange(len(tracks)), [len(track) for track in tracks])
+    order = np.lexsort([number, hands.frame[rows]])
+    rows, number = rows[order], number[order]
+    assignment = _Assignment(hands.select(rows))
+    left = assignment.left
+    both = np.array([np.sort(left[pair]) for pair in assignment.rows if len(pair) == 2]).reshape(-1, 2)
+    rates = both.mean(axis=0) if len(both) else _clipped(np.array([0.0, 1.0]))
     owners = np.zeros(0, dtype=int)
-    for _ in range(MAX_ROUNDS):
-        if rates[1] - rates[0] < MIN_SIDE_DIFFERENCE:
+    for _ in range(IDENTITY.max_rounds):
+        if rates[1] - rates[0] < IDENTITY.min_side_difference:
             rates[:] = rates.mean()
-        before, owners = owners, seen.owners(rates)
+        before, owners = owners, assignment.owners(rates)
         if np.array_equal(before, owners):
             break
-        rates = np.array([seen.left[owners == i].mean() if i in owners else 0.5 for i in (0, 1)])
-    assigned: dict[int, dict[int, HandDetection]] = {}
-    for (frame, number, hand), owner in zip(hands, owners.tolist(), strict=True):
-        assigned.setdefault(owner if owner >= 0 else -1 - number, {})[frame] = hand
-    return list(assigned.values())
+        rates = np.array([left[owners == i].mean() if i in owners else 0.5 for i in (0, 1)])
+    owners = np.where(owners >= 0, owners, -1 - number)
+    return [rows[owners == owner] for owner in dict.fromkeys(owners.tolist())]
 
 
-@dataclass(frozen=True, eq=False)
-class _Detections:
-    """N detections as arrays."""
+class _Assignment:
+    """Which of two hands N detections are of, by Viterbi's algorithm."""
 
-    rows: list[list[int]]
-    """Indices of the detections of each frame that has some"""
-    frame: list[int]
-    """(N)"""
-    points: np.ndarray
-    """(N, 21) complex: x + iy, pixels"""
-    size: list[float]
-    """(N) pixels"""
-    left: np.ndarray
-    """(N,) probability of a left hand"""
-    excluded: np.ndarray
-    """(N, 2) bool: whether it cannot be of the first hand, or of the second, by the sides that a person has
-    given to both"""
+    def __init__(self, hands: Detections) -> None:
+        self.rows: list[list[int]] = [rows.tolist() for rows in hands.rows_by_frame]
+        """Of the detections of each frame that has some"""
+        self._frame: list[int] = hands.frame.tolist()
+        self._size: list[float] = np.maximum(hands.extent, 1e-9).tolist()
+        """(N) pixels"""
+        self._points = hands.keypoints_2d @ np.array([1.0, 1.0j])
+        """(N, 21) complex: x + iy, pixels"""
+        votes, given = hands.side_votes, hands.given_side
+        left = votes[:, 0] / np.maximum(votes.sum(axis=1), 1e-9)
+        left = np.where(given >= 0, given == SIDES.index("left"), left)
+        self.left = _clipped(left)
+        """(N,) probability of a left hand"""
+        named = given[:, None] == np.arange(len(SIDES))
+        self._excluded = named & named.any(axis=0).all()
+        """(N, 2) bool: whether it cannot be of the first hand, or of the second, by the sides that a person
+        has given to both"""
 
-    @classmethod
-    def of(cls, hands: Sequence[tuple[int, HandDetection]]) -> _Detections:
-        """Detections and their frames, in order."""
-        frame = [frame for frame, _ in hands]
-        given = np.array([[hand.given_side == side for side in SIDES] for _, hand in hands])
-        return cls(
-            [list(rows) for _, rows in groupby(range(len(frame)), frame.__getitem__)],
-            frame,
-            np.array([hand.keypoints_2d @ [1.0, 1.0j] for _, hand in hands]),
-            [max(hand.extent, 1e-9) for _, hand in hands],
-            np.clip([_left(hand) for _, hand in hands], 1.0 - MAX_SIDE_PROBABILITY, MAX_SIDE_PROBABILITY),
-            given & given.any(axis=0).all(),
-        )
-
-    def step(self, last: int, now: int, velocity: complex) -> tuple[float, float, complex]:
+    def _step(self, last: int, now: int, velocity: complex) -> tuple[float, float, complex]:
         """Motion, deformation and velocity of a hand whose detection `last` is followed by `now`, with
         `velocity` before: hand sizes that it moved otherwise than expected; hand sizes that its points moved
         about their mean; pixels a frame, complex."""
-        gap, size = self.frame[now] - self.frame[last], max(self.size[last], self.size[now])
-        moved = self.points[now] - self.points[last]
+        gap, size = self._frame[now] - self._frame[last], max(self._size[last], self._size[now])
+        moved = self._points[now] - self._points[last]
         shift = complex(moved.mean())
-        off = min(abs(shift), abs(shift - velocity * min(gap, VELOCITY_FRAMES)))
-        longer = 1.0 + GAP_GROWTH * (gap - 1)
-        motion = min(off / size, MAX_MOTION) / longer + GAP_MOTION * (gap > 1)
+        off = min(abs(shift), abs(shift - velocity * min(gap, IDENTITY.velocity_frames)))
+        longer = 1.0 + IDENTITY.gap_growth * (gap - 1)
+        motion = min(off / size, IDENTITY.max_motion) / longer + IDENTITY.gap_motion * (gap > 1)
         deformation = float(np.abs(moved - shift).mean()) / size / longer
-        return motion, deformation, shift / gap if gap <= VELOCITY_FRAMES else 0j
+        return motion, deformation, shift / gap if gap <= IDENTITY.velocity_frames else 0j
 
     @property
-    def typical(self) -> tuple[float, float]:
+    def _typical(self) -> tuple[float, float]:
         """Typical motion and deformation from one frame to the next, hand sizes."""
         steps = [
-            min((self.step(last, row, 0j)[:2] for last in before), key=sum)
+            min((self._step(last, row, 0j)[:2] for last in before), key=sum)
             for before, rows in pairwise(self.rows)
             for row in rows
-            if self.frame[row] - self.frame[before[0]] == 1
+            if self._frame[row] - self._frame[before[0]] == 1
         ]
-        motion, change = np.median(steps, axis=0) if steps else (0.0, 0.0)
-        return max(MIN_TYPICAL_MOTION, float(motion)), max(MIN_TYPICAL_DEFORMATION, float(change))
+        least = IDENTITY.min_typical_motion, IDENTITY.min_typical_deformation
+        motion, change = np.maximum(np.median(steps, axis=0), least).tolist() if steps else least
+        return motion, change
 
     def owners(self, rates: np.ndarray) -> np.ndarray:
         """(N,) the hand of each detection, 0 or 1, on the likeliest path; -1: of neither, since both have a
         likelier one in that frame. `rates` (2,): shares of the hands' detections that are named left."""
-        rates, left = np.clip(rates, 1.0 - MAX_SIDE_PROBABILITY, MAX_SIDE_PROBABILITY), self.left[:, None]
-        side_costs = -SIDE_WEIGHT * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
+        rates, left = _clipped(rates), self.left[:, None]
+        side_costs = -IDENTITY.side_weight * (left * np.log(rates) + (1.0 - left) * np.log(1.0 - rates))
         # The first hand is the one that is named right more often.
-        side_costs = (side_costs + 1000.0 * self.excluded).tolist()
-        typical_motion, typical_deformation = self.typical
+        side_costs = (side_costs + 1000.0 * self._excluded).tolist()
+        typical_motion, typical_deformation = self._typical
         states: dict[tuple[int, int], tuple[float, tuple[complex, complex], Any]]
         states = {(-1, -1): (0.0, (0j, 0j), None)}
         for rows in self.rows:
@@ -231,9 +214,9 @@ class _Detections:
                     for hand, row in enumerate(choice):
                         if row < 0:
                             continue
-                        motion, deformation = START_MOTION, 0.0
+                        motion, deformation = IDENTITY.start_motion, 0.0
                         if lasts[hand] >= 0:
-                            step = self.step(lasts[hand], row, velocities[hand])
+                            step = self._step(lasts[hand], row, velocities[hand])
                             motion, deformation, moving[hand] = step
                         total += (
                             side_costs[row][hand]
@@ -244,8 +227,8 @@ class _Detections:
                     key = now[0], now[1]
                     if key not in after or total < after[key][0]:
                         after[key] = total, (moving[0], moving[1]), (past, choice)
-            best = sorted(after.items(), key=lambda state: state[1][0])[:MAX_STATES]
-            states = {key: state for key, state in best if state[0] <= best[0][1][0] + MAX_WORSE}
+            best = sorted(after.items(), key=lambda state: state[1][0])[: IDENTITY.max_states]
+            states = {key: state for key, state in best if state[0] <= best[0][1][0] + IDENTITY.max_worse}
         _, _, past = next(iter(states.values()))
         owners = np.full(len(self.left), -1)
         while past is not None:
@@ -256,8 +239,5 @@ class _Detections:
         return owners
 
 
-def _left(hand: HandDetection) -> float:
-    if hand.given_side is not None:
-        return float(hand.given_side == "left")
-    votes = hand.side_votes()
-    return votes["left"] / max(sum(votes.values()), 1e-9)
+def _clipped(probability: np.ndarray) -> np.ndarray:
+    return np.clip(probability, 1.0 - IDENTITY.max_side_probability, IDENTITY.max_side_probability)

@@ -1,13 +1,15 @@
-"""Hand detections and tracks, as frozen dataclasses and as arrays."""
+"""Hands as detectors see them: one in one picture, all of a clip as columns, and one over a clip."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final, overload
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Self
 
 import numpy as np
 
+from handfit_core.arrays import Array, array, array_dataclass, declared
 from handfit_core.batch import Batch
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
@@ -99,17 +101,9 @@ class HandDetection:
     @property
     def likely_side(self) -> Side:
         """The likelier side, by the detector and the correction network."""
-        return self.side if self._side_probability >= 0.5 else other_side(self.side)
-
-    @property
-    def _side_probability(self) -> float:
-        """Probability that `side` is the true one, 1 where the detector is sure."""
-        return 1.0 if self.right_side is None or self.score >= SURE_SIDE_SCORE else self.right_side
-
-    def side_votes(self) -> dict[Side, float]:
-        """The score, shared between the sides by their probabilities."""
-        named = self._side_probability
-        return {self.side: self.score * named, other_side(self.side): self.score * (1.0 - named)}
+        if self.right_side is None or self.right_side >= 0.5 or self.score >= SURE_SIDE_SCORE:
+            return self.side
+        return other_side(self.side)
 
     @property
     def keypoints_2d(self) -> np.ndarray:
@@ -122,135 +116,171 @@ class HandDetection:
         return float(np.max(np.ptp(self.keypoints_2d, axis=0)))
 
 
-def largest_extent(hands: Iterable[HandDetection]) -> float:
-    """95th percentile of the hands' extents, pixels, which leaves out false detections and a hand that
-    reaches for the lens; 0 where there is no hand."""
-    extents = [hand.extent for hand in hands]
-    return float(np.percentile(extents, 95.0)) if extents else 0.0
+@array_dataclass
+class Detections(Batch):
+    """N hands, each in one of a clip's T frames, frame by frame; a photo is a clip of one frame. Pixels and
+    metres as in `HandDetection`.
 
+    The large columns that nobody filled are None, which saves their memory.
+    """
 
-_COLUMNS: Final[dict[str, tuple[int, ...]]] = {
-    "score": (),
-    "right_side": (),
-    "certainty": (),
-    "shown": (),
-    "keypoints": (NUM_KEYPOINTS, 3),
-    "world": (NUM_KEYPOINTS, 3),
-    "keypoints_2020": (NUM_KEYPOINTS, 3),
-    "spread": (NUM_KEYPOINTS, 3),
-}
-"""Fields of a detection that become arrays, and their shapes; NaN stands for None"""
+    frame: np.ndarray = array("N", kind="i")
+    """Row of the clip's frame, counted from 0; not decreasing"""
+    side: np.ndarray = array("N", kind="i")
+    """Index in `SIDES` of the true hand, in a picture that is not mirrored"""
+    score: np.ndarray = array("N")
+    """Confidence in the hand and its side, 0..1"""
+    keypoints: np.ndarray = array("N", NUM_KEYPOINTS, 3, finite="all")
+    """Image landmarks, pixels"""
+    world: np.ndarray = array("N", NUM_KEYPOINTS, 3, finite="all")
+    """World landmarks, metres"""
+    keypoints_2020: np.ndarray | None = array("N", NUM_KEYPOINTS, 3, default=None)
+    """Pixels, of the landmark network of December 2020; NaN where it was not run"""
+    spread: np.ndarray | None = array("N", NUM_KEYPOINTS, 3, default=None)
+    """Standard deviation in pixels of the predictions that `keypoints` averages; NaN of a single one"""
+    overlapped: np.ndarray | None = array("N", NUM_KEYPOINTS, kind="b", default=None)
+    """Points that are believed less"""
+    shown: np.ndarray = array("N", kind="b", default=None)
+    """Whether a person has said that it is there"""
+    given_side: np.ndarray = array("N", kind="i", default=None)
+    """Index in `SIDES` of the side that a person has given, else -1"""
+    certainty: np.ndarray = array("N", default=None)
+    """Probability that this is a hand, of whatever side; NaN where the detector does not tell"""
+    right_side: np.ndarray = array("N", default=None)
+    """Probability that `side` is the true one, by the correction network; NaN where it was not run"""
+    distance: np.ndarray = array("N", default=None)
+    """Metres along the line of sight to the mean of its points; NaN where a picture does not tell"""
+    corrected_side: np.ndarray = array("N", kind="i", default=None)
+    """Index in `SIDES` of the side that `corrected` takes each hand for, -1 where it is not known"""
+    corrected: np.ndarray | None = array("N", NUM_KEYPOINTS, 6, default=None)
+    """The correction network's landmarks, rows of `Landmarked.table`"""
 
+    def __post_init__(self) -> None:
+        for name, nothing in _UNKNOWN.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(len(self.frame), nothing))
 
-def hands_to_arrays(frames: Sequence[Sequence[HandDetection]]) -> dict[str, np.ndarray]:
-    """The H hands of T frames as arrays: `counts` (T,) hands of each frame, all others (H, ...)."""
-    hands = [hand for frame in frames for hand in frame]
-
-    def column(name: str, shape: tuple[int, ...]) -> np.ndarray:
-        values = [getattr(hand, name) for hand in hands]
-        nothing = np.full(shape, np.nan)
-        return np.array([nothing if v is None else v for v in values], dtype=np.float64)
-
-    return {
-        "counts": np.array([len(frame) for frame in frames], dtype=np.int64),
-        "sides": np.array([SIDES.index(hand.side) for hand in hands], dtype=np.int64),
-        "given": np.array([SIDES.index(h.given_side) if h.given_side else -1 for h in hands], dtype=np.int64),
-        **{name: column(name, shape).reshape(-1, *shape) for name, shape in _COLUMNS.items()},
-    }
-
-
-def hands_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[tuple[HandDetection, ...]]:
-    """The inverse of `hands_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
-    arrays do not fit together."""
-    hands = []
-    for name, shape in _COLUMNS.items():
-        if arrays[name].shape != (len(arrays["sides"]), *shape):
-            raise ValueError(f"{name} has the shape {arrays[name].shape}")
-    for i, side in enumerate(arrays["sides"]):
-        known: dict[str, Any] = {}
-        for name, shape in _COLUMNS.items():
-            if np.isfinite(value := arrays[name][i]).all():
-                known[name] = value if shape else float(value)
-        known |= {"shown": known["shown"] > 0.0, "given_side": (*SIDES, None)[arrays["given"][i]]}
-        hands.append(HandDetection(SIDES[side], **known))
-    counts = arrays["counts"]
-    # Each count is checked first, so that their sum does not overflow.
-    if np.any((counts < 0) | (counts > len(hands))) or counts.sum() != len(hands):
-        raise ValueError(f"{len(hands)} hands are not as many as its frames count")
-    check_crowd(np.repeat(np.arange(len(counts)), counts))
-    return [tuple(hands[end - n : end]) for n, end in zip(counts, np.cumsum(counts), strict=True)]
-
-
-class SideBySide(Sequence[HandDetection | None]):
-    """The detections of one hand in T frames, stored column-wise to save memory: a detection is put together
-    when it is asked for."""
-
-    def __init__(self, detections: Sequence[HandDetection | None]) -> None:
-        found = [d for d in detections if d is not None]
-        nothing, no_table = np.zeros(0), np.zeros((NUM_KEYPOINTS, 6))
-        no_points = np.full((NUM_KEYPOINTS, 3), np.nan)
-        self._keypoints = np.array([d.keypoints for d in found])
-        self._world = np.array([d.world for d in found])
-        keypoints_2020 = [no_points if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
-        has_2020 = any(d.keypoints_2020 is not None for d in found)
-        self._keypoints_2020 = np.array(keypoints_2020) if has_2020 else None
-        self._corrected: np.ndarray | None = np.array(
-            [d.corrected[1] if d.corrected else no_table for d in found]
+    @classmethod
+    def of(cls, frames: Sequence[Sequence[HandDetection]]) -> Self:
+        """The hands of T frames. Raises ValueError for arrays of another shape."""
+        hands = [hand for frame in frames for hand in frame]
+        corrected = [hand.corrected or (None, None) for hand in hands]
+        floats = {name: spec for name, spec in declared(cls).items() if spec.kind != "i"}
+        rows = {name: [getattr(hand, name) for hand in hands] for name in floats}
+        rows["corrected"] = [table for _, table in corrected]
+        return cls(
+            frame=np.repeat(np.arange(len(frames)), [len(frame) for frame in frames]),
+            side=_side_indices([hand.side for hand in hands]),
+            given_side=_side_indices([hand.given_side for hand in hands]),
+            corrected_side=_side_indices([side for side, _ in corrected]),
+            **{name: _column(name, spec, rows[name]) for name, spec in floats.items()},
         )
-        self._others = [
-            replace(
-                d,
-                keypoints=nothing,
-                world=nothing,
-                keypoints_2020=None if d.keypoints_2020 is None else nothing,
-                corrected=d.corrected and (d.corrected[0], nothing),
-            )
-            for d in found
-        ]
-        self._rows = np.full(len(detections), -1)
-        self._rows[[d is not None for d in detections]] = np.arange(len(found))
 
-    def __len__(self) -> int:
-        return len(self._rows)
+    @property
+    def keypoints_2d(self) -> np.ndarray:
+        """(N, 21, 2) pixels."""
+        return self.keypoints[..., :2]
+
+    @cached_property
+    def box_min(self) -> np.ndarray:
+        """(N, 2) upper left corners of the keypoints' boxes, pixels."""
+        return self.keypoints_2d.min(axis=1)
+
+    @cached_property
+    def box_max(self) -> np.ndarray:
+        """(N, 2) lower right corners of the keypoints' boxes, pixels."""
+        return self.keypoints_2d.max(axis=1)
+
+    @cached_property
+    def centroid(self) -> np.ndarray:
+        """(N, 2) means of the keypoints, pixels."""
+        return self.keypoints_2d.mean(axis=1)
+
+    @cached_property
+    def extent(self) -> np.ndarray:
+        """(N,) sizes of the hands in the picture: the longer sides of their keypoints' boxes, pixels."""
+        return np.asarray((self.box_max - self.box_min).max(axis=1))
+
+    @property
+    def side_probability(self) -> np.ndarray:
+        """(N,) probabilities that `side` is the true one, 1 where the detector is sure."""
+        judged = np.isfinite(self.right_side) & (self.score < SURE_SIDE_SCORE)
+        return np.where(judged, self.right_side, 1.0)
+
+    @cached_property
+    def likely_side(self) -> np.ndarray:
+        """(N,) indices in `SIDES` of the likelier sides, by the detector and the correction network."""
+        return np.where(self.side_probability >= 0.5, self.side, 1 - self.side)
+
+    @cached_property
+    def side_votes(self) -> np.ndarray:
+        """(N, 2) the scores, shared between the sides of `SIDES` by their probabilities."""
+        named = self.side_probability
+        votes = np.stack([self.score * named, self.score * (1.0 - named)], axis=1)
+        return np.where(self.side[:, None] == 0, votes, votes[:, ::-1])
+
+    @property
+    def asked_2020(self) -> np.ndarray:
+        """(N,) bool: hands that the landmark network of December 2020 has seen."""
+        if self.keypoints_2020 is None:
+            return np.zeros(len(self), dtype=bool)
+        return np.asarray(np.isfinite(self.keypoints_2020).all(axis=(1, 2)))
+
+    @property
+    def rows_by_frame(self) -> list[np.ndarray]:
+        """The rows of each frame that has hands."""
+        rows = np.split(np.arange(len(self)), np.flatnonzero(np.diff(self.frame)) + 1)
+        return rows if len(self) else []
 
     def forget_corrections(self) -> None:
         """Free half of the memory by dropping `corrected`, for which the correction network has to run
-        again."""
-        self._corrected = None
+        again. Nothing else of an object ever changes."""
+        object.__setattr__(self, "corrected", None)
 
-    @overload
-    def __getitem__(self, index: int) -> HandDetection | None: ...
 
-    @overload
-    def __getitem__(self, index: slice) -> tuple[HandDetection | None, ...]: ...
+_UNKNOWN: Final = {
+    "shown": False,
+    "given_side": -1,
+    "certainty": np.nan,
+    "right_side": np.nan,
+    "distance": np.nan,
+    "corrected_side": -1,
+}
+"""What stands in a small column that nobody filled"""
 
-    def __getitem__(self, index: int | slice) -> HandDetection | tuple[HandDetection | None, ...] | None:
-        if isinstance(index, slice):
-            return tuple(self[i] for i in range(*index.indices(len(self))))
-        if (row := self._rows[index]) < 0:
-            return None
-        other = self._others[row]
-        corrected = None
-        if other.corrected is not None and self._corrected is not None:
-            corrected = other.corrected[0], self._corrected[row]
-        second = None
-        if other.keypoints_2020 is not None and self._keypoints_2020 is not None:
-            second = self._keypoints_2020[row]
-        return replace(
-            other,
-            keypoints=self._keypoints[row],
-            world=self._world[row],
-            keypoints_2020=second,
-            corrected=corrected,
-        )
+
+def _column(name: str, spec: Array, rows: Sequence[Any]) -> Any:
+    """The values of N hands as a column, NaN or False for None; None where all are, if that is allowed."""
+    if spec.optional and all(row is None for row in rows):
+        return None
+    shape = tuple(size for size in spec.shape if isinstance(size, int))
+    nothing = np.full(shape, False if spec.kind == "b" else np.nan)
+    column = np.array([nothing if row is None else row for row in rows], spec.dtype(np.float64))
+    if len(rows) and column.shape[1:] != shape:
+        raise ValueError(f"{name} has the shape {column.shape[1:]}, expected {shape}")
+    return column.reshape(-1, *shape)
+
+
+def _side_indices(sides: Sequence[Side | None]) -> np.ndarray:
+    """(N,) indices in `SIDES`; -1 for None."""
+    return np.array([-1 if side is None else SIDES.index(side) for side in sides], dtype=np.int64)
+
+
+def largest_extent(extents: np.ndarray) -> float:
+    """95th percentile of hands' extents (N,), pixels, which leaves out false detections and a hand that
+    reaches for the lens; 0 where there is no hand."""
+    return float(np.percentile(extents, 95.0)) if len(extents) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class DetectedTrack:
-    """One hand tracked over a clip's T frames; None where it was not found."""
+class Track:
+    """One hand over a clip's T frames."""
 
     side: Side
-    detections: Sequence[HandDetection | None]
+    detections: Detections
+    """N <= T, at most one in a frame"""
+    frame_count: int
+    """T"""
     fps: float = 25.0
     """Frames per second: how far apart in time they are"""
     holes: tuple[int, ...] = ()
@@ -263,4 +293,6 @@ class DetectedTrack:
     @property
     def detected(self) -> np.ndarray:
         """(T,) bool"""
-        return np.array([d is not None for d in self.detections], dtype=bool)
+        detected = np.zeros(self.frame_count, dtype=bool)
+        detected[self.detections.frame] = True
+        return detected

@@ -9,38 +9,39 @@ from typing import Final
 import numpy as np
 
 from handfit_core.batch import slices
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 
 _PALM = [0, 5, 9, 13, 17]
 _BONES = [[parent, point] for point, parent in enumerate(KEYPOINT_PARENTS) if parent >= 0]
 
-SAME_HAND_DISTANCE = 0.25
-"""`distance`, in hand sizes, below which two detections are of one hand"""
 
-SAME_HAND_PALM_DISTANCE = 0.25
-"""Distance of the palms' centres, in hand sizes, below which two detections are of one hand"""
+@dataclass(frozen=True)
+class MatchingSettings:
+    """When two detections of one picture are of one hand, or touch. Lengths are in hand sizes."""
 
-SAME_HAND_IOU = 0.5
-"""IoU of the keypoints' boxes above which two detections are of one hand"""
+    same_hand_distance: float = 0.25
+    """`distance` below which two detections are of one hand"""
+    same_hand_palm_distance: float = 0.25
+    """Distance of the palms' centres below which two detections are of one hand"""
+    same_hand_iou: float = 0.5
+    """IoU of the keypoints' boxes above which two detections are of one hand"""
+    chosen_hand_iou: float = 0.97
+    """IoU with the box of a hand's keypoints above which a person's box was drawn about that very hand"""
+    bone_radius: float = 0.14
+    """A point nearer than this to another hand's bones lies on it, or so near that the landmark network may
+    take the one hand for the other"""
+    min_part_inside: float = 0.5
+    """Share of the smaller hand's points within the other's box above which it may be a part of that hand,
+    as fingers are, or the same hand without its forearm"""
+    max_part_size: float = 0.6
+    """Size of such a part, in sizes of the other hand, at most"""
+    pairs_at_once: int = 1 << 9
+    """Pairs of hands whose points are compared together: what a processor's cache holds, and what takes no
+    new memory from the system each time"""
 
-CHOSEN_HAND_IOU = 0.97
-"""IoU with the box of a hand's keypoints above which a person's box was drawn about that very hand"""
 
-BONE_RADIUS = 0.14
-"""Hand sizes; a point nearer than this to another hand's bones lies on it, or so near that the landmark
-network may take the one hand for the other"""
-
-MIN_PART_INSIDE = 0.5
-"""Share of the smaller hand's points within the other's box above which it may be a part of that hand, as
-fingers are, or the same hand without its forearm"""
-
-MAX_PART_SIZE = 0.6
-"""Size of such a part, in sizes of the other hand, at most"""
-
-_PAIRS_AT_ONCE: Final = 1 << 9
-"""Pairs of hands whose points are compared together: what a processor's cache holds, and what takes no new
-memory from the system each time"""
+MATCHING: Final = MatchingSettings()
 
 
 def distance(a: HandDetection, b: HandDetection, shift: np.ndarray | float = 0.0) -> float:
@@ -50,87 +51,62 @@ def distance(a: HandDetection, b: HandDetection, shift: np.ndarray | float = 0.0
     return float(np.mean(np.linalg.norm(a.keypoints_2d + shift - b.keypoints_2d, axis=-1))) / size
 
 
-@dataclass(frozen=True, eq=False)
-class HandArrays:
-    """N hands as arrays in pixels, so that many pairs of them are compared at once.
+def distances(
+    hands: Detections,
+    rows: np.ndarray,
+    other_rows: np.ndarray,
+    limit: float,
+    shift: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """(P,) `distance` of the hands in those rows (P,), each shifted by (P, 2) pixels, to those in the other
+    rows (P,); infinite where it exceeds `limit`, which the centroids alone mostly tell."""
+    shift = np.broadcast_to(shift, (len(rows), 2))
+    size = np.maximum(np.maximum(hands.extent[rows], hands.extent[other_rows]), 1e-9)
+    apart = _lengths(hands.centroid[rows] + shift - hands.centroid[other_rows])
+    found = np.full(len(rows), np.inf)
+    # The mean of the points' distances is no less than the distance of their means.
+    near = np.flatnonzero(apart <= limit * size * 1.001)
+    for part in slices(len(near), MATCHING.pairs_at_once):
+        pairs = near[part]
+        difference = hands.keypoints_2d[rows[pairs]] + shift[pairs, None]
+        difference -= hands.keypoints_2d[other_rows[pairs]]
+        found[pairs] = _lengths(difference).mean(axis=-1) / size[pairs]
+    return found
 
-    Rows (P,) are indices of hands; row i of one argument is paired with row i of the other.
-    """
 
-    points: np.ndarray
-    """(N, 21, 2)"""
-    box_min: np.ndarray
-    """(N, 2) upper left corners of the points' boxes"""
-    box_max: np.ndarray
-    """(N, 2) lower right corners"""
-    centroid: np.ndarray
-    """(N, 2) means of the points"""
-    extent: np.ndarray
-    """(N,) longer sides of the boxes, as `HandDetection.extent`"""
+def share_within(hands: Detections, rows: np.ndarray, box_rows: np.ndarray) -> np.ndarray:
+    """(P,) share of the points of the hands in those rows (P,) that lie within the boxes of those in the
+    other rows (P,)."""
+    share = np.zeros(len(rows))
+    low, high = hands.box_min, hands.box_max
+    overlapping = (low[rows] <= high[box_rows]) & (high[rows] >= low[box_rows])
+    candidates = np.flatnonzero(overlapping.all(axis=1))
+    for part in slices(len(candidates), MATCHING.pairs_at_once):
+        pairs = candidates[part]
+        points, boxes = hands.keypoints_2d[rows[pairs]], box_rows[pairs]
+        inside = (points >= low[boxes, None]) & (points <= high[boxes, None])
+        share[pairs] = inside.all(axis=-1).mean(axis=-1)
+    return share
 
-    @classmethod
-    def of(cls, hands: Sequence[HandDetection]) -> HandArrays:
-        """Gather the keypoints of hands."""
-        points = np.array([hand.keypoints_2d for hand in hands]).reshape(-1, NUM_KEYPOINTS, 2)
-        box_min, box_max = points.min(axis=1), points.max(axis=1)
-        return cls(points, box_min, box_max, points.mean(axis=1), np.max(box_max - box_min, axis=1))
 
-    def distances(
-        self,
-        rows: np.ndarray,
-        other: HandArrays,
-        other_rows: np.ndarray,
-        limit: float,
-        shift: np.ndarray | float = 0.0,
-    ) -> np.ndarray:
-        """(P,) `distance` of these hands, each shifted by (P, 2) pixels, to those of `other`; infinite where
-        it exceeds `limit`, which the centroids alone mostly tell."""
-        shift = np.broadcast_to(shift, (len(rows), 2))
-        size = np.maximum(np.maximum(self.extent.take(rows), other.extent.take(other_rows)), 1e-9)
-        apart = _lengths(self.centroid.take(rows, axis=0) + shift - other.centroid.take(other_rows, axis=0))
-        distances = np.full(len(rows), np.inf)
-        # The mean of the points' distances is no less than the distance of their means.
-        near = np.flatnonzero(apart <= limit * size * 1.001)
-        for part in slices(len(near), _PAIRS_AT_ONCE):
-            pairs = near[part]
-            difference = self.points.take(rows[pairs], axis=0)
-            difference += shift[pairs, None]
-            difference -= other.points.take(other_rows[pairs], axis=0)
-            distances[pairs] = _lengths(difference).mean(axis=-1) / size[pairs]
-        return distances
-
-    def share_within(self, rows: np.ndarray, box_rows: np.ndarray) -> np.ndarray:
-        """(P,) share of a hand's points that lie within the other hand's box."""
-        share = np.zeros(len(rows))
-        overlapping = (self.box_min[rows] <= self.box_max[box_rows]) & (
-            self.box_max[rows] >= self.box_min[box_rows]
-        )
-        candidates = np.flatnonzero(overlapping.all(axis=1))
-        for part in slices(len(candidates), _PAIRS_AT_ONCE):
-            pairs = candidates[part]
-            points, boxes = self.points[rows[pairs]], box_rows[pairs]
-            inside = (points >= self.box_min[boxes, None]) & (points <= self.box_max[boxes, None])
-            share[pairs] = inside.all(axis=-1).mean(axis=-1)
-        return share
-
-    def covers(self, points: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """(K,) bool: which points (K, 2) lie on one of these hands (P,), within `BONE_RADIUS` of its
-        bones."""
-        covered = np.zeros(len(points), dtype=bool)
-        for part in slices(len(rows), _PAIRS_AT_ONCE // NUM_KEYPOINTS):
-            # In a dense crowd a few hands cover every point.
-            free = np.flatnonzero(~covered)
-            if not len(free):
-                break
-            bones = self.points[rows[part], None][:, :, _BONES]
-            radius = BONE_RADIUS * self.extent[rows[part]]
-            start, along = bones[..., 0, :], bones[..., 1, :] - bones[..., 0, :]
-            offset = points[free, None] - start
-            share = (offset * along).sum(axis=-1) / np.maximum(np.square(along).sum(axis=-1), 1e-9)
-            nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-            near = _lengths(points[free, None] - nearest) < radius[:, None, None]
-            covered[free] = near.any(axis=(0, 2))
-        return covered
+def covers(hands: Detections, rows: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(K,) bool: which points (K, 2) in pixels lie on one of the hands in those rows (P,), within
+    `MatchingSettings.bone_radius` of its bones."""
+    covered = np.zeros(len(points), dtype=bool)
+    for part in slices(len(rows), MATCHING.pairs_at_once // NUM_KEYPOINTS):
+        # In a dense crowd a few hands cover every point.
+        free = np.flatnonzero(~covered)
+        if not len(free):
+            break
+        bones = hands.keypoints_2d[rows[part]][:, None, _BONES]
+        radius = MATCHING.bone_radius * hands.extent[rows[part]]
+        start, along = bones[..., 0, :], bones[..., 1, :] - bones[..., 0, :]
+        offset = points[free, None] - start
+        share = (offset * along).sum(axis=-1) / np.maximum(np.square(along).sum(axis=-1), 1e-9)
+        nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+        near = _lengths(points[free, None] - nearest) < radius[:, None, None]
+        covered[free] = near.any(axis=(0, 2))
+    return covered
 
 
 def _lengths(vectors: np.ndarray) -> np.ndarray:
@@ -140,12 +116,12 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
 
 def is_same_hand(a: HandDetection, b: HandDetection) -> bool:
     """Whether two detections are of one hand, be it once as a left and once as a right one."""
-    if distance(a, b) < SAME_HAND_DISTANCE:
+    if distance(a, b) < MATCHING.same_hand_distance:
         return True
     apart = a.keypoints_2d[_PALM].mean(axis=0) - b.keypoints_2d[_PALM].mean(axis=0)
-    if float(np.linalg.norm(apart)) < SAME_HAND_PALM_DISTANCE * max(a.extent, b.extent):
+    if float(np.linalg.norm(apart)) < MATCHING.same_hand_palm_distance * max(a.extent, b.extent):
         return True
-    return iou(a.keypoints_2d, b.keypoints_2d) > SAME_HAND_IOU
+    return iou(a.keypoints_2d, b.keypoints_2d) > MATCHING.same_hand_iou
 
 
 def is_part_of(a: HandDetection, b: HandDetection) -> bool:
@@ -153,7 +129,10 @@ def is_part_of(a: HandDetection, b: HandDetection) -> bool:
     small, large = sorted((a, b), key=lambda hand: hand.extent)
     box_min, box_max = large.keypoints_2d.min(axis=0), large.keypoints_2d.max(axis=0)
     inside = ((small.keypoints_2d >= box_min) & (small.keypoints_2d <= box_max)).all(axis=-1)
-    return small.extent < MAX_PART_SIZE * large.extent and float(inside.mean()) > MIN_PART_INSIDE
+    return (
+        small.extent < MATCHING.max_part_size * large.extent
+        and float(inside.mean()) > MATCHING.min_part_inside
+    )
 
 
 def hand_of_box(hands: Iterable[HandDetection], box: Sequence[float]) -> HandDetection | None:
@@ -163,7 +142,7 @@ def hand_of_box(hands: Iterable[HandDetection], box: Sequence[float]) -> HandDet
     corners = np.array([[x, y], [x + width, y + height]])
     overlaps = [(iou(hand.keypoints_2d, corners), hand) for hand in hands]
     best, hand = max(overlaps, key=lambda each: each[0], default=(0.0, None))
-    return hand if best > CHOSEN_HAND_IOU else None
+    return hand if best > MATCHING.chosen_hand_iou else None
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -172,11 +151,6 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
     intersection = float(np.clip(high - low, 0.0, None).prod())
     areas = sum(float(np.ptp(points, axis=0).prod()) for points in (a, b))
     return intersection / max(areas - intersection, 1e-9)
-
-
-def overlapped(hand: HandDetection, other: HandDetection) -> np.ndarray:
-    """(21,) bool: which points of a hand lie on the other hand."""
-    return HandArrays.of([other]).covers(hand.keypoints_2d, np.zeros(1, dtype=int))
 
 
 def mean_detection(hands: Sequence[HandDetection]) -> HandDetection:

@@ -7,10 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handfit_core.detect.detector import Detector
+from handfit_core.detect.detector import Detector, Region
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.media.source import Frame
-from handfit_core.options import Region
 
 log = logging.getLogger("handfit")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Detector, DetectorSettings
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import hand_of_box
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.search import Search
@@ -45,7 +45,7 @@ class StillFinder(Detector):
             for hand in self._last[: self._max_hands]
             if rgb is not None
         ]
-        return tuple(with_side_judged(hands))
+        return tuple(_with_side_judged(hands))
 
     def detect_in_box(
         self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
@@ -55,4 +55,11 @@ class StillFinder(Detector):
         if hand is None:
             return None
         hand = self._networks.with_keypoints_2020(rgb, hand)
-        return replace(with_side_judged([hand])[0], shown=True, given_side=side)
+        return replace(_with_side_judged([hand])[0], shown=True, given_side=side)
+
+
+def _with_side_judged(hands: Sequence[HandDetection]) -> list[HandDetection]:
+    judged = with_side_judged(Detections.of([hands]))
+    assert judged.corrected is not None
+    rows = zip(hands, judged.right_side.tolist(), judged.corrected, strict=True)
+    return [replace(hand, right_side=right, corrected=(hand.side, table)) for hand, right, table in rows]

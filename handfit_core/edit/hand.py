@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from handfit_core.arrays import array, array_dataclass, check_arrays, value
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.batch import scatter
+from handfit_core.detect.keypoints import Detections
 from handfit_core.doors.values import Unfit, flag, listed, number, path, shortly, whole
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
@@ -54,8 +55,8 @@ class RefineHand(HandMotion):
     """
 
     intrinsics: Intrinsics = value(_camera)
-    detections: tuple[HandDetection | None, ...]
-    """T of them; None where nothing was detected"""
+    detections: Detections
+    """At most one in each of the T frames"""
     pins: np.ndarray = array("T", NUM_KEYPOINTS, 2)
     """pixels where the detector's keypoints truly are, as the artist says; NaN: not pinned"""
     locked: np.ndarray = array(NUM_JOINTS, kind="b")
@@ -76,9 +77,14 @@ class RefineHand(HandMotion):
     for the palm, wherever it is nearest. NaN: none; None: none does"""
 
     def __post_init__(self) -> None:
-        if not self.detections:
-            raise OptionError("detections must have an entry for each frame, and at least one")
-        check_arrays(self, OptionError, T=len(self.detections))
+        check_arrays(self, OptionError)
+        check_arrays(self.detections, OptionError, "detections: ")
+        frame = self.detections.frame
+        if not len(self) or np.any(np.diff(frame) <= 0) or np.any((frame < 0) | (frame >= len(self))):
+            raise OptionError(
+                f"detections: at most one can be in each of the {len(self)} frames, of which "
+                "there must be some, in their order"
+            )
         if (np.isnan(self.pins).sum(axis=-1) == 1).any():
             raise OptionError("pins must have x and y in pixels, or NaN for both where a point is not pinned")
         if self.touches is not None:
@@ -89,24 +95,14 @@ class RefineHand(HandMotion):
                         f"touches: keypoint {point} must name a smaller one of another finger, 0 for the "
                         f"palm, or NaN; not {other:g}"
                     )
-        for row, detection in enumerate(self.detections):
-            if detection is None:
-                continue
-            for name in ("keypoints", "world"):
-                points = np.asarray(getattr(detection, name))
-                if points.shape != (NUM_KEYPOINTS, 3) or not np.isfinite(points).all():
-                    raise OptionError(
-                        f"detections: {name} of row {row} must be {NUM_KEYPOINTS} finite points; give None "
-                        "where there is no detection"
-                    )
 
     def __len__(self) -> int:
-        return len(self.detections)
+        return len(self.pins)
 
     @property
     def detected(self) -> np.ndarray:
         """(T,) bool."""
-        return np.array([d is not None for d in self.detections])
+        return scatter(np.ones(len(self.detections), dtype=bool), self.detections.frame, len(self), False)
 
     @property
     def pinned(self) -> np.ndarray:

@@ -10,13 +10,13 @@ import numpy as np
 
 from handfit_core.arrays import LARGEST, array, array_dataclass, check_arrays, packed, unpacked
 from handfit_core.batch import scatter
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.recent import Recent
 from handfit_core.edit.refit import refit_each, refit_range
 from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_KEYPOINTS, Side, other_side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import ShouldStop
 
 MODES = ("each", "draft", "range")
@@ -44,39 +44,34 @@ class _Detections:
     @classmethod
     def of(cls, hand: RefineHand) -> _Detections:
         """The detections of a hand; arrays that no frame has are None."""
-        count, there = len(hand), hand.detected
-        found = [d for d in hand.detections if d is not None]
-        nowhere, unasked = np.zeros(NUM_KEYPOINTS, dtype=bool), np.full((NUM_KEYPOINTS, 3), np.nan)
-        second = [unasked if d.keypoints_2020 is None else d.keypoints_2020 for d in found]
-        overlapped = [nowhere if d.overlapped is None else d.overlapped for d in found]
+        hands = hand.detections
+        second, overlapped = hands.keypoints_2020, hands.overlapped
+
+        def over_time(rows: np.ndarray, nothing: Any = np.nan) -> np.ndarray:
+            return scatter(rows, hands.frame, len(hand), nothing)
+
         return cls(
-            *(
-                scatter(np.reshape([getattr(d, name) for d in found], (-1, NUM_KEYPOINTS, 3)), there, count)
-                for name in ("keypoints", "world")
-            ),
-            score=scatter([d.score for d in found], there, count),
-            agrees=scatter([d.side == hand.side for d in found], there, count, True),
-            keypoints_2020=scatter(second, there, count) if np.isfinite(second).any() else None,
-            overlapped=scatter(overlapped, there, count, False) if np.any(overlapped) else None,
+            keypoints=over_time(hands.keypoints),
+            world=over_time(hands.world),
+            score=over_time(hands.score),
+            agrees=over_time(hands.side == SIDES.index(hand.side), True),
+            keypoints_2020=None if second is None or not hands.asked_2020.any() else over_time(second),
+            overlapped=None if overlapped is None or not overlapped.any() else over_time(overlapped, False),
         )
 
-    def of_side(self, side: Side) -> tuple[HandDetection | None, ...]:
+    def of_side(self, side: Side) -> Detections:
         """The inverse, for a hand of that side."""
         points = np.concatenate([self.keypoints, self.world], axis=1)
-        there = np.asarray(np.isfinite(points).all(axis=(1, 2)))
-        second = self.keypoints_2020
-        return tuple(
-            HandDetection(
-                side if self.agrees is None or self.agrees[row] else other_side(side),
-                float(np.nan_to_num(self.score[row], nan=0.5)),
-                self.keypoints[row],
-                self.world[row],
-                keypoints_2020=None if second is None or not np.isfinite(second[row]).all() else second[row],
-                overlapped=None if self.overlapped is None else self.overlapped[row],
-            )
-            if there[row]
-            else None
-            for row in range(len(there))
+        frame = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+        named = np.full(len(frame), SIDES.index(side))
+        return Detections(
+            frame=frame,
+            side=named if self.agrees is None else np.where(self.agrees[frame], named, 1 - named),
+            score=np.nan_to_num(self.score[frame], nan=0.5),
+            keypoints=self.keypoints[frame],
+            world=self.world[frame],
+            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[frame],
+            overlapped=None if self.overlapped is None else self.overlapped[frame],
         )
 
 
@@ -95,8 +90,10 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     if not isinstance(message, Mapping):
         raise ProtocolError("refit: hand must be an object")
     fields = unpacked(RefineHand, message, "refit: ")
-    detections = _Detections(**unpacked(_Detections, message, "refit: ")).of_side(fields["side"])
-    return RefineHand(detections=detections, **fields)
+    seen = _Detections(**unpacked(_Detections, message, "refit: "))
+    hand = RefineHand(detections=seen.of_side(fields["side"]), **fields)
+    check_arrays(seen, OptionError, T=len(hand))
+    return hand
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:

@@ -26,7 +26,6 @@ class Recent:
 
 
 def _key(hand: RefineHand) -> tuple[object, ...]:
-    arrays = [hand.betas, *hand.pose, hand.locked]
-    seen = [d.keypoints for d in hand.detections if d is not None]
-    numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in (*arrays, *seen))
+    arrays = [hand.betas, *hand.pose, hand.locked, hand.detections.keypoints]
+    numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in arrays)
     return (hand.side, hand.model, hand.intrinsics, len(hand), *numbers)

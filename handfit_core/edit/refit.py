@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import HandModelError
@@ -67,9 +67,7 @@ def warm_up(model: str = OPEN_HAND) -> None:
             errors.append(error)
             continue
         hand = seen_hand(loaded, model, side)
-        (seen,) = hand.detections
-        assert seen is not None
-        hand.pins[0, 8] = seen.keypoints_2d[8] + 10.0  # a fingertip is pulled
+        hand.pins[0, 8] = hand.detections.keypoints_2d[0, 8] + 10.0  # a fingertip is pulled
         refit_each(hand)
     if len(errors) == len(SIDES):
         raise errors[0]
@@ -83,8 +81,12 @@ def seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
     pixels = camera.project(points)
     pins = np.full((1, NUM_KEYPOINTS, 2), np.nan)
     depth = (points[..., 2:] - points[:, :1, 2:]) * camera.fx / points[..., 2:].mean()
-    detection = HandDetection(
-        side, 0.9, np.concatenate([pixels, depth], axis=2)[0], (points - points.mean(axis=1))[0]
+    detections = Detections(
+        frame=np.zeros(1, dtype=int),
+        side=np.array([SIDES.index(side)]),
+        score=np.array([0.9]),
+        keypoints=np.concatenate([pixels, depth], axis=2),
+        world=points - points.mean(axis=1),
     )
     locked = np.zeros(NUM_JOINTS, dtype=bool)
-    return RefineHand(side, np.zeros(NUM_BETAS), *pose, camera, (detection,), pins, locked, model)
+    return RefineHand(side, np.zeros(NUM_BETAS), *pose, camera, detections, pins, locked, model)

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handfit_core.arrays import arrays_of
 from handfit_core.batch import Batch, scatter
 from handfit_core.detect.correction.corrected import landmarked
-from handfit_core.detect.keypoints import HandDetection, Landmarked
+from handfit_core.detect.keypoints import Detections, Landmarked
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.free import is_free, pose_from_pins
 from handfit_core.edit.hand import RefineHand
@@ -413,12 +414,12 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
     """Corrected landmarks of the frames `rows`; NaN where nothing is detected."""
-    detections = [d for row in rows if (d := hand.detections[row]) is not None]
     there = hand.detected[rows]
+    detections = hand.detections.select(np.searchsorted(hand.detections.frame, rows[there]))
     count = len(rows)
     points = (count, NUM_KEYPOINTS)
     whole = Landmarked(*(np.full(shape, np.nan) for shape in ((*points, 2), (*points, 2), points, points)))
-    if detections:
+    if len(detections):
         found = _corrected_once(hand.side, detections)
         order = np.where(there, np.cumsum(there) - 1, 0)
         whole = found.select(order).where(there, whole)
@@ -429,12 +430,10 @@ _LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
 """The landmarks of the last single detection, as a drag asks for the same ones again and again"""
 
 
-def _corrected_once(side: Side, detections: list[HandDetection]) -> Landmarked:
+def _corrected_once(side: Side, detections: Detections) -> Landmarked:
     if len(detections) > 1:
         return landmarked(detections, side)
-    (one,) = detections
-    others = [None if a is None else a.tobytes() for a in (one.keypoints_2020, one.overlapped)]
-    key = (side, one.side, one.score, one.keypoints.tobytes(), one.world.tobytes(), *others)
+    key = (side, *((name, column.tobytes()) for name, column in arrays_of(detections).items()))
     if "one" not in _LAST or _LAST["one"][0] != key:
         _LAST["one"] = key, landmarked(detections, side)
     return _LAST["one"][1]

@@ -17,9 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from handfit_core import detect, media
+from handfit_core.arrays import declared, kept_arrays
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
-from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.opening import open_detector, settings_of
 from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
@@ -37,8 +38,8 @@ UNREADABLE = (0, 0)
 class UnitDetections:
     """What was found in the T pictures of a unit."""
 
-    frames: tuple[tuple[HandDetection, ...], ...]
-    """(T)"""
+    hands: Detections
+    """Of all pictures"""
     sizes: np.ndarray
     """(T, 2) int: width and height in pixels; UNREADABLE where the picture could not be read"""
     milliseconds: np.ndarray
@@ -112,7 +113,7 @@ class UnitDetector:
         started = time.perf_counter()
         found = detect_frames(clip, self._options)
         each = 1000 * (time.perf_counter() - started) / len(unit.entries)
-        return UnitDetections(tuple(found.frames), np.array(clip.sizes), np.full(len(unit.entries), each))
+        return UnitDetections(found.hands, np.array(clip.sizes), np.full(len(unit.entries), each))
 
 
 def _detected(unit: Unit, finder: Detector, on_picture: Callable[[], None]) -> UnitDetections:
@@ -125,7 +126,7 @@ def _detected(unit: Unit, finder: Detector, on_picture: Callable[[], None]) -> U
         sizes.append(size)
         spent.append(1000 * (time.perf_counter() - started))
         on_picture()
-    return UnitDetections(tuple(frames), np.array(sizes), np.array(spent))
+    return UnitDetections(Detections.of(frames), np.array(sizes), np.array(spent))
 
 
 class _Clip(Media):
@@ -161,12 +162,9 @@ def _read(entry: Entry) -> tuple[np.ndarray | None, tuple[int, int]]:
 
 
 def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
-    return {
-        "sizes": found.sizes,
-        "milliseconds": found.milliseconds,
-        **hands_to_arrays(found.frames),
-    }
+    return {"sizes": found.sizes, "milliseconds": found.milliseconds, **kept_arrays(found.hands)}
 
 
 def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
-    return UnitDetections(tuple(hands_from_arrays(arrays)), arrays["sizes"], arrays["milliseconds"])
+    columns = {name: arrays[name] for name in declared(Detections) if name in arrays}
+    return UnitDetections(Detections(**columns), arrays["sizes"], arrays["milliseconds"])

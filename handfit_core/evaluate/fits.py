@@ -18,7 +18,7 @@ import numpy as np
 from handfit_core import fit, geometry, paper, skeleton, solvers
 from handfit_core.detect import correction
 from handfit_core.detect.correction import network
-from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.detect.keypoints import Track
 from handfit_core.evaluate import methods
 from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
 from handfit_core.evaluate.methods import TrackResult, get_method
@@ -35,7 +35,7 @@ class FitTask:
     """One method on one track."""
 
     method: str
-    track: DetectedTrack
+    track: Track
     intrinsics: Intrinsics
 
 
@@ -92,17 +92,11 @@ class Fits:
     def _path(self, task: FitTask) -> Path:
         side = task.track.side
         sha = hashlib.sha256(
-            f"{self._made_with}|{task.method}|{side}|{task.track.fps!r}|{self._of_model[side]}|{task.intrinsics}".encode()
+            f"{self._made_with}|{task.method}|{side}|{task.track.fps!r}|{task.track.frame_count}|{self._of_model[side]}|{task.intrinsics}".encode()
         )
-        for detection in task.track.detections:
-            if detection is None:
-                sha.update(b"none")
-            else:
-                sha.update(np.ascontiguousarray(detection.keypoints).tobytes())
-                sha.update(np.ascontiguousarray(detection.world).tobytes())
-                sha.update(f"{detection.score!r}|{detection.side}".encode())
-                if detection.overlapped is not None:
-                    sha.update(detection.overlapped.tobytes())
+        hands = task.track.detections
+        for column in (hands.frame, hands.side, hands.score, hands.keypoints, hands.world, hands.overlapped):
+            sha.update(b"none" if column is None else column.tobytes())
         return self._folder / task.method / f"{sha.hexdigest()[:32]}.npz"
 
 

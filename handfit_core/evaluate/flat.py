@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import LEAST_POINTS, SeenHands
-from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 
 @dataclass(frozen=True)
@@ -23,22 +22,19 @@ class Flat:
     """Of the points, those that are dropped"""
 
 
-def flattened(detections: Sequence[HandDetection], flat: Flat, seed: int = 0) -> list[HandDetection]:
+def flattened(detections: Detections, flat: Flat, seed: int = 0) -> Detections:
     """The same hands by their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are.
     Their sides are those that the detector held for likelier."""
-    if not detections:
-        return []
     rng = np.random.default_rng(seed)
-    points = np.array([d.keypoints_2d for d in detections], dtype=np.float64)
-    size = np.array([d.extent for d in detections])
+    points, size = detections.keypoints_2d, detections.extent
     points = points + flat.noise * size[:, None, None] * rng.normal(size=points.shape)
     lost = rng.random(points.shape[:2]) < flat.missing
     lost[(~lost).sum(axis=1) < LEAST_POINTS] = False
     points[lost] = np.nan
     hands = SeenHands(
-        row=np.arange(len(points)),
-        left=np.array([d.likely_side == "left" for d in detections]),
-        score=np.array([d.score for d in detections]),
+        row=detections.frame,
+        left=detections.likely_side == SIDES.index("left"),
+        score=detections.score,
         keypoints=points,
         confidence=np.ones((len(points), NUM_KEYPOINTS)),
     )

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
 
 import numpy as np
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import Track
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.scores import ProtocolName
 from handfit_core.geometry.camera import Intrinsics
@@ -61,35 +61,38 @@ class TrackResult:
         return float(surface.depths(surface.of(row[:, :10], row[:, 13:58]))[0])
 
 
-Method = Callable[[Models, DetectedTrack, Intrinsics], TrackResult]
+Method = Callable[[Models, Track, Intrinsics], TrackResult]
 """Fits a whole track, seen through one camera, with the model of the track's side."""
 
 
-def image_landmarks(detection: HandDetection) -> np.ndarray:
-    """(21, 3) pixels with depth, as they are."""
-    return detection.keypoints
+def image_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:  # noqa: ARG001
+    """Keypoints (21, 3) in pixels with depth, as they are; `world` (21, 3) in metres does not count."""
+    return keypoints
 
 
-def world_landmarks(detection: HandDetection) -> np.ndarray:
-    """(21, 3) pixels with depth: world landmarks laid over the image landmarks by a similarity transform."""
-    return align(detection.world, detection.keypoints, with_scale=True).apply(detection.world)
+def world_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """(21, 3) pixels with depth: world landmarks (21, 3) in metres, laid over the keypoints (21, 3) in pixels
+    by a similarity transform."""
+    return align(world, keypoints, with_scale=True).apply(world)
 
 
-def fused_landmarks(detection: HandDetection) -> np.ndarray:
-    """(21, 3) pixels with depth: x and y of the image landmarks, the depth averaged over both sets."""
-    fused = detection.keypoints.copy()
-    fused[:, 2] = (fused[:, 2] + world_landmarks(detection)[:, 2]) / 2.0
+def fused_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:
+    """(21, 3) pixels with depth: x and y of the keypoints (21, 3), the depth averaged over these and world
+    landmarks (21, 3)."""
+    fused = keypoints.copy()
+    fused[:, 2] = (fused[:, 2] + world_landmarks(keypoints, world)[:, 2]) / 2.0
     return fused
 
 
-def in_metres(picture_points: np.ndarray, detection: HandDetection, intrinsics: Intrinsics) -> np.ndarray:
+def in_metres(picture_points: np.ndarray, world: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     """(21, 3) pixels with depth -> (21, 3) metres in the camera frame.
 
-    The size is the world landmarks': the scale of the similarity transform from the points to them.
+    The size is that of the world landmarks (21, 3) in metres: the scale of the similarity transform from the
+    points to them.
     The shape is left as it is, as if seen from far away, and stands where a pinhole camera sees a hand
     of that size that large.
     """
-    metres_per_pixel = align(picture_points, detection.world, with_scale=True).scale
+    metres_per_pixel = align(picture_points, world, with_scale=True).scale
     centre = picture_points[:, :2].mean(axis=0)
     depth = metres_per_pixel * (intrinsics.fx + intrinsics.fy) / 2.0
     offsets = picture_points - np.array([*centre, picture_points[:, 2].mean()])
@@ -97,25 +100,26 @@ def in_metres(picture_points: np.ndarray, detection: HandDetection, intrinsics: 
 
 
 def raw(
-    landmarks: Callable[[HandDetection], np.ndarray],
+    landmarks: Callable[[np.ndarray, np.ndarray], np.ndarray],
     models: Models,  # noqa: ARG001 (a method's signature)
-    track: DetectedTrack,
+    track: Track,
     intrinsics: Intrinsics,
 ) -> TrackResult:
     """The detector's landmarks as they are."""
-    count = len(track.detections)
+    hands, count = track.detections, track.frame_count
     points, picture = _empty(count), _empty(count)
-    for i, detection in enumerate(track.detections):
-        if detection is not None:
-            picture[i] = landmarks(detection)
-            points[i] = in_metres(picture[i], detection, intrinsics)
+    for i, keypoints, world in zip(hands.frame, hands.keypoints, hands.world, strict=True):
+        picture[i] = landmarks(keypoints, world)
+        points[i] = in_metres(picture[i], world, intrinsics)
     nothing = np.full(count, np.nan)
     return TrackResult(points, picture, nothing, np.empty((count, 0)), nothing)
 
 
-def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
+def solved(solver: str, models: Models, track: Track, intrinsics: Intrinsics) -> TrackResult:
     """A solver, called as a capture calls it."""
     model, seen = models[track.side], track.detected
+    # The next solver wants the corrections that this one may forget.
+    track = replace(track, detections=replace(track.detections))
     started = time.perf_counter()
     fit = get_solver(solver)(model, track, intrinsics, lambda: None)
     spent = 1000 * (time.perf_counter() - started) / max(1, int(seen.sum()))
@@ -133,23 +137,21 @@ def solved(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrin
     )
 
 
-def published(solver: str, models: Models, track: DetectedTrack, intrinsics: Intrinsics) -> TrackResult:
+def published(solver: str, models: Models, track: Track, intrinsics: Intrinsics) -> TrackResult:
     """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
     the inverse of its alignment, with no camera anywhere."""
 
     model = models[track.side]
     fitter = PaperFitter(model, EXPERIMENTS[solver])
-    count = len(track.detections)
+    hands, count = track.detections, track.frame_count
     points, picture, spent = _empty(count), _empty(count), np.full(count, np.nan)
-    for i, detection in enumerate(track.detections):
-        if detection is None:
-            continue
+    for i, keypoints, world in zip(hands.frame, hands.keypoints, hands.world, strict=True):
         started = time.perf_counter()
-        fit = fitter.fit(detection.keypoints)
+        fit = fitter.fit(keypoints)
         spent[i] = 1000 * (time.perf_counter() - started)
         fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
         picture[i] = fit.in_picture(fitted)
-        points[i] = in_metres(picture[i], detection, intrinsics)
+        points[i] = in_metres(picture[i], world, intrinsics)
     return TrackResult(points, picture, spent, np.empty((count, 0)), np.full(count, np.nan))
 
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection, largest_extent
+from handfit_core.detect.keypoints import Track, largest_extent
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.errors import DatasetError, NoHandFoundError
 from handfit_core.evaluate.detections import UnitDetections
@@ -28,7 +28,7 @@ PAPER_SIDE: Side = "left"
 class TrackInView:
     """A detected track and the camera it is fitted through."""
 
-    track: DetectedTrack
+    track: Track
     intrinsics: Intrinsics
 
 
@@ -94,8 +94,8 @@ def rows_of(
             if camera == "labelled":
                 found.problems.append(Problem("camera missing: one is assumed", unit.entries[first].name))
             width, height = (int(side) for side in detections.sizes[first])
-            seen = (hand for t, frame in enumerate(detections.frames) if used[t] for hand in frame)
-            intrinsics = Intrinsics.assumed(width, height, largest_extent(seen))
+            extents = detections.hands.extent[np.array(used)[detections.hands.frame]]
+            intrinsics = Intrinsics.assumed(width, height, largest_extent(extents))
         elif camera == "labelled":
             changed = [
                 entry.name
@@ -145,7 +145,7 @@ def _strict_rows(
 ) -> None:
     """Tracks as a capture makes them; every labelled hand is a row, found or not."""
     try:
-        tracks = link_tracks(detections.frames, "auto", max_hands, _fps(unit))
+        tracks = link_tracks(detections.hands, len(unit.entries), "auto", max_hands, _fps(unit))
     except NoHandFoundError:
         tracks = ()
     in_view = [TrackInView(track, intrinsics) for track in tracks]
@@ -153,8 +153,9 @@ def _strict_rows(
     for t, entry, labels in frames:
         hands = [i for i, hand in enumerate(labels.hands) if _is_labelled(hand)]
         pixels = [label_pixels(labels.hands[i], labels.intrinsics) for i in hands]
-        present = [(view, d) for view in in_view if (d := view.track.detections[t]) is not None]
-        matched = match(pixels, [detection for _, detection in present])
+        found_in = [(view, view.track.detections) for view in in_view]
+        present = [(view, points) for view, d in found_in for points in d.keypoints_2d[d.frame == t]]
+        matched = match(pixels, [points for _, points in present])
         found.extra_hands += len(present) - sum(m is not None for m in matched)
         for index, which in zip(hands, matched, strict=True):
             track = None if which is None else present[which][0]
@@ -182,9 +183,10 @@ def _paper_rows(
         if not with_tips:
             found.problems.append(Problem("no labelled fingertip: dropped as in the paper", entry.name))
             continue
-        track = None
-        if detections.frames[t]:
-            track = TrackInView(DetectedTrack(PAPER_SIDE, (detections.frames[t][0],)), intrinsics)
+        track, hands = None, detections.hands
+        if len(at := np.flatnonzero(hands.frame == t)):
+            first = replace(hands.select(at[:1]), frame=np.zeros(1, dtype=int))
+            track = TrackInView(Track(PAPER_SIDE, first, frame_count=1), intrinsics)
             found.tracks.append(track)
         else:
             found.problems.append(Problem("no hand detected: dropped as in the paper", entry.name))
@@ -223,8 +225,9 @@ def label_pixels(hand: HandLabel, intrinsics: Intrinsics | None) -> np.ndarray:
     return intrinsics.project(in_front)
 
 
-def match(labels_2d: Sequence[np.ndarray], detections: Sequence[HandDetection]) -> list[int | None]:
-    """For each labelled hand's (21, 2) pixels the index of its detection, or None for a miss.
+def match(labels_2d: Sequence[np.ndarray], detections: Sequence[np.ndarray]) -> list[int | None]:
+    """For each labelled hand's (21, 2) pixels the index of its detection, whose keypoints are (21, 2) pixels,
+    too, or None for a miss.
 
     The assignment with the least total distance; the side plays no part, so that wrong sides are
     seen as such. Labels without any pixels can only be told by their order: they take what is left.
@@ -246,12 +249,12 @@ def match(labels_2d: Sequence[np.ndarray], detections: Sequence[HandDetection]) 
     return matched
 
 
-def _distance(pixels: np.ndarray, detection: HandDetection) -> float:
+def _distance(pixels: np.ndarray, keypoints: np.ndarray) -> float:
     """Mean distance of the labelled points in units of the hand's size."""
     known = np.isfinite(pixels).all(axis=-1)
-    distance = np.linalg.norm(detection.keypoints_2d[known] - pixels[known], axis=-1).mean()
+    distance = np.linalg.norm(keypoints[known] - pixels[known], axis=-1).mean()
     # One labelled point has no size, and a few may lie close together: the detection's then decides.
-    size = max(float(np.max(np.ptp(pixels[known], axis=0))), detection.extent, 1e-9)
+    size = max(*(float(np.ptp(points, axis=0).max()) for points in (pixels[known], keypoints)), 1e-9)
     return float(distance) / size
 
 

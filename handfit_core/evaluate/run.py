@@ -12,6 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 from itertools import count
 from pathlib import Path
 
+from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import Fits, FitTask
@@ -162,8 +163,9 @@ def _detected_rows(
         flat = options.flat
         if flat is None:
             return seen
-        frames = (tuple(flattened(hands, flat, seed=next(seeds))) for hands in seen.frames)
-        return replace(seen, frames=tuple(frames))
+        frames = (seen.hands.select(seen.hands.frame == row) for row in range(len(unit.entries)))
+        parts = [flattened(hands, flat, seed=next(seeds)) for hands in frames]
+        return replace(seen, hands=Detections.concatenate(parts))
 
     return rows_of(units, detect, protocol=options.protocol, max_hands=max_hands, camera=options.camera)
 

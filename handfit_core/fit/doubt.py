@@ -8,7 +8,6 @@ these by a similarity; the mean over the fingers is PA-MPJPE without the wrist. 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -16,11 +15,11 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import TERMS
-from handfit_core.skeleton import Side
+from handfit_core.skeleton import SIDES, Side
 
 FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
 
@@ -65,12 +64,12 @@ _ACROSS, _ALONG = (17, 5), (0, 9)
 
 
 @np.errstate(all="ignore")
-def side_logits(detections: Sequence[HandDetection], side: Side) -> np.ndarray:
+def side_logits(hands: Detections, side: Side) -> np.ndarray:
     """(B,) logits of each being a hand of that side; the highest where a person has said so, or where the
     side was not judged."""
-    judged = [d.given_side is None and d.right_side is not None for d in detections]
-    right = np.array([d.right_side for d in detections], dtype=np.float64)
-    right = np.where(judged, np.where([d.side == side for d in detections], right, 1.0 - right), 1.0)
+    judged = (hands.given_side < 0) & np.isfinite(hands.right_side)
+    named = hands.side == SIDES.index(side)
+    right = np.where(judged, np.where(named, hands.right_side, 1.0 - hands.right_side), 1.0)
     return np.clip(np.log(right / (1.0 - right)), -DOUBT.max_side_logit, DOUBT.max_side_logit)
 
 
@@ -120,16 +119,13 @@ def expected_error(features: np.ndarray, factor: np.ndarray | float = 1.0) -> np
 
 
 @np.errstate(all="ignore")
-def crop_spread_factor(detections: Sequence[HandDetection]) -> np.ndarray:
+def crop_spread_factor(hands: Detections) -> np.ndarray:
     """(B,) factors of the expected error, by how far the landmarks of several crops of a hand differ."""
-    factor = np.full(len(detections), DOUBT.calibration_factor)
-    for row, d in enumerate(detections):
-        if d.spread is not None:
-            spread = np.linalg.norm(d.spread[:, :2], axis=1).mean() / max(d.extent, 1e-9)
-            factor[row] *= (
-                max(spread / DOUBT.clean_crop_spread, DOUBT.min_crop_spread) ** DOUBT.crop_spread_power
-            )
-    return factor
+    if hands.spread is None:
+        return np.full(len(hands), DOUBT.calibration_factor)
+    spread = np.linalg.norm(hands.spread[..., :2], axis=2).mean(axis=1) / np.maximum(hands.extent, 1e-9)
+    factor = np.maximum(spread / DOUBT.clean_crop_spread, DOUBT.min_crop_spread) ** DOUBT.crop_spread_power
+    return DOUBT.calibration_factor * np.where(np.isfinite(spread), factor, 1.0)
 
 
 def lifted_thumb_factor(seen: Observation) -> np.ndarray:

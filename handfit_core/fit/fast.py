@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import lru_cache
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.batch import scatter, slices
 from handfit_core.detect.correction.corrected import landmarked
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection, SideBySide
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.clips import smooth_clip
 from handfit_core.fit.doubt import (
     crop_spread_factor,
@@ -81,11 +81,10 @@ class FastFitter:
         self._betas = np.zeros(NUM_BETAS) if hand_length is None else betas_of_measured(model, hand_length)
         self._length_rates = length_rates(model, self._betas)
 
-    def observe(self, detections: Sequence[HandDetection], intrinsics: Intrinsics) -> Observation:
-        """The observation of B detections through a camera."""
-        depth_zero = np.array([d.distance for d in detections], dtype=np.float64)
-        seen = landmarked(detections, self.model.side)
-        return observation_of(seen, intrinsics, depth_zero if np.isfinite(depth_zero).any() else None)
+    def observe(self, hands: Detections, intrinsics: Intrinsics) -> Observation:
+        """The observation of B hands through a camera."""
+        depth_zero = hands.distance if np.isfinite(hands.distance).any() else None
+        return observation_of(landmarked(hands, self.model.side), intrinsics, depth_zero)
 
     def start(self, seen: Observation, betas: np.ndarray | None = None) -> State:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
@@ -181,7 +180,7 @@ def fitter_of(
 def fit_track(
     smoothing: float,
     model: HandModel,
-    track: DetectedTrack,
+    track: Track,
     intrinsics: Intrinsics,
     on_frame: OnFrame,
     should_stop: ShouldStop = never,
@@ -191,16 +190,13 @@ def fit_track(
 
     Gaps up to `max_gap_seconds` are filled. `should_stop` is asked after every `chunk_frames` frames;
     those that were not reached are NaN. `hand_length`: see `FastFitter`."""
-    found, count = np.flatnonzero(track.detected), len(track.detections)
+    hands, found, count = track.detections, track.detections.frame, track.frame_count
     fitter = fitter_of(model, hand_length, track.landmarks)
-    detections = [d for d in track.detections if d is not None]
-    seen = fitter.observe(detections, intrinsics)
+    seen = fitter.observe(hands, intrinsics)
     # A track's side is voted for by all of its frames.
-    side_logit = side_logits(detections, model.side).mean()
-    error_factor = crop_spread_factor(detections)
-    del detections
-    if isinstance(track.detections, SideBySide):
-        track.detections.forget_corrections()
+    side_logit = side_logits(hands, model.side).mean()
+    error_factor = crop_spread_factor(hands)
+    hands.forget_corrections()
     cuts = detect_cuts(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         seen, solution = fitter.solve_pictures(seen)

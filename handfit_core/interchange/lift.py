@@ -15,9 +15,9 @@ import numpy as np
 
 from handfit_core.detect.correction.canonical import Canonical, canonical_arrays
 from handfit_core.detect.correction.network import Layers
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.interchange.recording import SeenHands, known
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 
 FEATURES: Final = 4 * NUM_KEYPOINTS
 
@@ -70,7 +70,7 @@ def canonical_plane(
     told = np.where(sure, confidence, 0.0)
     return replace(
         frame,
-        features=np.concatenate([fused[..., :2].reshape(len(sure), -1), sure, told], axis=1),
+        features=np.concatenate([fused[..., :2].reshape(len(sure), 2 * NUM_KEYPOINTS), sure, told], axis=1),
         fused=fused,
     )
 
@@ -107,8 +107,8 @@ def lifter() -> Lifter:
         return Lifter(dict(arrays))
 
 
-def lifted(hands: SeenHands) -> list[HandDetection]:
-    """N hands, each as a detection: what was seen, with depth and world landmarks. Those are kept where they
+def lifted(hands: SeenHands) -> Detections:
+    """N hands as detections: what was seen, with depth and world landmarks. Those are kept where they
     are known; else the lifter tells the depth, and the world is that of a hand of average size.
 
     Every hand has some points that are seen. Those that are missing lie where the lifter guesses them, and
@@ -131,10 +131,5 @@ def lifted(hands: SeenHands) -> list[HandDetection]:
     usual = np.nanmedian(np.where(sure, hands.confidence, np.nan), axis=1, keepdims=True)
     # Points of less than half the median confidence are believed less. Programs' scales differ.
     doubted = ~sure | (hands.confidence < 0.5 * usual)
-    found = []
-    for i in range(len(hands)):
-        side: Side = "left" if hands.left[i] else "right"
-        less = doubted[i] if doubted[i].any() else None
-        score = float(hands.score[i])
-        found.append(HandDetection(side, score, points[i], world[i], overlapped=less, given_side=side))
-    return found
+    side = np.where(hands.left, SIDES.index("left"), SIDES.index("right"))
+    return Detections(hands.row, side, hands.score, points, world, overlapped=doubted, given_side=side)

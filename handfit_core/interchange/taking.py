@@ -8,7 +8,7 @@ import numpy as np
 
 from handfit_core.batch import slices
 from handfit_core.detect.detector import Detected
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.observation import lines_of_sight
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import Chain
@@ -17,7 +17,7 @@ from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL, PointsHand, Recording, known
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, Side
 
 
 def detected_in(recording: Recording) -> Detected:
@@ -25,27 +25,23 @@ def detected_in(recording: Recording) -> Detected:
     left out."""
     assert recording.seen is not None
     hands = recording.seen.select(known(recording.seen.keypoints).sum(axis=1) >= LEAST_POINTS)
-    frames: list[list[HandDetection]] = [[] for _ in recording.frame_numbers]
-    for part in slices(len(hands)) if len(hands) else ():
-        for row, detection in zip(hands.row[part], lifted(hands.select(part)), strict=True):
-            frames[row].append(detection)
-    return Detected([int(number) for number in recording.frame_numbers], [tuple(frame) for frame in frames])
+    found = Detections.collect(len(hands), (lifted(hands.select(part)) for part in slices(len(hands))))
+    return Detected([int(number) for number in recording.frame_numbers], found)
 
 
-def tracks_of(recording: Recording, intrinsics: Intrinsics) -> list[DetectedTrack]:
+def tracks_of(recording: Recording, intrinsics: Intrinsics) -> list[Track]:
     """Each hand of points in space, as if it had been seen by that camera; it must lie before it
     (`before_camera`)."""
-    return [_track_of(hand, hand.points, intrinsics, recording.fps) for hand in recording.points]
+    return [_track_of(hand, intrinsics, recording.fps) for hand in recording.points]
 
 
-def _track_of(hand: PointsHand, points: np.ndarray, intrinsics: Intrinsics, fps: float) -> DetectedTrack:
-    found = hand.present
-    sigma = _sigma_of(points[found]) if hand.sigma is None else hand.sigma
-    rows: list[HandDetection | None] = [None] * len(found)
-    for row in np.flatnonzero(found):
-        rows[row] = _seen_point_by_point(hand.side, points[row], sigma, intrinsics)
+def _track_of(hand: PointsHand, intrinsics: Intrinsics, fps: float) -> Track:
+    found = np.flatnonzero(hand.present)
+    points = hand.points[found]
+    sigma = _sigma_of(points) if hand.sigma is None else hand.sigma
+    seen = _seen_point_by_point(hand.side, found, points, sigma, intrinsics)
     landmarks = hand.landmarks or (NO_OFFSETS if hand.on_joints else None)
-    return DetectedTrack(hand.side, tuple(rows), fps, landmarks=landmarks, calibrated=False)
+    return Track(hand.side, seen, len(hand.points), fps, landmarks=landmarks, calibrated=False)
 
 
 def _sigma_of(points: np.ndarray) -> float:
@@ -64,29 +60,32 @@ def _sigma_of(points: np.ndarray) -> float:
 
 
 def _seen_point_by_point(
-    side: Side, points: np.ndarray, sigma: float, intrinsics: Intrinsics
-) -> HandDetection:
-    """Points (21, 3) in metres as a detector would tell of them, with what is expected of their errors."""
-    sure = known(points)
-    middle = points[sure].mean(axis=0)
-    filled = np.where(sure[:, None], points, middle)
+    side: Side, frame: np.ndarray, points: np.ndarray, sigma: float, intrinsics: Intrinsics
+) -> Detections:
+    """Points (N, 21, 3) in metres in those frames (N,) as a detector would tell of them, with what is
+    expected of their errors."""
+    sure, index = known(points), np.full(len(points), SIDES.index(side))
+    middle = np.where(sure[..., None], points, 0.0).sum(axis=1) / sure.sum(axis=1)[:, None]
+    filled = np.where(sure[..., None], points, middle[:, None])
     pixels = intrinsics.project(filled)
-    along = filled @ lines_of_sight(pixels[None], intrinsics)[0]
-    distance = float(along.mean())
-    scale = 0.5 * (intrinsics.fx + intrinsics.fy) / distance
-    depth = scale * (filled[:, 2] - filled[0, 2])
+    along = (filled @ lines_of_sight(pixels, intrinsics)[..., None])[..., 0]
+    distance = along.mean(axis=1)
+    scale = (0.5 * (intrinsics.fx + intrinsics.fy) / distance)[:, None]
+    depth = scale * (filled[..., 2] - filled[:, :1, 2])
     # Pixels: what is known of a point that is missing
-    expected = np.where(sure, scale * sigma, 1e4)
-    table = np.column_stack([pixels, expected, expected, scale * (along - distance), expected])
-    return HandDetection(
-        side,
-        float(sure.mean()),
-        np.column_stack([pixels, depth]),
-        filled - filled.mean(axis=0),
+    expected = np.where(sure, scale * sigma, 1e4)[..., None]
+    off = (scale * (along - distance[:, None]))[..., None]
+    return Detections(
+        frame,
+        index,
+        sure.mean(axis=1),
+        np.concatenate([pixels, depth[..., None]], axis=2),
+        filled - filled.mean(axis=1, keepdims=True),
         overlapped=None if sure.all() else ~sure,
-        given_side=side,
+        given_side=index,
         distance=distance,
-        corrected=(side, table),
+        corrected_side=index,
+        corrected=np.concatenate([pixels, expected, expected, off, expected], axis=2),
     )
 
 
@@ -137,19 +136,17 @@ def seen_of(
     intrinsics: Intrinsics,
     fps: float,
     score: np.ndarray | None = None,
-) -> DetectedTrack:
+) -> Track:
     """What a detector that errs nowhere would see of a hand: with it a take's hand can be fitted again.
     `score` (T,): how sure each frame is; None: certain."""
-    count, rows = len(motion.transl), np.flatnonzero(motion.present)
+    rows = np.flatnonzero(motion.present)
     points = np.empty((len(rows), NUM_KEYPOINTS, 3))
     if len(rows):
         chain = Chain(model, detector_landmarks())
         orient, pose, transl = (each[rows] for each in motion.pose)
         betas = np.tile(motion.betas, (len(rows), 1))
         points = chain.points(chain.state(betas, orient, pose, transl, transl[:, 2]))
-    certain = np.ones(count) if score is None else np.nan_to_num(score, nan=0.5).clip(0.0, 1.0)
-    found: list[HandDetection | None] = [None] * count
-    for row, hand in zip(rows, points, strict=True):
-        seen = _seen_point_by_point(motion.side, hand, 0.001, intrinsics)
-        found[row] = replace(seen, score=float(certain[row]))
-    return DetectedTrack(motion.side, tuple(found), fps, calibrated=False)
+    seen = _seen_point_by_point(motion.side, rows, points, 0.001, intrinsics)
+    if score is not None:
+        seen = replace(seen, score=np.nan_to_num(score[rows], nan=0.5).clip(0.0, 1.0))
+    return Track(motion.side, seen, len(motion.transl), fps, calibrated=False)

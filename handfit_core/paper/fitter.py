@@ -10,13 +10,13 @@ alignment is inverted, which yields the hand in the picture without any camera.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from handfit_core.batch import scatter
-from handfit_core.detect.keypoints import DetectedTrack
+from handfit_core.detect.keypoints import Track
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import Similarity, align
@@ -236,10 +236,9 @@ class PaperFitter:
             return minimize(cost, first, jac=True, method=self._options.method, options=options)
 
 
-def _shape_of_clip(
-    fitter: PaperFitter, keypoints: Sequence[np.ndarray], should_stop: ShouldStop
-) -> np.ndarray:
-    """The median shape (10,) of a few evenly spread frames; when stopped, of those that were fitted."""
+def _shape_of_clip(fitter: PaperFitter, keypoints: np.ndarray, should_stop: ShouldStop) -> np.ndarray:
+    """The median shape (10,) of a few evenly spread ones of (N, 21, 3) keypoints; when stopped, of those that
+    were fitted."""
     chosen = np.linspace(0, len(keypoints) - 1, min(PAPER.shape_frames, len(keypoints))).round().astype(int)
     shapes: list[np.ndarray] = []
     for i in chosen:
@@ -252,7 +251,7 @@ def _shape_of_clip(
 def fit_track(
     options: PaperOptions,
     model: HandModel,
-    track: DetectedTrack,
+    track: Track,
     intrinsics: Intrinsics,
     on_frame: OnFrame,
     should_stop: ShouldStop = never,
@@ -264,12 +263,12 @@ def fit_track(
     reached are NaN.
     """
     fitter = PaperFitter(model, options)
-    found = {i: d.keypoints for i, d in enumerate(track.detections) if d is not None}
-    shape = _shape_of_clip(fitter, list(found.values()), should_stop) if len(found) > 1 else None
+    found = track.detections.keypoints
+    shape = _shape_of_clip(fitter, found, should_stop) if len(found) > 1 else None
     fit_shape = shape is None
     placed: list[HandMotion] = []
     previous: FrameFit | None = None
-    for keypoints in found.values():
+    for keypoints in found:
         start = previous if options.warm_start else None
         fit = previous = fitter.fit(keypoints, betas=shape, start=start)
         placed.append(fitter.place(fit, keypoints, intrinsics, fit_shape=fit_shape))
@@ -279,6 +278,6 @@ def fit_track(
         if should_stop():
             break
     assert shape is not None, "a track has at least one detection"
-    frames, count = list(found)[: len(placed)], len(track.detections)
+    frames, count = track.detections.frame[: len(placed)], track.frame_count
     poses = (np.concatenate([hand.pose[i] for hand in placed]) for i in range(len(POSE_ARRAYS)))
     return HandMotion(model.side, shape, *(scatter(rows, frames, count) for rows in poses))

@@ -103,7 +103,7 @@ def synthetic_fit_error_mm(side: Side = "right") -> float:
     model = load_model(None, side)
     hand = seen_hand(model, OPEN_HAND, side)
     fitter = fitter_of(model)
-    seen = fitter.observe([d for d in hand.detections if d is not None], hand.intrinsics)
+    seen = fitter.observe(hand.detections, hand.intrinsics)
     betas, *pose = fitter.chain.parameters(fitter.solve_pictures(seen)[1].state)
     found = model.keypoints(betas[0], *pose)[0]
     true = model.keypoints(None, *hand.pose)[0]
@@ -123,13 +123,11 @@ def _torch() -> str:
 
 
 def _landmark_model() -> str:
-
     path = landmark_model_path()
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
 
 
 def _landmarks_2020() -> str:
-
     if (path := landmarks_2020_path()) is None:
         return "not there or not whole; all works without, but depths are less exact"
     return f"{path.name} in {_short(path.parent)}, {path.stat().st_size / 1e6:.1f} MB"
@@ -151,7 +149,6 @@ def _solver() -> str:
 
 
 def _refitting() -> str:
-
     warm_up()
     started = time.perf_counter()
     warm_up()

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.detection import detect_frames
 from handfit_core.fit.doubt import (
@@ -112,17 +112,18 @@ class Hand:
     """The hand that is seen in most frames of an input, and what is needed to fit it."""
 
     model: HandModel
-    detections: tuple[HandDetection, ...]
+    detections: Detections
     intrinsics: Intrinsics
     fps: float
 
-    def batch(self, size: int) -> list[HandDetection]:
+    def batch(self, size: int) -> Detections:
         """`size` detections: those that there are, again and again."""
-        return [self.detections[i % len(self.detections)] for i in range(size)]
+        return self.detections.select(np.arange(size) % len(self.detections))
 
-    def single(self, index: int) -> DetectedTrack:
+    def single(self, index: int) -> Track:
         """One frame as a track of its own, as a photo gives."""
-        return DetectedTrack(self.model.side, (self.detections[index],), self.fps)
+        one = replace(self.detections.select(np.array([index])), frame=np.zeros(1, dtype=int))
+        return Track(self.model.side, one, frame_count=1, fps=self.fps)
 
     def fast_quality(self) -> tuple[float, float]:
         """Shares of the fast solver's fits that converged and that it doubts, over all detections."""
@@ -138,11 +139,12 @@ class Hand:
 def find_hand(source: str, frames: FrameRange | None = None, model: str | None = None) -> Hand:
     """Detect an input's hands and keep the one seen most. Raises HandfitError."""
     media = open_media(source, frames)
-    found = detect_frames(media, CaptureOptions(processes=1)).frames
-    track = max(link_tracks(found), key=lambda t: int(t.detected.sum()))
+    found = detect_frames(media, CaptureOptions(processes=1))
+    tracks = link_tracks(found.hands, len(found.numbers))
+    track = max(tracks, key=lambda t: len(t.detections))
     return Hand(
         model=load_model(model, track.side),
-        detections=tuple(d for d in track.detections if d is not None),
+        detections=track.detections,
         intrinsics=Intrinsics.assumed(media.width, media.height),
         fps=media.fps,
     )

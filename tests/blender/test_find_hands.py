@@ -17,9 +17,10 @@ from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_s
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.scene.store import captured_hands  # noqa: E402
 from handfit_core.arrays import pack  # noqa: E402
+from handfit_core.detect.detector import Region  # noqa: E402
 from handfit_core.errors import OptionError  # noqa: E402
 from handfit_core.geometry.picture_map import mapped  # noqa: E402
-from handfit_core.options import CaptureOptions, Region  # noqa: E402
+from handfit_core.options import CaptureOptions  # noqa: E402
 from tests.capturing import needs_capture  # noqa: E402
 from tests.drawn import drawn  # noqa: E402
 

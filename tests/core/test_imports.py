@@ -196,16 +196,13 @@ import sys
 import numpy as np
 from handfit_core import capture
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineHand, refit_each, refit_range, warm_up
 
 take = capture("samples/rendered_hand/hand.%04d.jpg", frames=FrameRange(1, 6))
 hand, = take.hands
-points = np.concatenate([hand.keypoints_2d, hand.keypoints_depth[..., None]], axis=-1)
-detections = tuple(HandDetection(hand.side, *one) for one in zip(hand.score, points, hand.world_landmarks))
-pins = np.full((len(points), 21, 2), np.nan)
+pins = np.full((len(hand.detected), 21, 2), np.nan)
 pins[2, 8] = hand.keypoints_2d[2, 8] + 10.0
-rest = take.intrinsics, detections, pins, np.zeros(16, dtype=bool)
+rest = take.intrinsics, hand.detections(), pins, np.zeros(16, dtype=bool)
 corrected = RefineHand(hand.side, hand.betas, *hand.pose, *rest)
 warm_up()
 for found in (refit_each(corrected), refit_range(corrected)):

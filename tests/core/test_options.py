@@ -12,9 +12,10 @@ import pytest
 
 from handfit_core import Intrinsics, capture
 from handfit_core.__main__ import _all_parsers, _parser
+from handfit_core.detect.detector import Region
 from handfit_core.errors import OptionError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import OPTIONS, CaptureOptions, Option, Region, add_options
+from handfit_core.options import OPTIONS, CaptureOptions, Option, add_options
 from tests.conftest import ROOT
 
 GIVEN: dict[str, tuple[Any, str, Any]] = {

@@ -16,8 +16,7 @@ import handfit_core
 from handfit_core import Intrinsics, Progress, Take, capture, fitting, pipeline
 from handfit_core.__main__ import _mean_error
 from handfit_core.detect.detector import DETECTORS, Backend, Detector
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
-from handfit_core.detect.tracks import HandChoice
+from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.errors import (
     Cancelled,
     HandModelError,
@@ -38,9 +37,11 @@ from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import hand_summaries
 from handfit_core.registry import Registry
+from handfit_core.skeleton import SIDES, HandChoice
 from handfit_core.solvers import SOLVERS, Solver, TrackSolver, get_solver
 from handfit_core.sources import _rate
 from tests.conftest import ROOT
+from tests.core.fit.detections import track_of
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
 PATTERN = str(SAMPLE / "hand.%04d.jpg")
@@ -177,7 +178,7 @@ def test_a_take_keeps_what_the_solver_was_given(
     two_right_hands: Path, hands: HandChoice, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where one of two right hands is taken for a left one."""
-    given: list[DetectedTrack] = []
+    given: list[Track] = []
 
     def watched(name: str, *options: Any) -> TrackSolver:
         solve = get_solver(name, *options)
@@ -192,10 +193,8 @@ def test_a_take_keeps_what_the_solver_was_given(
     take = capture(two_right_hands, hands=hands)
     assert [hand.side for hand in take.hands] == ["right", "left" if hands == "both" else "right"]
     for hand, track in zip(take.hands, given, strict=True):
-        detected, kept = track.detections[0], hand.detection(0)
-        assert detected is not None
-        assert kept is not None
-        assert kept.side == detected.side == "right"
+        detected, kept = track.detections, hand.detections()
+        assert kept.side == detected.side == [SIDES.index("right")]
         assert (kept.score, kept.right_side) == (detected.score, detected.right_side)
         np.testing.assert_array_equal(kept.keypoints, detected.keypoints)
         np.testing.assert_array_equal(kept.world, detected.world)
@@ -274,7 +273,7 @@ def test_filled_frames_have_a_pose_but_nothing_seen() -> None:
         row[2] = np.nan
     fit = HandMotion("right", truth.betas, *rows)
     camera = Intrinsics.assumed(640, 480)
-    track = hand_track(load_model(None, "right"), DetectedTrack("right", (found, None, None)), fit, camera)
+    track = hand_track(load_model(None, "right"), track_of("right", [found, None, None]), fit, camera)
     np.testing.assert_array_equal(track.detected, [True, False, False])
     np.testing.assert_array_equal(track.filled, [False, True, False])
     np.testing.assert_array_equal(np.isfinite(track.joints_3d).all(axis=(1, 2)), [True, True, False])

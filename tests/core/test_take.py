@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.arrays import check_arrays
 from handfit_core.errors import OutputError, TakeError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import Source
+from handfit_core.skeleton import SIDES
 from handfit_core.take import FORMAT_VERSION, TAKE_LIMITS, HandTrack, Take, is_take
 
 FRAMES = 4
@@ -187,32 +189,34 @@ def test_what_the_detector_found_comes_back(tmp_path: Path) -> None:
     ):
         np.testing.assert_array_equal(getattr(hand, name), getattr(original, name), err_msg=name)
         assert getattr(old, name) is None
-    first, second, third, fourth = (hand.detection(row) for row in range(FRAMES))
-    assert first is not None
-    assert second is not None
-    assert fourth is not None
-    assert third is None
+    hands = hand.detections()
+    check_arrays(hands)
     assert original.keypoints_depth is not None
     assert original.world_landmarks is not None
-    assert second.overlapped is not None
-    np.testing.assert_array_equal(second.overlapped, np.arange(21) > 5)
-    np.testing.assert_array_equal(first.keypoints_2d, original.keypoints_2d[0])
-    np.testing.assert_array_equal(first.keypoints[:, 2], original.keypoints_depth[0])
-    np.testing.assert_array_equal(first.world, original.world_landmarks[0])
-    assert (first.side, first.score, first.right_side) == ("right", original.score[0], 0.9)
-    assert (second.side, second.right_side, second.likely_side) == ("left", 0.3, "right")
-    assert (fourth.side, fourth.right_side) == ("right", None)
+    assert hands.overlapped is not None
+    np.testing.assert_array_equal(hands.frame, np.flatnonzero(DETECTED))
+    np.testing.assert_array_equal(hands.overlapped[1], np.arange(21) > 5)
+    np.testing.assert_array_equal(hands.keypoints_2d, original.keypoints_2d[DETECTED])
+    np.testing.assert_array_equal(hands.keypoints[..., 2], original.keypoints_depth[DETECTED])
+    np.testing.assert_array_equal(hands.world, original.world_landmarks[DETECTED])
+    np.testing.assert_array_equal(hands.score, original.score[DETECTED])
+    np.testing.assert_array_equal(hands.right_side, [0.9, 0.3, np.nan])
+    assert [SIDES[side] for side in hands.side] == ["right", "left", "right"]
+    assert SIDES[hands.likely_side[1]] == "right"
+    some = hand.detections(np.array([3, 2, 1]))
+    assert some.frame.tolist() == [0, 2]
+    np.testing.assert_array_equal(some.keypoints, hands.keypoints[[2, 1]])
 
 
 def test_older_takes_cannot_be_fitted_again(tmp_path: Path) -> None:
     (hand,) = Take.load(take(hands=(track(),)).save(tmp_path / "t.npz")).hands
     assert not hand.refinable
     with pytest.raises(TakeError, match="capture it again"):
-        hand.detection(0)
+        hand.detections()
     assert not dataclasses.replace(as_detected(), world_landmarks=None).refinable
-    plain = dataclasses.replace(as_detected(), right_side=None, other_side=None).detection(1)
-    assert plain is not None
-    assert (plain.side, plain.right_side) == ("right", None)
+    plain = dataclasses.replace(as_detected(), right_side=None, other_side=None).detections()
+    assert [SIDES[side] for side in plain.side] == ["right"] * 3
+    assert np.isnan(plain.right_side).all()
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,9 @@ import numpy as np
 
 from handfit_core import errors, pipeline
 from handfit_core.__main__ import main
+from handfit_core.arrays import check_arrays
 from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.farm import pool
 from handfit_core.farm.collect import Report
@@ -91,11 +93,10 @@ def part(path: str) -> None:
     assert all(type(text) is str for text in (*found.input, found.fingerprint, found.made_by))
     for chunk in found.chunks:
         assert len(chunk.numbers) == len(chunk.frames)
-        frames = [with_side_judged(hands) if hands else [] for hands in chunk.frames]
-        numbers = [n for hands in frames for h in hands for n in (h.score, *h.keypoints.flat, *h.world.flat)]
-        assert all(math.isfinite(n) and abs(n) <= 1e9 for n in numbers), "a hand that is beyond all bounds"
-        if any(frames):
-            link_tracks(frames)
+        hands = with_side_judged(Detections.of(chunk.frames))
+        check_arrays(hands)
+        if len(hands):
+            link_tracks(hands, len(chunk.frames))
 
 
 @cache

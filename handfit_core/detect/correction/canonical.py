@@ -6,14 +6,13 @@ NumPy only; N detections at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.geometry.similarity import laid_over
-from handfit_core.skeleton import NUM_KEYPOINTS, WRIST_KEYPOINT, Side
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, WRIST_KEYPOINT
 
 KNUCKLES = (5, 9, 13, 17)
 WORLD_SCALE = 10.0
@@ -54,14 +53,11 @@ class Canonical:
         return (moved / self.size[:, None, None]) @ np.swapaxes(self.turn, -1, -2)
 
 
-def canonical(detections: Sequence[HandDetection], sides: Sequence[Side]) -> Canonical:
-    """Bring detections into the canonical frame, each taken for a hand of that side."""
-    keypoints = np.array([d.keypoints for d in detections], dtype=np.float64).reshape(-1, NUM_KEYPOINTS, 3)
-    world = np.array([d.world for d in detections], dtype=np.float64).reshape(-1, NUM_KEYPOINTS, 3)
-    agreement = np.array(
-        [d.score if d.side == side else -d.score for d, side in zip(detections, sides, strict=True)]
-    )
-    return canonical_arrays(keypoints, world, np.array([side == "left" for side in sides]), agreement)
+def canonical(hands: Detections, sides: np.ndarray) -> Canonical:
+    """Bring N hands into the canonical frame, each taken for one of that side: `sides` (N,) indices in
+    `SIDES`."""
+    agreement = np.where(hands.side == sides, hands.score, -hands.score)
+    return canonical_arrays(hands.keypoints, hands.world, sides == SIDES.index("left"), agreement)
 
 
 def canonical_arrays(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,9 +10,9 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
-from handfit_core.detect.keypoints import HandDetection, Landmarked
+from handfit_core.detect.keypoints import Detections, Landmarked
 from handfit_core.geometry.crossing import Crossing
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, Side
+from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, Side
 
 _THUMB: Final = [2, 3, 4]
 BATCH: Final = 512
@@ -72,25 +71,21 @@ class Trust:
 TRUST: Final = Trust()
 
 
-def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = TRUST) -> Landmarked:
-    """Corrected landmarks of detections, all taken for hands of that side. The network does not run for those
+def landmarked(hands: Detections, side: Side, trust: Trust = TRUST) -> Landmarked:
+    """Corrected landmarks of N hands, all taken for ones of that side. The network does not run for those
     whose `corrected` is of that side. Points that are `overlapped` have larger expected errors."""
-    table, missing = np.empty((len(detections), NUM_KEYPOINTS, 6)), []
-    for i, detection in enumerate(detections):
-        known = detection.corrected
-        if known is not None and known[0] == side and trust == TRUST:
-            table[i] = known[1]
-        else:
-            missing.append(i)
-    if missing:
-        sides: list[Side] = [side for _ in missing]
-        table[missing] = corrected([detections[i] for i in missing], sides, trust)[0].table
+    sides = np.full(len(hands), SIDES.index(side))
+    if hands.corrected is None or trust != TRUST:
+        table, _ = corrected(hands, sides, trust)
+    else:
+        table, missing = hands.corrected, np.flatnonzero(hands.corrected_side != sides)
+        if len(missing):
+            table = table.copy()
+            table[missing], _ = corrected(hands.select(missing), sides[missing], trust)
     landmarks = Landmarked.of_table(table)
-    overlapped = {row: d.overlapped for row, d in enumerate(detections) if d.overlapped is not None}
-    if not overlapped:
+    if hands.overlapped is None:
         return landmarks
-    factor = np.ones(landmarks.depth.shape)
-    factor[list(overlapped)] = np.where(list(overlapped.values()), TRUST.overlapped, 1.0)
+    factor = np.where(hands.overlapped, TRUST.overlapped, 1.0)
     return replace(
         landmarks,
         pixel_sigma=landmarks.pixel_sigma * factor[..., None],
@@ -98,43 +93,33 @@ def landmarked(detections: Sequence[HandDetection], side: Side, trust: Trust = T
     )
 
 
-def with_side_judged(detections: Sequence[HandDetection]) -> list[HandDetection]:
-    """Detections with `right_side` and `corrected` filled in."""
-    sides: list[Side] = [d.side for d in detections]
-    judged: list[HandDetection] = []
-    for part in slices(len(detections), BATCH):
-        found, probabilities = _correct_batch(detections[part], sides[part], TRUST)
-        for detection, row, probability in zip(detections[part], found.table, probabilities, strict=True):
-            odds = TRUST.detector_odds * probability / max(1.0 - probability, 1e-9)
-            right = float(odds / (1.0 + odds))
-            judged.append(replace(detection, right_side=right, corrected=(detection.side, row)))
-    return judged
+def with_side_judged(hands: Detections) -> Detections:
+    """Hands with `right_side` and `corrected` filled in."""
+    table, probability = corrected(hands, hands.side)
+    odds = TRUST.detector_odds * probability / np.maximum(1.0 - probability, 1e-9)
+    return replace(hands, right_side=odds / (1.0 + odds), corrected_side=hands.side, corrected=table)
 
 
-def corrected(
-    detections: Sequence[HandDetection], sides: Sequence[Side], trust: Trust = TRUST
-) -> tuple[Landmarked, np.ndarray]:
-    """Corrected landmarks of N detections taken for hands of those sides, and the probability (N,) that they
-    are of these."""
-    parts = [_correct_batch(detections[part], sides[part], trust) for part in slices(len(detections), BATCH)]
-    whole = Landmarked.concatenate([found for found, _ in parts])
-    return whole, np.concatenate([probability for _, probability in parts])
+def corrected(hands: Detections, sides: np.ndarray, trust: Trust = TRUST) -> tuple[np.ndarray, np.ndarray]:
+    """Corrected landmarks of N hands taken for ones of those sides, (N,) indices in `SIDES`: a
+    `Landmarked.table` (N, 21, 6), and the probability (N,) that they are of these sides."""
+    table, probability = np.empty((len(hands), NUM_KEYPOINTS, 6)), np.empty(len(hands))
+    for part in slices(len(hands), BATCH):
+        found, probability[part] = _correct_batch(hands.select(part), sides[part], trust)
+        table[part] = found.table
+    return table, probability
 
 
-def _correct_batch(
-    detections: Sequence[HandDetection], sides: Sequence[Side], trust: Trust
-) -> tuple[Landmarked, np.ndarray]:
-    seen = canonical(detections, sides)
+def _correct_batch(hands: Detections, sides: np.ndarray, trust: Trust) -> tuple[Landmarked, np.ndarray]:
+    seen = canonical(hands, sides)
     correction = landmark_network()(seen)
     blend = np.array([trust.plane, trust.plane, trust.depth])
     canonical_points = seen.fused + blend * (correction.points - seen.fused)
     canonical_points[..., 2] -= canonical_points[..., 2].mean(axis=1, keepdims=True)
-    doubted, depths_apart = np.ones(len(detections)), np.zeros((len(detections), NUM_KEYPOINTS))
-    asked = np.array([d.keypoints_2020 is not None for d in detections])
-    if asked.any():
-        nowhere = np.full((NUM_KEYPOINTS, 3), np.nan)
-        second = [nowhere if d.keypoints_2020 is None else d.keypoints_2020 for d in detections]
-        other = seen.from_picture(np.array(second))
+    doubted, depths_apart = np.ones(len(hands)), np.zeros((len(hands), NUM_KEYPOINTS))
+    asked = hands.asked_2020
+    if hands.keypoints_2020 is not None and asked.any():
+        other = seen.from_picture(hands.keypoints_2020)
         other[..., 2] -= other[..., 2].mean(axis=1, keepdims=True)
         apart = disagreement(canonical_points, other)
         weight = np.empty(other.shape[:2])

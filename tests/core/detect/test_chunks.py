@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from handfit_core.arrays import arrays_of
 from handfit_core.detect import chunks, sharing
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, Detected
@@ -30,25 +31,21 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def hands_of(found: Detected) -> list[tuple[np.ndarray, ...]]:
-    """All that is known of all hands."""
-    return [
-        (
-            hand.keypoints,
-            hand.world,
-            np.array([hand.score, hand.right_side, hand.side == "left"], dtype=float),
-        )
-        for frame in found.frames
-        for hand in frame
-    ]
-
-
 def same(a: Detected, b: Detected) -> bool:
     """Bit for bit."""
-    pairs = zip(hands_of(a), hands_of(b), strict=True)
-    counts = [[len(frame) for frame in found.frames] for found in (a, b)]
-    equal = all(np.array_equal(x, y, equal_nan=True) for hand in pairs for x, y in zip(*hand, strict=True))
-    return equal and counts[0] == counts[1] and a.numbers == b.numbers and a.most_seen == b.most_seen
+    arrays = arrays_of(a.hands), arrays_of(b.hands)
+    equal = all(np.array_equal(arrays[0][name], arrays[1][name], equal_nan=True) for name in arrays[0])
+    return (
+        equal
+        and arrays[0].keys() == arrays[1].keys()
+        and a.numbers == b.numbers
+        and a.most_seen == b.most_seen
+    )
+
+
+def counts_of(found: Detected) -> np.ndarray:
+    """(T,) hands in each frame."""
+    return np.bincount(found.hands.frame, minlength=len(found.numbers))
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +54,7 @@ def alone(clip: Path) -> Detected:
 
 
 def test_hands_are_tracked_over_seams(alone: Detected) -> None:
-    counts = np.array([len(frame) for frame in alone.frames])
+    counts = counts_of(alone)
     assert counts.min() == 1
     there = np.array([40 <= i < 80 or 90 <= i < 150 for i in range(210)])
     assert (counts == 1 + there).mean() > 0.97
@@ -100,7 +97,7 @@ def test_hands_are_tracked_into_neighbouring_chunks(
 
     monkeypatch.setattr(chunks.ClipDetector, "chunk", only_the_second)
     found = detect_frames(open_media(clip), CaptureOptions(processes=1))
-    counts = [len(frame) for frame in found.frames]
+    counts = counts_of(found).tolist()
     end = chunks.MEDIA.chunk_frames
     back = end - chunks.TRACKING.backtrack_frames
     assert counts[:back] == [0] * back
@@ -127,8 +124,8 @@ def test_stopping_keeps_the_frames_before_the_first_gap(clip: Path, alone: Detec
     found = detect_frames(open_media(clip), CaptureOptions(processes=2), on_frame, lambda: stopped)
     assert found.numbers == list(range(1, len(found.numbers) + 1))
     assert 0 < len(found.numbers) < 210
-    assert len(found.frames) == len(found.numbers)
-    assert np.array_equal(found.frames[0][0].keypoints, alone.frames[0][0].keypoints)
+    assert len(counts_of(found)) == len(found.numbers)
+    assert np.array_equal(found.hands.keypoints[0], alone.hands.keypoints[0])
 
 
 def test_another_shot_starts_anew(tmp_path: Path) -> None:
@@ -140,8 +137,8 @@ def test_another_shot_starts_anew(tmp_path: Path) -> None:
         cv2.imwrite(str(tmp_path / f"a.{i:04}.png"), bgr)
     found = detect_frames(open_media(tmp_path), CaptureOptions(processes=1))
     assert found.cuts == (6, 11)
-    assert [len(hands) for hands in found.frames[:6]] == [1] * 6
-    assert [len(hands) for hands in found.frames[11:]] == [1] * 6
+    assert counts_of(found)[:6].tolist() == [1] * 6
+    assert counts_of(found)[11:].tolist() == [1] * 6
 
 
 def test_motion_and_light_are_no_shot_boundaries() -> None:

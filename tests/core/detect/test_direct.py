@@ -13,7 +13,7 @@ from handfit_core import capture, sources
 from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.crops import Crop
-from handfit_core.detect.detector import Detector, DetectorSettings, Quality
+from handfit_core.detect.detector import Detector, DetectorSettings, Quality, Region
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import distance
 from handfit_core.detect.networks import NETWORK, Networks, crop_around
@@ -23,7 +23,7 @@ from handfit_core.detection import find_in_frame
 from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import read_picture
-from handfit_core.options import CaptureOptions, Region
+from handfit_core.options import CaptureOptions, region_of
 from handfit_core.skeleton import other_side
 from tests.child import peak_megabytes
 from tests.conftest import ROOT
@@ -471,7 +471,7 @@ def test_chosen_hands_and_no_others_are_captured(tmp_path: Path) -> None:
         assert same.side == side
     # A box that was drawn by hand about another place is one more prediction.
     _, shown = find_in_frame(
-        photo, CaptureOptions(regions=(Region.of(box_around(hands[0])),), only_regions=True)
+        photo, CaptureOptions(regions=(region_of(box_around(hands[0])),), only_regions=True)
     )
     assert [distance(hand, hands[0]) < 0.06 for hand in shown] == [True]
 

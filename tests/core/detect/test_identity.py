@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.skeleton import SIDES, Side, other_side
 
@@ -49,14 +49,14 @@ class Scene:
                 sure = np.clip(1.0 - (side == "left") * self.unsure + rng.normal(0, 0.05), 0.0, 1.0)
                 named = side if rng.random() < 0.95 else other_side(side)
                 there.append(HandDetection(named, 0.9, points, points / 1000, right_side=sure))
-                whose[id(points)] = i
+                whose[points.tobytes()] = i
             if lasting == 0 and rng.random() < self.faces:
                 lasting, spot = int(rng.integers(1, 6)), rng.uniform(220, 420, 2)
             if lasting > 0:
                 lasting -= 1
                 points = right[::-1] + [*spot, 0.0]
                 there.append(HandDetection(SIDES[row % 2], 0.5, points, points / 1000, right_side=0.6))
-                whose[id(points)] = -1
+                whose[points.tobytes()] = -1
             frames.append([there[i] for i in rng.permutation(len(there))])
         return frames, whose
 
@@ -76,8 +76,8 @@ def test_tracks_stay_on_their_hands(scene: Scene) -> None:
     for seed in range(4):
         frames, whose = scene.found(seed)
         taken: list[int] = []
-        for track in link_tracks(frames, max_hands=len(scene.sides)):
-            owners = [whose[id(d.keypoints)] for d in track.detections if d is not None]
+        for track in link_tracks(Detections.of(frames), len(frames), max_hands=len(scene.sides)):
+            owners = [whose[points.tobytes()] for points in track.detections.keypoints]
             hand = max(set(owners), key=owners.count)
             assert track.side == scene.sides[hand]
             kept += owners.count(hand)
@@ -94,8 +94,10 @@ def test_a_hand_alone_in_the_picture_is_not_shared_between_two() -> None:
         [replace(hand, keypoints=hand.keypoints + [400.0, 0.0, 0.0]), hand]
         for hand in (frame[0] for frame in frames[:10])
     ]
-    longest = max(link_tracks(frames), key=lambda track: int(track.detected.sum()))
-    assert all(d is not None and whose.get(id(d.keypoints)) == 0 for d in longest.detections)
+    longest = max(
+        link_tracks(Detections.of(frames), len(frames)), key=lambda track: int(track.detected.sum())
+    )
+    assert [whose.get(points.tobytes()) for points in longest.detections.keypoints] == [0] * len(frames)
 
 
 def test_given_sides_are_kept() -> None:
@@ -109,7 +111,8 @@ def test_given_sides_are_kept() -> None:
     frames = [[hand(100.0 + 20.0 * t), hand(500.0 - 20.0 * t)] for t in range(21)]
     frames[2] = [hand(140.0, "left"), hand(460.0)]
     frames[18] = [hand(460.0, "right"), hand(140.0)]
-    tracks = {track.side: track for track in link_tracks(frames)}
+    tracks = {track.side: track for track in link_tracks(Detections.of(frames), len(frames))}
     for side, places in (("left", (140.0, 140.0)), ("right", (460.0, 460.0))):
-        detections = [tracks[side].detections[row] for row in (2, 18)]
-        assert [d is not None and round((d.keypoints - shape)[0, 0]) for d in detections] == list(places)
+        detections = tracks[side].detections
+        told = np.isin(detections.frame, [2, 18])
+        assert (detections.keypoints - shape)[told, 0, 0] == pytest.approx(places)

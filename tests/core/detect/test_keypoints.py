@@ -5,10 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection, hands_from_arrays, hands_to_arrays
+from handfit_core.arrays import check_arrays
+from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
+from handfit_core.parts import hands_from_arrays, hands_to_arrays
 from handfit_core.skeleton import SIDES, Side, other_side
 
 POINTS = np.arange(63.0).reshape(21, 3)
+TABLE = np.arange(126.0).reshape(21, 6)
 
 
 def detection(side: Side, right_side: float | None = None, score: float = 0.8) -> HandDetection:
@@ -16,27 +19,58 @@ def detection(side: Side, right_side: float | None = None, score: float = 0.8) -
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_nobody_asked_the_network(side: Side) -> None:
-    d = detection(side)
-    assert d.likely_side == side
-    assert d.side_votes() == {side: 0.8, other_side(side): 0.0}
-
-
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize(("probability", "kept"), [(1.0, True), (0.5, True), (0.49, False), (0.0, False)])
-def test_the_likelier_side(side: Side, probability: float, kept: bool) -> None:
-    d = detection(side, probability)
+@pytest.mark.parametrize(
+    ("probability", "score", "named"),
+    [
+        (None, 0.8, 1.0),
+        (1.0, 0.8, 1.0),
+        (0.5, 0.8, 0.5),
+        (0.49, 0.8, 0.49),
+        (0.0, 0.8, 0.0),
+        (0.0, SURE_SIDE_SCORE, 1.0),
+    ],
+)
+def test_the_likelier_side(side: Side, probability: float | None, score: float, named: float) -> None:
+    d = detection(side, probability, score)
+    hands = Detections.of([[d]])
     assert d.side == side  # what the detector said stays
-    assert d.likely_side == (side if kept else other_side(side))
-    votes = d.side_votes()
-    assert votes[side] == pytest.approx(0.8 * probability)
-    assert sum(votes.values()) == pytest.approx(0.8)
-    assert (votes[side] >= votes[other_side(side)]) == kept
+    assert d.likely_side == SIDES[hands.likely_side[0]] == (side if named >= 0.5 else other_side(side))
+    votes = dict(zip(SIDES, hands.side_votes[0], strict=True))
+    assert votes == pytest.approx({side: score * named, other_side(side): score * (1.0 - named)})
+
+
+def test_columns_of_frames() -> None:
+    """Small columns that nobody filled say so, large ones are absent."""
+    shown = HandDetection("right", 0.7, POINTS + 1.0, POINTS, POINTS, shown=True, corrected=("left", TABLE))
+    hands = Detections.of([[detection("left")], [], [shown, detection("right", 0.3)]])
+    check_arrays(hands)
+    assert hands.frame.tolist() == [0, 2, 2]
+    assert hands.side.tolist() == [0, 1, 1]
+    assert hands.shown.tolist() == [False, True, False]
+    assert hands.given_side.tolist() == [-1, -1, -1]
+    assert hands.corrected_side.tolist() == [-1, 0, -1]
+    np.testing.assert_array_equal(hands.right_side, [np.nan, np.nan, 0.3])
+    np.testing.assert_array_equal(hands.asked_2020, [False, True, False])
+    assert hands.corrected is not None
+    np.testing.assert_array_equal(hands.corrected[1], TABLE)
+    assert hands.spread is hands.overlapped is None
+    assert [rows.tolist() for rows in hands.rows_by_frame] == [[0], [1, 2]]
+    np.testing.assert_array_equal(hands.extent, [d.extent for d in (detection("left"), shown, shown)])
+    hands.forget_corrections()
+    assert hands.corrected is None
+    none = Detections.of([[], []])
+    check_arrays(none)
+    assert (len(none), none.rows_by_frame) == (0, [])
+
+
+def test_arrays_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match="world has the shape"):
+        Detections.of([[HandDetection("left", 0.5, POINTS, POINTS[:20])]])
 
 
 def test_extent_and_track() -> None:
     assert detection("left").extent == 60.0
-    track = DetectedTrack("left", (None, detection("left"), None))
+    track = Track("left", Detections.of([[], [detection("left")]]), frame_count=3)
     np.testing.assert_array_equal(track.detected, [False, True, False])
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection, overlapped
+from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.matching import covers, distance, is_part_of, is_same_hand, mean_detection
 from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(0, 1, (21, 3))
@@ -15,6 +15,11 @@ SHAPE = 100.0 * (SHAPE - SHAPE.min(axis=0)) / np.ptp(SHAPE, axis=0)  # 100 pixel
 
 def hand(x: float, side: Side = "right", score: float = 0.9) -> HandDetection:
     return HandDetection(side, score, SHAPE + [x, 0.0, 0.0], SHAPE / 1000 + x)
+
+
+def overlapped(one: HandDetection, other: HandDetection) -> np.ndarray:
+    """(21,) bool: which points of a hand lie on the other hand."""
+    return covers(Detections.of([[other]]), np.zeros(1, dtype=int), one.keypoints_2d)
 
 
 def test_distance_is_in_units_of_the_hand() -> None:

@@ -1,13 +1,15 @@
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import SURE_SIDE_SCORE, HandDetection
-from handfit_core.detect.matching import distance, overlapped
-from handfit_core.detect.tracks import DUPLICATE_DISTANCE, link_and_count, link_tracks, without_duplicates
+from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
+from handfit_core.detect.matching import covers, distance
+from handfit_core.detect.tracks import LINKING, link_and_count, without_duplicates
 from handfit_core.errors import NoHandFoundError
-from handfit_core.skeleton import Side
+from handfit_core.skeleton import HandChoice, Side
 
 SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
 
@@ -23,8 +25,23 @@ def unsure_hand(
     return replace(hand(x, side, score, y), right_side=right_side)
 
 
-def x_of(detection: HandDetection | None) -> float | None:
-    return None if detection is None else round(float((detection.keypoints - SHAPE)[0, 0]), 6)
+def count_tracks(
+    frames: Sequence[Sequence[HandDetection]], hands: HandChoice = "auto", **options: Any
+) -> tuple[tuple[Track, ...], int]:
+    return link_and_count(Detections.of(frames), len(frames), hands, **options)
+
+
+def link_tracks(
+    frames: Sequence[Sequence[HandDetection]], hands: HandChoice = "auto", **options: Any
+) -> tuple[Track, ...]:
+    return count_tracks(frames, hands, **options)[0]
+
+
+def places(track: Track) -> list[float | None]:
+    """Where the hand is in each frame; None: it is not there."""
+    x = np.full(track.frame_count, np.nan)
+    x[track.detections.frame] = (track.detections.keypoints - SHAPE)[:, 0, 0]
+    return [None if np.isnan(each) else round(float(each), 6) for each in x]
 
 
 def test_crossing_hands_keep_their_identity() -> None:
@@ -33,8 +50,8 @@ def test_crossing_hands_keep_their_identity() -> None:
         left, right = hand(100 + 20 * t, "left"), hand(500 - 20 * t, "right", y=340)
         frames.append([left, right] if t % 2 else [right, left])
     tracks = {t.side: t for t in link_tracks(frames)}
-    assert [x_of(d) for d in tracks["left"].detections] == [100 + 20 * t for t in range(21)]
-    assert [x_of(d) for d in tracks["right"].detections] == [500 - 20 * t for t in range(21)]
+    assert places(tracks["left"]) == [100 + 20 * t for t in range(21)]
+    assert places(tracks["right"]) == [500 - 20 * t for t in range(21)]
 
 
 def test_side_is_decided_over_the_clip() -> None:
@@ -47,14 +64,14 @@ def test_side_is_decided_over_the_clip() -> None:
 def test_hand_that_leaves_and_returns_elsewhere_is_one_track() -> None:
     frames = [[hand(100)], [hand(110)], [], [], [hand(900)], [hand(905)]]
     (track,) = link_tracks(frames)
-    assert [x_of(d) for d in track.detections] == [100, 110, None, None, 900, 905]
+    assert places(track) == [100, 110, None, None, 900, 905]
     np.testing.assert_array_equal(track.detected, [True, True, False, False, True, True])
 
 
 def test_duplicates_of_one_hand_are_merged() -> None:
     tracks = link_tracks([[hand(100, score=0.6), hand(104, score=0.9)]])
     assert len(tracks) == 1
-    assert x_of(tracks[0].detections[0]) == 104
+    assert places(tracks[0])[0] == 104
 
 
 def test_two_hands_of_one_side_stay_two() -> None:
@@ -67,7 +84,7 @@ def test_a_side_that_a_person_has_given_is_believed() -> None:
     frames = [[hand(100 + 10 * t, "left"), hand(600, "left")] if t != 2 else [told] for t in range(5)]
     assert [t.side for t in link_tracks(frames)] == ["right", "left"]
     assert [t.side for t in link_tracks(frames, "both")] == ["right", "left"]
-    (only,), seen = link_and_count(frames, only_shown=True)
+    (only,), seen = count_tracks(frames, only_shown=True)
     assert (only.side, seen) == ("right", 1)
     assert only.detected.all()
 
@@ -78,11 +95,11 @@ def test_hand_choice() -> None:
     assert [t.side for t in link_tracks(both, "right")] == ["right"]
     assert [t.side for t in link_tracks(both, "auto", max_hands=1)] == ["right"]
     alike = [[hand(100, "left", 0.99), hand(500, "left", 0.6)]]
-    assert {t.side: x_of(t.detections[0]) for t in link_tracks(alike, "both")} == {"left": 100, "right": 500}
+    assert {t.side: places(t)[0] for t in link_tracks(alike, "both")} == {"left": 100, "right": 500}
     assert [t.side for t in link_tracks([[hand(100, "left")]], "both")] == ["left"]
     # A weak track of the missing side is better than relabelling a strong one.
     three = [[hand(100, "right", 0.9), hand(500, "right", 0.8)]] * 3 + [[hand(900, "left", 0.9)]]
-    found = {t.side: x_of(next(d for d in t.detections if d)) for t in link_tracks(three, "both")}
+    found = {t.side: next(x for x in places(t) if x) for t in link_tracks(three, "both")}
     assert found == {"right": 100, "left": 900}
 
 
@@ -99,8 +116,8 @@ def test_hands_that_cross_in_one_line_keep_their_identity() -> None:
         unsure = 8 <= t <= 12
         frames.append([hand(100 + 21 * t, "right" if unsure else "left"), hand(520 - 20 * t, "right", y=330)])
     tracks = {t.side: t for t in link_tracks(frames)}
-    assert [x_of(d) for d in tracks["left"].detections] == [100 + 21 * t for t in range(21)]
-    assert [x_of(d) for d in tracks["right"].detections] == [520 - 20 * t for t in range(21)]
+    assert places(tracks["left"]) == [100 + 21 * t for t in range(21)]
+    assert places(tracks["right"]) == [520 - 20 * t for t in range(21)]
 
 
 def test_a_moving_hand_is_found_again_after_a_gap() -> None:
@@ -111,8 +128,7 @@ def test_a_moving_hand_is_found_again_after_a_gap() -> None:
     tracks = link_tracks(frames)
     assert len(tracks) == 2
     for track in tracks:
-        heights = [d.keypoints[0, 1] for d in track.detections if d is not None]
-        assert np.ptp(heights) == 0
+        assert np.ptp(track.detections.keypoints[:, 0, 1]) == 0
         assert track.detected.sum() == 10
 
 
@@ -138,7 +154,7 @@ def test_one_hand_found_as_two_is_one_track() -> None:
     frames = [[hand(100 + t), hand(130 + t, "left", 0.6)] for t in range(10)]
     (track,) = link_tracks(frames)
     assert track.side == "right"
-    assert [x_of(d) for d in track.detections] == [100 + t for t in range(10)]
+    assert places(track) == [100 + t for t in range(10)]
 
 
 def test_fingers_taken_for_a_small_hand_are_part_of_their_hand() -> None:
@@ -191,8 +207,8 @@ def test_crossing_hands_by_the_networks_word() -> None:
         right = unsure_hand(500 - 20 * t, "right", 0.95, y=340)
         frames.append([left, right] if t % 2 else [right, left])
     tracks = {t.side: t for t in link_tracks(frames)}
-    assert [x_of(d) for d in tracks["left"].detections] == [100 + 20 * t for t in range(21)]
-    assert [x_of(d) for d in tracks["right"].detections] == [500 - 20 * t for t in range(21)]
+    assert places(tracks["left"]) == [100 + 20 * t for t in range(21)]
+    assert places(tracks["right"]) == [500 - 20 * t for t in range(21)]
 
 
 def test_where_places_are_undecided_the_networks_word_decides() -> None:
@@ -200,22 +216,25 @@ def test_where_places_are_undecided_the_networks_word_decides() -> None:
     before = [unsure_hand(100, right_side=0.1), unsure_hand(200, right_side=0.9)]
     after = [unsure_hand(152, right_side=0.1, y=340), unsure_hand(148, right_side=0.9, y=260)]
     tracks = {t.side: t for t in link_tracks([before, after])}
-    assert [x_of(d) for d in tracks["left"].detections] == [100, 152]
-    assert [x_of(d) for d in tracks["right"].detections] == [200, 148]
+    assert places(tracks["left"]) == [100, 152]
+    assert places(tracks["right"]) == [200, 148]
 
 
 def test_points_where_another_hand_is_are_marked() -> None:
     frames = [[hand(100 + 20 * t, "left"), hand(500 - 20 * t, y=340)] for t in range(21)]
-    marked: list[bool] = []
-    for track in link_tracks(frames):
-        marked = [d is not None and d.overlapped is not None for d in track.detections]
-        assert not any(marked[:5] + marked[-5:])
-        assert all(marked[8:13])
-    # A hand that is not chosen hides points, too; one that was found twice hides none of its own.
-    (one,) = link_tracks(frames, max_hands=1)
-    assert sum(d is not None and d.overlapped is not None for d in one.detections) == sum(marked)
+    counts = set()
+    for track in (*link_tracks(frames), *link_tracks(frames, max_hands=1)):
+        # A hand that is not chosen hides points, too.
+        assert track.detections.overlapped is not None
+        marked = track.detections.overlapped.any(axis=1)
+        assert not marked[:5].any()
+        assert not marked[-5:].any()
+        assert marked[8:13].all()
+        counts.add(int(marked.sum()))
+    assert len(counts) == 1
+    # One that was found twice hides none of its own.
     (twice,) = link_tracks([[hand(100 + t), hand(130 + t, "left", 0.6)] for t in range(10)])
-    assert all(d is not None and d.overlapped is None for d in twice.detections)
+    assert twice.detections.overlapped is None
 
 
 @pytest.mark.parametrize(
@@ -238,7 +257,7 @@ def test_hands_that_touch_are_left_and_right(
     tracks = link_tracks(frames)
     assert {t.side for t in tracks} == sides
     assert len(tracks) == 2
-    assert [x_of(t.detections[0]) for t in tracks if t.side == "left"] in ([], [100 + apart])
+    assert [places(t)[0] for t in tracks if t.side == "left"] in ([], [100 + apart])
     given = [[replace(h, given_side=h.side) for h in frame] for frame in frames]
     assert {t.side for t in link_tracks(given)} == {"right"}
 
@@ -270,10 +289,11 @@ def test_a_crowds_duplicates_are_those_of_pairs() -> None:
     found = crowd(150, 600.0)
     kept: list[HandDetection] = []
     for each in sorted(found, key=lambda hand: hand.score, reverse=True):
-        if all(distance(each, other) > DUPLICATE_DISTANCE for other in kept):
+        if all(distance(each, other) > LINKING.duplicate_distance for other in kept):
             kept.append(each)
     assert len(kept) < len(found)
-    assert all(one is other for one, other in zip(without_duplicates(found), kept, strict=True))
+    best = without_duplicates(Detections.of([found]))
+    np.testing.assert_array_equal(best.keypoints, [each.keypoints for each in kept])
 
 
 def test_hands_on_one_spot_cost_less_than_their_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,18 +312,20 @@ def test_hands_on_one_spot_cost_less_than_their_pairs(monkeypatch: pytest.Monkey
         points = np.pad(rng.uniform(0.0, 100.0, (21, 2)), ((0, 0), (0, 1)))
         found.append(replace(each, keypoints=points))
     tracks = link_tracks([found], max_hands=None)
-    hands = [track.detections[0] for track in tracks]
+    hands = [track.detections for track in tracks]
     assert len(hands) > 50
     points_and_bones = 21 * 20 * len(hands) ** 2
     assert compared < 0.5 * points_and_bones
     for one in hands[::20]:
-        assert one is not None
-        others = [overlapped(one, other) for other in hands if other is not None and other is not one]
-        np.testing.assert_array_equal(one.overlapped, np.any(others, axis=0))
+        others = [
+            covers(each, np.zeros(1, dtype=int), one.keypoints_2d[0]) for each in hands if each is not one
+        ]
+        assert one.overlapped is not None
+        np.testing.assert_array_equal(one.overlapped[0], np.any(others, axis=0))
 
 
 def test_a_crowd_is_followed() -> None:
     frames = [crowd(400, 20_000.0)] * 2
-    tracks, count = link_and_count(frames, max_hands=None)
+    tracks, count = count_tracks(frames, max_hands=None)
     assert count == len(tracks) > 300
     assert all(track.detected.all() for track in tracks)

@@ -28,7 +28,7 @@ from handfit_core.take import Take
 from scripts.benchmark.kinematics import MIRROR_ROTVEC, RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
 from tests.core.edit.test_refit import shown
-from tests.core.fit.detections import CAMERA, ends_of_range
+from tests.core.fit.detections import CAMERA, columns, ends_of_range
 from tests.takes import take_of, track_of
 
 POINTS = {3: [WRIST, KNUCKLE, 4], 4: [WRIST, KNUCKLE, 8, 20], 5: [WRIST, KNUCKLE, 4, 8, 20]}
@@ -68,7 +68,7 @@ def added(side: Side, pixels: np.ndarray, pinned: list[int], **fields: object) -
     pins[0, pinned] = pixels[pinned]
     arrays = (array[None] for array in pose)
     unlocked = np.zeros(16, dtype=bool)
-    hand = RefineHand(side, np.zeros(10), *arrays, CAMERA, (None,), pins, unlocked, added=True)
+    hand = RefineHand(side, np.zeros(10), *arrays, CAMERA, columns([None]), pins, unlocked, added=True)
     return replace(hand, **fields)
 
 
@@ -220,7 +220,7 @@ def test_frames_between_two_are_filled() -> None:
         arrays[name][rows] = getattr(one, name)[0], getattr(other, name)[0]
     pins = np.full((6, 21, 2), np.nan)
     pins[0, POINTS[6]], pins[5, POINTS[6]] = place[POINTS[6]], (place + [30.0, 0.0])[POINTS[6]]
-    hand = replace(added("right", place, []), detections=(None,) * 6, pins=pins, **arrays)
+    hand = replace(added("right", place, []), pins=pins, **arrays)
     found = refit_range(hand)
     assert found.present.all()
     assert np.all(np.diff(shown(found)[:, KNUCKLE, 0]) > 0)
@@ -247,7 +247,7 @@ def test_a_take_gets_one_more_hand(side: Side, tmp_path: Path) -> None:
     assert not kept.added
     assert hand.added
     assert hand.refinable
-    assert (hand.side, hand.detection(1)) == (side, None)
+    assert (hand.side, len(hand.detections())) == (side, 0)
     np.testing.assert_array_equal(hand.present, [False, True, False])
     assert hand.placed is not None
     np.testing.assert_array_equal(hand.placed[1, [WRIST, KNUCKLE]], [wrist, knuckle])

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from handfit_core.arrays import pack
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import (
     RefineHand,
     answer,
@@ -39,6 +39,7 @@ from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
 from tests.core.fit.detections import (
     CAMERA,
+    columns,
     keypoints_of,
     laid_error,
     landmarks_of,
@@ -46,6 +47,7 @@ from tests.core.fit.detections import (
     model_of,
     poses,
     seen,
+    track_of,
 )
 from tests.core.fit.frames import fit_frames
 
@@ -79,7 +81,7 @@ def make_hand(
         side=side,
         betas=betas[0],
         intrinsics=CAMERA,
-        detections=tuple(detections),
+        detections=columns(detections),
         pins=no_pins(len(detections)) if pins is None else pins,
         global_orient=orient,
         hand_pose=pose,
@@ -116,7 +118,7 @@ def joints_of(found: HandMotion) -> np.ndarray:
 
 
 def captured(side: Side, detections: list[HandDetection]) -> Parameters:
-    fits = fit_frames(model_of(side), detections, CAMERA)
+    fits = fit_frames(model_of(side), columns(detections), CAMERA)
     return fits.betas, fits.global_orient, fits.hand_pose, fits.transl
 
 
@@ -410,7 +412,7 @@ def test_range_equals_capture(smoothing: float) -> None:
     """At its own frame rate, with a missing picture and a gap."""
     detections = clip()[2]
     rows: tuple[HandDetection | None, ...] = (*detections[:4], None, *detections[5:])
-    track = DetectedTrack("right", rows, 12.0, holes=(9,))
+    track = replace(track_of("right", rows, 12.0), holes=(9,))
     capture = fit_track(smoothing, model_of("right"), track, CAMERA, lambda: None)
     empty = (capture.betas[None], *(np.full((COUNT, n), np.nan) for n in (3, 45, 3)))
     hand = make_hand("right", rows, empty, smoothing=smoothing, holes=(9,))
@@ -514,7 +516,7 @@ def test_range_pins_mend_frames_between() -> None:
 def test_locks_hold_over_time() -> None:
     """Also in a gap, whose locked joints stay as they were."""
     hand = corrected_clip(locked=unlocked(1, 2, 5, 15))
-    hand = replace(hand, detections=(*hand.detections[:2], None, None, *hand.detections[4:]))
+    hand = replace(hand, detections=hand.detections.select(~np.isin(hand.detections.frame, [2, 3])))
     found = refit_range(hand)
     assert found.present.all()
     locked = np.repeat(hand.locked[1:], 3)
@@ -566,20 +568,22 @@ def same(a: RefineHand, b: RefineHand) -> None:
         assert getattr(a, name) == getattr(b, name)
     for name in ("betas", "pins", "global_orient", "hand_pose", "transl", "locked"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-    for one, other in zip(a.detections, b.detections, strict=True):
-        assert (one is None) == (other is None)
-        if one is not None and other is not None:
-            np.testing.assert_allclose(one.keypoints, other.keypoints, atol=1e-4)
-            np.testing.assert_allclose(one.world, other.world, atol=1e-7)
-            assert one.side == other.side
-            assert np.any(one.overlapped) == np.any(other.overlapped)
-            assert one.score == pytest.approx(other.score)
+    one, other = a.detections, b.detections
+    for name in ("frame", "side", "overlapped"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_allclose(one.keypoints, other.keypoints, atol=1e-4)
+    np.testing.assert_allclose(one.world, other.world, atol=1e-7)
+    np.testing.assert_allclose(one.score, other.score, rtol=1e-6)
 
 
 def test_messages_come_back() -> None:
     hand = corrected_clip(locked=unlocked(3), smoothing=0.5, holes=(4,))
-    other = replace(hand.detections[7], side="left", overlapped=np.arange(21) > 3)  # type: ignore[type-var]
-    hand = replace(hand, detections=(None, *hand.detections[1:7], other, *hand.detections[8:]))
+    seen = hand.detections
+    odd = seen.frame == 7
+    seen = replace(
+        seen, side=np.where(odd, 1 - seen.side, seen.side), overlapped=odd[:, None] & (np.arange(21) > 3)
+    )
+    hand = replace(hand, detections=seen.select(seen.frame > 0))
     same(from_message(json.loads(json.dumps(to_message(hand), allow_nan=False))), hand)
 
 
@@ -622,6 +626,11 @@ def test_only_the_same_drag_is_remembered() -> None:
     assert recent.of(clip_hand) is None
 
 
+def photo_like(value: float) -> HandDetection:
+    """A detection whose numbers are all the same."""
+    return HandDetection("right", 1.0, np.full((21, 3), value), np.zeros((21, 3)))
+
+
 BAD_HANDS: list[tuple[str, Any, str]] = [
     ("betas", np.full(10, np.nan), "betas"),
     ("pins", np.tile([np.nan, 3.0], (1, 21, 1)), "pins"),
@@ -633,8 +642,9 @@ BAD_HANDS: list[tuple[str, Any, str]] = [
     ("fps", 1e200, "fps must be a finite number from 0.001 to 1e"),
     ("pins", np.full((1, 21, 2), -1e10), "pins holds numbers beyond 1e"),
     ("smoothing", 11.0, "smoothing"),
-    ("detections", (), "detections"),
-    ("detections", (HandDetection("right", 1.0, np.full((21, 3), np.nan), np.zeros((21, 3))),), "keypoints"),
+    ("pins", np.zeros((0, 21, 2)), "detections|global_orient"),
+    ("detections", columns([None, photo_like(0.0)]), "detections: at most one"),
+    ("detections", columns([photo_like(np.nan)]), "detections: keypoints is not finite"),
 ]
 
 

@@ -22,7 +22,7 @@ from handfit_core.edit import (
 )
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.hand_model.motion import HandMotion
+from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side, can_touch
 from tests.core.edit.test_refit import make_hand, no_pins, shown, true_hands, unlocked
@@ -130,10 +130,9 @@ def test_what_touches_already_hardly_moves() -> None:
 
 def test_a_drag_takes_along_what_touches() -> None:
     hand, pair = moving(), (8, 4)
-    one = replace(
-        make_hand("right", hand.detections[:1], (hand.betas[None], *(getattr(hand, n)[:1] for n in (
-            "global_orient", "hand_pose", "transl")))), touches=touches(1, pair),
-    )  # fmt: skip
+    pose = {name: getattr(hand, name)[:1] for name in POSE_ARRAYS}
+    first = hand.detections.select(slice(1))
+    one = replace(hand, detections=first, pins=no_pins(1), touches=touches(1, pair), **pose)
     start = refit_each(one)
     pins = no_pins(1)
     pins[0, 8] = shown(start)[0, 8] + [8.0, -6.0]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels
 from handfit_core.geometry.camera import Intrinsics
@@ -60,4 +60,4 @@ def entry(
 def found(*frames: tuple[HandDetection, ...]) -> UnitDetections:
     """What was detected in a unit's pictures."""
     count = len(frames)
-    return UnitDetections(frames, np.tile([WIDTH, HEIGHT], (count, 1)), np.full(count, 12.0))
+    return UnitDetections(Detections.of(frames), np.tile([WIDTH, HEIGHT], (count, 1)), np.full(count, 12.0))

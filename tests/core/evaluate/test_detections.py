@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handfit_core.arrays import arrays_of
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.labels import Entry, Labels, Unit
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import SIDES
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 
@@ -38,15 +40,10 @@ def kept(folder: Path) -> list[Path]:
 
 
 def assert_same(a: UnitDetections, b: UnitDetections) -> None:
-    assert [len(frame) for frame in a.frames] == [len(frame) for frame in b.frames]
-    for first, second in zip(a.frames, b.frames, strict=True):
-        for one, other in zip(first, second, strict=True):
-            assert (one.side, one.score) == (other.side, other.score)
-            np.testing.assert_array_equal(one.keypoints, other.keypoints)
-            np.testing.assert_array_equal(one.world, other.world)
-            assert (one.spread is None) == (other.spread is None)
-            if one.spread is not None and other.spread is not None:
-                np.testing.assert_array_equal(one.spread, other.spread)
+    one, other = arrays_of(a.hands), arrays_of(b.hands)
+    assert one.keys() == other.keys()
+    for name, column in one.items():
+        np.testing.assert_array_equal(column, other[name], err_msg=name)
     np.testing.assert_array_equal(a.sizes, b.sizes)
     np.testing.assert_array_equal(a.milliseconds, b.milliseconds)
 
@@ -55,8 +52,8 @@ def test_a_second_run_reads_what_the_first_found(tmp_path: Path) -> None:
     unit = Unit(entries(*(SAMPLE / f"hand.{i:04}.jpg" for i in (1, 2, 3))), is_clip=True)
     fresh, told = detect(unit, tmp_path)
     assert told == 3
-    assert [len(frame) for frame in fresh.frames] == [1, 1, 1]
-    assert fresh.frames[0][0].side == "right"
+    assert fresh.hands.frame.tolist() == [0, 1, 2]
+    assert fresh.hands.side[0] == SIDES.index("right")
     assert fresh.sizes.tolist() == [[640, 480]] * 3
     assert (fresh.milliseconds > 0).all()
     again, told = detect(unit, tmp_path)
@@ -77,7 +74,7 @@ def test_content_counts_and_not_the_name(tmp_path: Path) -> None:
     shutil.copy(SAMPLE / "hand.0009.jpg", moved)
     other, _ = detect(still(moved), cache)
     assert len(kept(cache)) == 2
-    assert not np.array_equal(other.frames[0][0].keypoints, found.frames[0][0].keypoints)
+    assert not np.array_equal(other.hands.keypoints, found.hands.keypoints)
 
 
 def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
@@ -96,7 +93,7 @@ def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:
     for plain in (False, True):
         options = CaptureOptions(plain_detection=plain)
         found, _ = detect(unit, tmp_path, options)
-        assert (found.frames[0][0].spread is None) == plain
+        assert (found.hands.spread is None) == plain
         assert_same(found, detect(unit, tmp_path, options)[0])
 
 
@@ -107,7 +104,7 @@ def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
     for _ in range(2):
         found, told = detect(unit, tmp_path / "cache")
         assert found.readable.tolist() == [True, False, False]
-        assert [len(frame) for frame in found.frames] == [1, 0, 0]
+        assert found.hands.frame.tolist() == [0]
         assert told == 3
 
 

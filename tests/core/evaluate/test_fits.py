@@ -4,20 +4,21 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack
 from handfit_core.evaluate.fits import Fits, FitTask
 from tests.conftest import ROOT
 from tests.core.evaluate.hands import CAMERA, joints, seen
+from tests.core.fit.detections import track_of
 
 
 def tasks(method: str, count: int) -> list[FitTask]:
     return [
-        FitTask(method, DetectedTrack("right", (seen(joints(at=(0.1 + 0.01 * i, 0.08, 0.5))),)), CAMERA)
+        FitTask(method, track_of("right", [seen(joints(at=(0.1 + 0.01 * i, 0.08, 0.5)))]), CAMERA)
         for i in range(count)
     ]
 
@@ -69,7 +70,7 @@ def test_whatever_decides_a_result_decides_its_file(tmp_path: Path, change: str)
     (task,) = tasks("fused", 1)
     list(Fits(tmp_path, "strict", None, {"left", "right"}).run([task], jobs=1))
     other = {
-        "side": FitTask("fused", DetectedTrack("left", task.track.detections), CAMERA),
+        "side": FitTask("fused", replace(task.track, side="left"), CAMERA),
         "camera": FitTask("fused", task.track, type(CAMERA)(900.0, 900.0, 320.0, 240.0)),
         "method": FitTask("raw-image", task.track, CAMERA),
         "protocol": task,
@@ -84,6 +85,7 @@ import multiprocessing, sys
 from pathlib import Path
 from handfit_core.evaluate.fits import Fits
 from tests.core.evaluate.test_fits import tasks
+from tests.core.fit.detections import track_of
 
 if __name__ == "__main__":
     run = Fits(Path(sys.argv[1]), "strict", None, {"right"}).run(tasks("paper-h", 20), jobs=2)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.methods import (
     TrackResult,
@@ -18,6 +18,7 @@ from handfit_core.hand_model import load_model
 from handfit_core.paper import EXPERIMENTS
 from handfit_core.paper.fitter import PaperFitter
 from tests.core.evaluate.hands import CAMERA, joints, seen
+from tests.core.fit.detections import track_of
 
 
 def test_groups_open_in_place_and_nothing_is_run_twice() -> None:
@@ -31,17 +32,18 @@ def test_fused_depth_is_the_mean_of_both_sets_and_the_picture_stays() -> None:
     points = joints()
     detection = seen(points)
     flattened = HandDetection("right", 0.9, detection.keypoints * [1, 1, 0.5], detection.world)
-    fused = fused_landmarks(flattened)
+    fused = fused_landmarks(flattened.keypoints, flattened.world)
     np.testing.assert_array_equal(fused[:, :2], flattened.keypoints[:, :2])
     np.testing.assert_allclose(
-        fused[:, 2], (flattened.keypoints[:, 2] + world_landmarks(flattened)[:, 2]) / 2
+        fused[:, 2],
+        (flattened.keypoints[:, 2] + world_landmarks(flattened.keypoints, flattened.world)[:, 2]) / 2,
     )
 
 
 def test_raw_landmarks_in_metres_have_the_world_landmarks_size_and_stand_where_the_hand_is() -> None:
     points = joints()
     detection = seen(points)
-    placed = in_metres(detection.keypoints, detection, CAMERA)
+    placed = in_metres(detection.keypoints, detection.world, CAMERA)
     assert np.linalg.norm(placed.mean(axis=0) - points.mean(axis=0)) < 0.01
     # Only perspective is left.
     assert np.linalg.norm(placed - points, axis=1).max() < 0.02
@@ -66,7 +68,7 @@ def test_a_fitted_hand_tells_how_deep_it_stands_in_itself_and_points_without_one
 
 @pytest.mark.parametrize("name", ["raw-image", "raw-world", "fused", "paper-a"])
 def test_frames_without_a_detection_stay_empty(name: str) -> None:
-    track = DetectedTrack("right", (None, seen(joints()), None))
+    track = track_of("right", [None, seen(joints()), None])
     result = get_method(name, "strict")({"right": load_model(None, "right")}, track, CAMERA)
     assert np.isnan(result.points_3d[[0, 2]]).all()
     assert np.isfinite(result.points_3d[1]).all()
@@ -76,7 +78,7 @@ def test_frames_without_a_detection_stay_empty(name: str) -> None:
 
 def test_a_fitted_hand_keeps_the_parameters_that_give_its_surface() -> None:
     model = load_model(None, "right")
-    track = DetectedTrack("right", (seen(joints()), None))
+    track = track_of("right", [seen(joints()), None])
     result = get_method("paper-a-plus", "strict")({"right": model}, track, CAMERA)
     vertices = result.vertices(model, 0)
     assert vertices is not None
@@ -88,7 +90,7 @@ def test_a_fitted_hand_keeps_the_parameters_that_give_its_surface() -> None:
 
 def test_the_papers_protocol_takes_the_papers_own_picture_points() -> None:
     model, detection = load_model(None, "right"), seen(joints())
-    result = get_method("paper-b", "paper")({"right": model}, DetectedTrack("right", (detection,)), CAMERA)
+    result = get_method("paper-b", "paper")({"right": model}, track_of("right", [detection]), CAMERA)
     fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints)
     fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
     np.testing.assert_allclose(result.picture_points[0], fit.in_picture(fitted))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, Labels, units_of
@@ -26,9 +27,8 @@ def test_a_detection_of_nothing_labelled_is_an_extra_hand() -> None:
     made = strict_rows([entry("a", label(TRUTH))], found((seen(AWAY), seen(TRUTH))))
     assert (made.pictures, made.extra_hands, len(made.rows)) == (1, 1, 1)
     assert made.rows[0].track is not None
-    detection = made.rows[0].track.track.detections[0]
-    assert detection is not None
-    np.testing.assert_allclose(detection.keypoints_2d, CAMERA.project(TRUTH))
+    detections = made.rows[0].track.track.detections
+    np.testing.assert_allclose(detections.keypoints_2d[0], CAMERA.project(TRUTH))
 
 
 def test_a_wrong_side_shows_in_handedness_alone() -> None:
@@ -78,7 +78,9 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
 
 def test_an_unreadable_frame_of_a_clip_is_no_miss() -> None:
     frames = [entry(f"{i}", label(TRUTH), clip="c", time=i / 25) for i in range(2)]
-    detections = UnitDetections(((), (seen(TRUTH),)), np.array([[0, 0], [WIDTH, HEIGHT]]), np.zeros(2))
+    detections = UnitDetections(
+        Detections.of([[], [seen(TRUTH)]]), np.array([[0, 0], [WIDTH, HEIGHT]]), np.zeros(2)
+    )
     made = strict_rows(frames, detections)
     assert [row.entry.name for row in made.rows] == ["1"]
     assert [(p.kind, p.where) for p in made.problems] == [("picture cannot be read", "0")]

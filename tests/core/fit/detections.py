@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection, Track
 from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
@@ -104,6 +105,16 @@ def seen(
         keypoints + noise * rng.normal(size=(21, 3)),
         along - along.mean(axis=0) + noise * per_pixel * rng.normal(size=(21, 3)),
     )
+
+
+def columns(hands: Sequence[HandDetection | None]) -> Detections:
+    """One hand's detections in T frames; None where there is none."""
+    return Detections.of([[] if hand is None else [hand] for hand in hands])
+
+
+def track_of(side: Side, hands: Sequence[HandDetection | None], fps: float = 25.0) -> Track:
+    """One hand's detections in T frames as a track."""
+    return Track(side, columns(hands), len(hands), fps)
 
 
 def mirror_image(detection: HandDetection, camera: Intrinsics = CAMERA) -> HandDetection:

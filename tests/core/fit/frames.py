@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.fit import doubt
 from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.solution import Solution
@@ -35,7 +34,7 @@ class FrameFits:
 
 def fit_frames(
     model: HandModel,
-    detections: Sequence[HandDetection],
+    detections: Detections,
     intrinsics: Intrinsics,
     hand_length: float | None = None,
 ) -> FrameFits:

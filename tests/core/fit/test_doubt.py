@@ -8,13 +8,22 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit import doubt
 from handfit_core.fit.fast import fit_track, fitter_of
 from handfit_core.fit.gaps import Times
 from handfit_core.skeleton import SIDES, Side
 from scripts.train_doubt import calibrated
-from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, mirrored, model_of, poses, seen
+from tests.core.fit.detections import (
+    CAMERA,
+    columns,
+    landmarks_of,
+    mirror_image,
+    mirrored,
+    model_of,
+    poses,
+    seen,
+)
 from tests.core.fit.frames import fit_frames
 
 COUNT = 16
@@ -26,7 +35,7 @@ def detections_of(noise: float = 0.0, side: Side = "right") -> list[HandDetectio
 
 
 def expected_of(detections: list[HandDetection]) -> np.ndarray:
-    return fit_frames(model_of("right"), detections, CAMERA).expected_error
+    return fit_frames(model_of("right"), columns(detections), CAMERA).expected_error
 
 
 def test_error_grows_with_noise() -> None:
@@ -49,14 +58,14 @@ def test_displaced_finger_has_larger_error() -> None:
 
 def test_sides_have_equal_error() -> None:
     ours = detections_of(noise=3.0)
-    theirs = fit_frames(model_of("left"), [mirror_image(d) for d in ours], CAMERA)
+    theirs = fit_frames(model_of("left"), columns([mirror_image(d) for d in ours]), CAMERA)
     np.testing.assert_allclose(theirs.expected_error, expected_of(ours), rtol=1e-2)
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_unsure_side_raises_error(side: Side) -> None:
     (one,) = detections_of(side=side)[:1]
-    certain = doubt.side_logits([replace(one, right_side=1.0)], side).item()
+    certain = doubt.side_logits(columns([replace(one, right_side=1.0)]), side).item()
     cases = [
         (None, None, certain),  # nobody judged
         (0.3, side, certain),  # a person has said it
@@ -65,14 +74,25 @@ def test_unsure_side_raises_error(side: Side) -> None:
     ]
     for probability, given, expected in cases:
         detection = replace(one, right_side=probability, given_side=given)
-        assert doubt.side_logits([detection], side).item() == pytest.approx(expected)
+        assert doubt.side_logits(columns([detection]), side).item() == pytest.approx(expected)
     other = replace(one, side="left" if side == "right" else "right", right_side=0.25)
-    assert doubt.side_logits([other], side).item() == pytest.approx(np.log(3.0))
+    assert doubt.side_logits(columns([other]), side).item() == pytest.approx(np.log(3.0))
     fits = [
-        fit_frames(model_of(side), [replace(one, right_side=p)], CAMERA).expected_error.mean()
+        fit_frames(model_of(side), columns([replace(one, right_side=p)]), CAMERA).expected_error.mean()
         for p in (0.999, 0.9, 0.6)
     ]
     assert fits[0] < fits[1] < fits[2]
+
+
+def test_crops_that_differ_raise_the_error() -> None:
+    """By how far they differ, in parts of the hand's size; a single crop tells nothing."""
+    one, clean, apart = detections_of()[:3]
+    hands = columns([one, *(replace(d, spread=np.full((21, 3), s)) for d, s in ((clean, 0.0), (apart, 9.0)))])
+    spread = 9.0 * np.sqrt(2.0) / apart.extent / doubt.DOUBT.clean_crop_spread
+    expected = np.array([1.0, doubt.DOUBT.min_crop_spread, spread]) ** doubt.DOUBT.crop_spread_power
+    factor = doubt.crop_spread_factor(hands)
+    np.testing.assert_allclose(factor, doubt.DOUBT.calibration_factor * expected)
+    assert doubt.crop_spread_factor(columns([one])) == factor[0]
 
 
 def test_degenerate_hands_have_errors() -> None:
@@ -80,8 +100,8 @@ def test_degenerate_hands_have_errors() -> None:
     fitter = fitter_of(model_of("right"))
     (one,) = detections_of()[:1]
     flat = replace(one, keypoints=np.full((21, 3), 50.0), world=np.zeros((21, 3)))
-    observed = fitter.observe([flat], CAMERA)
-    start = fitter.chain.points(fitter.start(fitter.observe([one], CAMERA)))
+    observed = fitter.observe(columns([flat]), CAMERA)
+    start = fitter.chain.points(fitter.start(fitter.observe(columns([one]), CAMERA)))
     for points in (start, 1e6 * start, -start, 0.0 * start, np.nan * start, np.inf * start):
         for sure in (-6.0, 0.0, 6.0):
             expected = doubt.expected_error(doubt.evidence(observed, points, np.array([sure])))
@@ -97,9 +117,8 @@ def test_doubtful_threshold() -> None:
 
 
 def test_errors_of_a_track() -> None:
-    found: list[HandDetection | None] = list(with_side_judged(detections_of(noise=2.0)))
-    found[3] = None
-    track = DetectedTrack("right", tuple(found), 25.0)
+    found = with_side_judged(columns(detections_of(noise=2.0)))
+    track = Track("right", found.select(np.arange(COUNT) != 3), COUNT)
     fit = fit_track(0.0, model_of("right"), track, CAMERA, lambda: None)
     assert fit.expected_error is not None
     assert fit.doubtful is not None

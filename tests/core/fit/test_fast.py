@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit import fast as fit
 from handfit_core.fit.fast import fit_track
 from handfit_core.fit.settings import MOTION
@@ -18,6 +18,7 @@ from handfit_core.skeleton import PARENTS, SIDES, Side
 from tests.core.fit.detections import (
     CAMERA,
     angles_of_pose,
+    columns,
     ends_of_range,
     keypoints_of,
     laid_error,
@@ -27,6 +28,7 @@ from tests.core.fit.detections import (
     model_of,
     poses,
     seen,
+    track_of,
 )
 from tests.core.fit.frames import FrameFits, fit_frames
 
@@ -50,7 +52,7 @@ def points_of(side: Side, fits: FrameFits) -> np.ndarray:
 @pytest.mark.parametrize("side", SIDES)
 def test_a_hand_is_recovered(side: Side) -> None:
     true = parameters_of(side, 16)
-    fits = fit_frames(model_of(side), detections_of(side, true), CAMERA)
+    fits = fit_frames(model_of(side), columns(detections_of(side, true)), CAMERA)
     aims, found = keypoints_of(side, *true), points_of(side, fits)
     error = laid_error(found, aims)
     assert error.max() < 0.007  # metres; the network moves perfect landmarks a little
@@ -66,8 +68,8 @@ def test_a_hand_is_recovered(side: Side) -> None:
 
 def test_left_mirrors_right() -> None:
     detections = detections_of("right", poses(6, seed=2), noise=3.0)
-    ours = fit_frames(model_of("right"), detections, CAMERA)
-    theirs = fit_frames(model_of("left"), [mirror_image(d) for d in detections], CAMERA)
+    ours = fit_frames(model_of("right"), columns(detections), CAMERA)
+    theirs = fit_frames(model_of("left"), columns([mirror_image(d) for d in detections]), CAMERA)
     flipped = points_of("left", theirs) * np.array([-1.0, 1.0, 1.0])
     np.testing.assert_allclose(flipped, points_of("right", ours), atol=2e-4)  # float32, and where it stops
     expected = mirrored(ours.betas, ours.global_orient, ours.hand_pose, ours.transl)
@@ -80,9 +82,9 @@ def test_left_mirrors_right() -> None:
 def test_alone_or_among_others() -> None:
     """The same result, but for the rounding of float32."""
     detections = detections_of("right", poses(12, seed=3), noise=4.0)
-    together = fit_frames(model_of("right"), detections, CAMERA)
+    together = fit_frames(model_of("right"), columns(detections), CAMERA)
     for i in (0, 5, 11):
-        alone = fit_frames(model_of("right"), [detections[i]], CAMERA)
+        alone = fit_frames(model_of("right"), columns([detections[i]]), CAMERA)
         np.testing.assert_allclose(
             points_of("right", alone)[0],
             points_of("right", together)[i],
@@ -119,28 +121,28 @@ def test_angles_stay_within_limits(side: Side) -> None:
         ),
         *garbage(side, 30),
     ]
-    fits = fit_frames(model_of(side), inputs, CAMERA)
+    fits = fit_frames(model_of(side), columns(inputs), CAMERA)
     assert np.isfinite(fits.hand_pose).all()
     assert excess(fits.hand_pose, side).max() < 5.0
 
 
 def test_garbage_is_doubtful() -> None:
     """More than half of it: the network knows no pictures of nothing."""
-    assert fit_frames(model_of("right"), garbage("right", 60), CAMERA).doubtful.mean() > 0.4
-    clean = fit_frames(model_of("right"), detections_of("right", poses(20), noise=2.0), CAMERA)
+    assert fit_frames(model_of("right"), columns(garbage("right", 60)), CAMERA).doubtful.mean() > 0.4
+    clean = fit_frames(model_of("right"), columns(detections_of("right", poses(20), noise=2.0)), CAMERA)
     assert clean.doubtful.mean() <= 0.05
 
 
 def test_too_few_iterations(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fit, "SOLVER", replace(fit.SOLVER, max_iterations=1))
-    fits = fit_frames(model_of("right"), detections_of("right", poses(4)), CAMERA)
+    fits = fit_frames(model_of("right"), columns(detections_of("right", poses(4))), CAMERA)
     assert not fits.solution.converged.any()
     assert (fits.solution.iterations == 1).all()
 
 
 def clip(
     side: Side, count: int, missing: tuple[int, ...] = (), noise: float = 0.0
-) -> tuple[Parameters, DetectedTrack]:
+) -> tuple[Parameters, Track]:
     """A hand that closes, turns and wanders."""
     betas, orient, pose, transl = poses(1, seed=6)
     t = np.arange(count) / FPS
@@ -150,10 +152,10 @@ def clip(
     whole = (np.repeat(betas, count, 0), rotmat_to_rotvec(turns), close[:, None] * pose, transl + path)
     true = whole if side == "right" else mirrored(*whole)
     detections = [None if i in missing else d for i, d in enumerate(detections_of(side, true, noise))]
-    return true, DetectedTrack(side, tuple(detections), FPS)
+    return true, track_of(side, detections, FPS)
 
 
-def fitted(track: DetectedTrack, smoothing: float = 1.0) -> HandMotion:
+def fitted(track: Track, smoothing: float = 1.0) -> HandMotion:
     return fit_track(smoothing, model_of(track.side), track, CAMERA, lambda: None)
 
 
@@ -250,8 +252,8 @@ def test_given_length(side: Side, length: float) -> None:
     betas = np.tile(betas_of_length(model, length), (36, 1))
     true = (betas, orient, pose, transl)
     detections = detections_of(side, true, noise=2.0)
-    guessed = fit_frames(model, detections, CAMERA)
-    told = fit_frames(model, detections, CAMERA, hand_length=length)
+    guessed = fit_frames(model, columns(detections), CAMERA)
+    told = fit_frames(model, columns(detections), CAMERA, hand_length=length)
     lengths = np.array([flat_hand_length(model, b) for b in told.betas])
     np.testing.assert_allclose(lengths, length, rtol=0.01)
 
@@ -261,7 +263,7 @@ def test_given_length(side: Side, length: float) -> None:
     assert abs(distance(told).mean() - 1.0) < 0.025
     assert abs(distance(guessed).mean() - 1.0) > 0.05  # without being told it is an average hand's
     assert distance(guessed).std() < 0.05  # and does not grow and shrink with what little a picture tells
-    track = DetectedTrack(side, tuple(detections[:12]), FPS)
+    track = track_of(side, detections[:12], FPS)
     found = fit_track(0.0, model, track, CAMERA, lambda: None, hand_length=length)
     assert flat_hand_length(model, found.betas) == pytest.approx(length, rel=0.01)
 
@@ -286,18 +288,13 @@ def test_warns_of_odd_lengths(caplog: pytest.LogCaptureFixture) -> None:
 def test_overlapped_fingers_in_clips() -> None:
     """In a few frames the detector takes the other hand's fingers for this one's."""
     poses, track = clip("right", 30)
-    model, wrong = model_of("right"), slice(12, 17)
-    covered = np.arange(21) > 8
-    detections = [d for d in track.detections if d is not None]
-    for t in range(wrong.start, wrong.stop):
-        keypoints = detections[t].keypoints.copy()
-        keypoints[covered, :2] += [40.0, 0.0]
-        detections[t] = replace(detections[t], keypoints=keypoints)
-    told = list(detections)
-    told[wrong] = [replace(d, overlapped=covered) for d in detections[wrong]]
+    model, wrong = model_of("right"), np.isin(np.arange(30), range(12, 17))
+    covered = wrong[:, None] & (np.arange(21) > 8)
+    keypoints = track.detections.keypoints + np.where(covered[..., None], [40.0, 0.0, 0.0], 0.0)
     errors, aims = [], keypoints_of("right", *poses)
-    for given in (detections, told):
-        found = fit_track(1.0, model, DetectedTrack("right", tuple(given), FPS), CAMERA, lambda: None)
+    for overlapped in (None, covered):
+        given = replace(track.detections, keypoints=keypoints, overlapped=overlapped)
+        found = fit_track(1.0, model, replace(track, detections=given), CAMERA, lambda: None)
         points = keypoints_of(
             "right", np.tile(found.betas, (30, 1)), found.global_orient, found.hand_pose, found.transl
         )

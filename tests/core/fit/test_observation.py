@@ -11,21 +11,22 @@ from handfit_core.detect.correction.corrected import Trust, landmarked
 from handfit_core.detect.correction.network import landmark_network
 from handfit_core.fit.observation import observation_of
 from handfit_core.skeleton import Side
-from tests.core.fit.detections import CAMERA, landmarks_of, mirror_image, poses, seen
+from tests.core.fit.detections import CAMERA, columns, landmarks_of, mirror_image, poses, seen
 
 RIGHT: Side = "right"
 POINTS = landmarks_of(RIGHT, *poses(6, seed=5))
-DETECTIONS = [seen(p, RIGHT) for p in POINTS]
-RIGHTS: list[Side] = [RIGHT for _ in DETECTIONS]
+HANDS = [seen(p, RIGHT) for p in POINTS]
+DETECTIONS = columns(HANDS)
+RIGHTS = DETECTIONS.side
 
 
 def test_no_trust_keeps_detection() -> None:
     found = landmarked(DETECTIONS, RIGHT, Trust(plane=0.0, depth=0.0))
-    np.testing.assert_allclose(found.pixels, [d.keypoints_2d for d in DETECTIONS], atol=1e-9)
+    np.testing.assert_allclose(found.pixels, DETECTIONS.keypoints_2d, atol=1e-9)
     np.testing.assert_allclose(found.depth.mean(axis=1), 0.0, atol=1e-9)
     # Image and world landmarks are exact here: so is their mean.
-    expected = np.array([d.keypoints[:, 2] - d.keypoints[:, 2].mean() for d in DETECTIONS])
-    size = np.array([d.extent for d in DETECTIONS])
+    depth = DETECTIONS.keypoints[..., 2]
+    expected, size = depth - depth.mean(axis=1, keepdims=True), DETECTIONS.extent
     assert (
         np.abs((found.depth - expected) / size[:, None]).max() < 0.08
     )  # of the hand's size: perspective is all that is left
@@ -58,7 +59,7 @@ def test_trust_in_the_plane_and_in_depth() -> None:
 
 
 def test_expected_errors_scale() -> None:
-    large = [replace(d, keypoints=2 * d.keypoints) for d in DETECTIONS]
+    large = replace(DETECTIONS, keypoints=2 * DETECTIONS.keypoints)
     small, twice = landmarked(DETECTIONS, RIGHT, Trust()), landmarked(large, RIGHT, Trust())
     np.testing.assert_allclose(twice.pixel_sigma, 2 * small.pixel_sigma, rtol=1e-4)
     np.testing.assert_allclose(twice.depth_sigma, 2 * small.depth_sigma, rtol=1e-4)
@@ -75,7 +76,7 @@ def test_expected_errors_scale() -> None:
 
 def test_a_mirrored_picture_is_seen_alike() -> None:
     ours = landmarked(DETECTIONS, RIGHT, Trust())
-    theirs = landmarked([mirror_image(d) for d in DETECTIONS], "left", Trust())
+    theirs = landmarked(columns([mirror_image(d) for d in HANDS]), "left", Trust())
     np.testing.assert_allclose(2 * CAMERA.cx - theirs.pixels[..., 0], ours.pixels[..., 0], atol=1e-3)
     np.testing.assert_allclose(theirs.pixels[..., 1], ours.pixels[..., 1], atol=1e-3)
     np.testing.assert_allclose(theirs.depth, ours.depth, atol=1e-3)

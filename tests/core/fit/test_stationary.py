@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit.fast import fit_track
 from handfit_core.fit.settings import MOTION
 from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
 from handfit_core.hand_model.chain import State
-from tests.core.fit.detections import CAMERA, landmarks_of, model_of, poses, seen
+from tests.core.fit.detections import CAMERA, landmarks_of, model_of, poses, seen, track_of
 from tests.core.fit.hands import chain_of, make_state, observe, repeated
 
 FPS = 25.0
@@ -32,7 +32,7 @@ def wobble(seed: int) -> np.ndarray:
     return 0.004 * values
 
 
-def detected(seed: int, depth: np.ndarray, closing: np.ndarray, error: float = 0.0) -> DetectedTrack:
+def detected(seed: int, depth: np.ndarray, closing: np.ndarray, error: float = 0.0) -> Track:
     """A hand `depth` (T,) metres farther along the line of sight and `closing` (T,) times as bent, which
     seems smaller by a part of `error` as it closes. Landmarks jitter by 0.6 pixels."""
     betas, orient, pose, transl = (np.repeat(rows, COUNT, axis=0) for rows in poses(1, seed=4))
@@ -44,10 +44,10 @@ def detected(seed: int, depth: np.ndarray, closing: np.ndarray, error: float = 0
         one = seen(points[t], "right", noise=0.6, seed=1000 * seed + t)
         keypoints = one.keypoints[0] + size[t] * (one.keypoints - one.keypoints[0])
         detections.append(HandDetection(one.side, one.score, keypoints, one.world))
-    return DetectedTrack("right", tuple(detections), FPS)
+    return track_of("right", detections, FPS)
 
 
-def found(track: DetectedTrack, smoothing: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def found(track: Track, smoothing: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """The wrist's distance (T,) in metres, and the poses (T, 45)."""
     model = model_of("right")
     fit = fit_track(smoothing, model, track, CAMERA, lambda: None)

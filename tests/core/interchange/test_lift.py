@@ -8,8 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from handfit_core.arrays import check_arrays
 from handfit_core.detect.correction.corrected import TRUST, landmarked
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.refit import refit_range
 from handfit_core.fitting import hand_track
@@ -20,7 +21,7 @@ from handfit_core.interchange.recording import Recording, SeenHands
 from handfit_core.interchange.taking import detected_in
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
 from handfit_core.solvers import get_solver
-from tests.core.fit.detections import CAMERA, landmarks_of, mirrored, model_of, poses, seen
+from tests.core.fit.detections import CAMERA, columns, landmarks_of, mirrored, model_of, poses, seen
 
 COUNT = 60
 
@@ -46,7 +47,7 @@ def hands_of(side: Side, points: np.ndarray, **values: np.ndarray) -> SeenHands:
     )
 
 
-def lifted_pixels(side: Side) -> tuple[np.ndarray, list[HandDetection]]:
+def lifted_pixels(side: Side) -> tuple[np.ndarray, Detections]:
     pixels = CAMERA.project(truth_of(side))
     return pixels, lifted(hands_of(side, pixels))
 
@@ -62,11 +63,12 @@ def test_depth_is_nearly_that_of_the_hand(side: Side) -> None:
     def off(found: np.ndarray, real: np.ndarray) -> np.ndarray:
         return np.linalg.norm(align(found, real, with_scale=True).apply(found) - real, axis=1)
 
-    for points, detection, real in zip(pixels, found, truth, strict=True):
-        assert np.array_equal(detection.keypoints_2d, points)
-        assert detection.keypoints[0, 2] == 0.0
-        assert (detection.side, detection.given_side, detection.overlapped) == (side, side, None)
-        errors.append(off(detection.world, real))
+    assert np.array_equal(found.keypoints_2d, pixels)
+    assert not found.keypoints[:, 0, 2].any()
+    assert set(found.side) == set(found.given_side) == {SIDES.index(side)}
+    assert not np.any(found.overlapped)
+    for points, world, real in zip(pixels, found.world, truth, strict=True):
+        errors.append(off(world, real))
         flat.append(off(np.column_stack([points, np.zeros(21)]), real))
     assert np.mean(errors) < 0.007
     assert np.mean(errors) < 0.5 * np.mean(flat)
@@ -75,10 +77,9 @@ def test_depth_is_nearly_that_of_the_hand(side: Side) -> None:
 def test_left_hands_are_mirror_images() -> None:
     right, left = (lifted_pixels(side)[1] for side in SIDES[::-1])
     middle = CAMERA.cx
-    for mine, other in zip(right, left, strict=True):
-        image = np.column_stack([2 * middle - other.keypoints[:, 0], other.keypoints[:, 1:]])
-        assert np.abs(image - mine.keypoints).max() < 0.05
-        assert np.abs(other.world * [-1.0, 1.0, 1.0] - mine.world).max() < 1e-4
+    image = left.keypoints * [-1.0, 1.0, 1.0] + [2 * middle, 0.0, 0.0]
+    assert np.abs(image - right.keypoints).max() < 0.05
+    assert np.abs(left.world * [-1.0, 1.0, 1.0] - right.world).max() < 1e-4
 
 
 def test_a_turned_larger_picture_is_lifted_alike() -> None:
@@ -86,13 +87,13 @@ def test_a_turned_larger_picture_is_lifted_alike() -> None:
     turn = np.array([[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]])
     plain = lifted(hands_of("right", pixels))
     other = lifted(hands_of("right", 3.0 * pixels @ turn.T + 40.0))
-    for a, b in zip(plain, other, strict=True):
-        assert np.abs(3.0 * a.keypoints[:, 2] - b.keypoints[:, 2]).max() < 0.01 * a.extent
-        assert np.abs(a.world[:, :2] @ turn.T - b.world[:, :2]).max() < 1e-3
+    off = np.abs(3.0 * plain.keypoints[..., 2] - other.keypoints[..., 2])
+    assert (off.max(axis=1) < 0.01 * plain.extent).all()
+    assert np.abs(plain.world[..., :2] @ turn.T - other.world[..., :2]).max() < 1e-3
 
 
 def test_the_world_is_that_of_an_average_hand() -> None:
-    world = np.array([d.world for d in lifted_pixels("right")[1]])
+    world = lifted_pixels("right")[1].world
     bones = np.linalg.norm(world[:, 1:] - world[:, KEYPOINT_PARENTS[1:]], axis=2)
     assert np.allclose(bones.mean(axis=1), 0.0416)
     flat = model_of("right").keypoints(np.zeros(10), *(np.zeros((1, n)) for n in (3, 45, 3)))[0]
@@ -107,18 +108,15 @@ def test_missing_points_are_guessed_and_believed_less() -> None:
     some[gone] = np.nan
     found = lifted(hands_of("right", some))
     extent = np.ptp(pixels, axis=1).max(axis=1)
-    off = np.array([np.linalg.norm(d.keypoints_2d - p, axis=1) for d, p in zip(found, pixels, strict=True)])
+    off = np.linalg.norm(found.keypoints_2d - pixels, axis=2)
     assert np.all(off[~gone] == 0.0)
     relative = (off / extent[:, None])[gone]
     assert np.median(relative) < 0.05
     assert relative.mean() < 0.10
-    for detection, missing in zip(found, gone, strict=True):
-        less = np.zeros(21, dtype=bool) if detection.overlapped is None else detection.overlapped
-        assert np.array_equal(less, missing)
-    plain = landmarked([replace(d, overlapped=None) for d in found], "right")
-    assert np.allclose(
-        landmarked(found, "right").pixel_sigma[gone], TRUST.overlapped * plain.pixel_sigma[gone]
-    )
+    np.testing.assert_array_equal(found.overlapped, gone)
+    plain = landmarked(replace(found, overlapped=None), "right")
+    doubted = landmarked(found, "right").pixel_sigma[gone]
+    assert np.allclose(doubted, TRUST.overlapped * plain.pixel_sigma[gone])
 
 
 def test_points_that_the_program_doubts_are_believed_less() -> None:
@@ -128,10 +126,8 @@ def test_points_that_the_program_doubts_are_believed_less() -> None:
     confidence = np.array([1.0, 0.4, 0.02])[:, None] * np.ones(21)
     confidence[1:, 7] *= 0.4
     found = lifted(replace(hands, confidence=confidence))
-    assert found[0].overlapped is None
-    for detection in found[1:]:
-        assert detection.overlapped is not None
-        assert np.flatnonzero(detection.overlapped).tolist() == [7]
+    assert found.overlapped is not None
+    assert np.argwhere(found.overlapped).tolist() == [[1, 7], [2, 7]]
 
 
 @pytest.mark.parametrize("gone", [[0], [0, 5, 9, 13, 17], list(range(5, 21)), [4, 8, 12, 16, 20]])
@@ -140,33 +136,27 @@ def test_whatever_is_missing_numbers_come_back(gone: list[int]) -> None:
     pixels = CAMERA.project(truth_of("right", 6))
     size = np.ptp(pixels, axis=1).max()
     pixels[:, [k for k in gone if k > 0 or len(gone) < 16]] = np.nan
-    for detection in lifted(hands_of("right", pixels)):
-        assert np.isfinite(detection.keypoints).all()
-        assert np.isfinite(detection.world).all()
-        assert detection.extent < 4.0 * size
+    found = lifted(hands_of("right", pixels))
+    check_arrays(found)
+    assert (found.extent < 4.0 * size).all()
 
 
 def test_points_in_one_place_are_no_trouble() -> None:
-    (one,) = lifted(hands_of("right", np.full((1, 21, 2), 7.0)))
-    assert np.isfinite(one.keypoints).all()
-    assert np.isfinite(one.world).all()
+    check_arrays(lifted(hands_of("right", np.full((1, 21, 2), 7.0))))
 
 
 def test_what_is_known_of_depth_stays() -> None:
     """Of MediaPipe's own exports; where that is missing, too, it is guessed."""
-    whole = [seen(points, "right") for points in truth_of("right", 4)]
-    points = np.array([d.keypoints for d in whole])
-    world = np.array([d.world for d in whole])
+    whole = columns([seen(points, "right") for points in truth_of("right", 4)])
+    points, world = whole.keypoints.copy(), whole.world.copy()
     same = lifted(hands_of("right", points[..., :2], depth=points[..., 2], world=world))
-    for a, b in zip(same, whole, strict=True):
-        assert np.array_equal(a.keypoints, b.keypoints)
-        assert np.array_equal(a.world, b.world)
+    assert np.array_equal(same.keypoints, whole.keypoints)
+    assert np.array_equal(same.world, whole.world)
     points[1, 8] = np.nan
     world[1, 8] = np.nan
     same = lifted(hands_of("right", points[..., :2], depth=points[..., 2], world=world))
-    assert np.isfinite(same[1].keypoints).all()
-    assert np.isfinite(same[1].world).all()
-    assert np.array_equal(same[2].world, whole[2].world)
+    check_arrays(same)
+    assert np.array_equal(same.world[2], whole.world[2])
 
 
 def moving(count: int) -> np.ndarray:
@@ -186,7 +176,7 @@ def test_a_take_of_such_keypoints_is_refitted_as_it_was_fitted() -> None:
     points = moving(30)
     recording = Recording("x", ("a",), 30.0, np.arange(1, 31), hands_of("right", points))
     found = detected_in(recording)
-    track = DetectedTrack("right", tuple(hands[0] for hands in found.frames), 30.0)
+    track = Track("right", found.hands, 30, 30.0)
     model = model_of("right")
     fit = get_solver("fast")(model, track, CAMERA, lambda: None)
     kept = hand_track(model, track, fit, CAMERA)
@@ -198,7 +188,7 @@ def test_a_take_of_such_keypoints_is_refitted_as_it_was_fitted() -> None:
             kept.betas,
             *kept.pose,
             CAMERA,
-            tuple(kept.detection(row) for row in range(30)),
+            kept.detections(),
             np.full((30, 21, 2), np.nan),
             np.zeros(NUM_JOINTS, dtype=bool),
             OPEN_HAND,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import DetectedTrack, HandDetection
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
@@ -12,6 +12,7 @@ from handfit_core.paper import EXPERIMENTS
 from handfit_core.paper.fitter import PaperFitter, normalise
 from handfit_core.skeleton import PALM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import get_solver, solver_names
+from tests.core.fit.detections import track_of
 
 RNG = np.random.default_rng(11)
 ZERO = np.zeros(3)
@@ -121,7 +122,7 @@ def test_track_is_placed_before_the_camera(side: Side) -> None:
             HandDetection(side, 0.9, np.column_stack([pixels, depth]), points - points.mean(axis=0))
         )
     detections.insert(2, None)
-    track = DetectedTrack(side, tuple(detections))
+    track = track_of(side, detections)
     ticks: list[int] = []
     fit = get_solver("paper-a-plus")(model, track, camera, lambda: ticks.append(1))
     assert len(ticks) == 4

@@ -15,7 +15,7 @@ from scripts.benchmark.shots import ShotHand
 from scripts.training import learn
 from scripts.training.learn import Samples
 from scripts.training.samples import sample
-from tests.core.fit.detections import keypoints_of, landmarks_of, mirrored, poses, seen
+from tests.core.fit.detections import columns, keypoints_of, landmarks_of, mirrored, poses, seen
 
 torch.set_num_threads(1)
 SIZE = 480
@@ -137,7 +137,7 @@ def test_training_learns(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_samples_canonical_frame_is_the_networks() -> None:
     """From arrays as from detections."""
     samples, truth = samples_with()
-    sides: list[Side] = [SIDES[i] for i in samples["side"]]
-    detections = [seen(p, side, CAMERA) for p, side in zip(truth, sides, strict=True)]
-    ours, theirs = learn._canonical(samples, samples["side"]), canonical(detections, sides)
+    hands = [seen(p, SIDES[side], CAMERA) for p, side in zip(truth, samples["side"], strict=True)]
+    ours = learn._canonical(samples, samples["side"])
+    theirs = canonical(columns(hands), samples["side"])
     np.testing.assert_allclose(ours.features, theirs.features, atol=1e-9)

@@ -16,6 +16,7 @@ from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolEr
 from handfit_core.fit import clips
 from handfit_core.solvers import never
 from tests.conftest import ROOT
+from tests.core.fit.detections import columns
 
 COUNT = 8
 
@@ -31,9 +32,11 @@ def hand() -> RefineHand:
         side="right",
         betas=track.betas,
         intrinsics=truth.intrinsics,
-        detections=tuple(
-            HandDetection("right", 0.9, np.concatenate([track.keypoints_2d[i], flat], axis=1), points[i])
-            for i in range(COUNT)
+        detections=columns(
+            [
+                HandDetection("right", 0.9, np.concatenate([track.keypoints_2d[i], flat], axis=1), points[i])
+                for i in range(COUNT)
+            ]
         ),
         pins=np.full((COUNT, 21, 2), np.nan),
         global_orient=track.global_orient[:COUNT],

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.correction.canonical import FEATURES, KNUCKLES, WORLD_SCALE, Canonical, canonical
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.geometry.similarity import align
-from handfit_core.skeleton import Side, other_side
-from tests.core.fit.detections import landmarks_of, poses, seen
+from handfit_core.skeleton import SIDES, Side, other_side
+from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 RIGHT: Side = "right"
-DETECTIONS = [seen(p, RIGHT, noise=4.0, seed=i) for i, p in enumerate(landmarks_of(RIGHT, *poses(8, seed=1)))]
+HANDS = [seen(p, RIGHT, noise=4.0, seed=i) for i, p in enumerate(landmarks_of(RIGHT, *poses(8, seed=1)))]
+DETECTIONS = columns(HANDS)
 
 
-def canonical_right(detections: list[HandDetection]) -> Canonical:
-    return canonical(detections, [RIGHT for _ in detections])
+def canonical_right(detections: Detections) -> Canonical:
+    return canonical(detections, np.full(len(detections), SIDES.index(RIGHT)))
 
 
 def test_there_and_back() -> None:
-    sides: list[Side] = [RIGHT, "left"] * 4
-    frame = canonical(DETECTIONS, sides)
+    frame = canonical(DETECTIONS, np.arange(8) % 2)
     points = np.random.default_rng(0).normal(size=(8, 21, 3))
     np.testing.assert_allclose(frame.from_picture(frame.to_picture(points)), points, atol=1e-12)
     np.testing.assert_allclose(frame.to_picture(frame.from_picture(100 * points)), 100 * points, atol=1e-9)
@@ -32,7 +32,7 @@ def test_there_and_back() -> None:
 def test_image_landmarks_come_back_as_pixels() -> None:
     frame = canonical_right(DETECTIONS)
     image = frame.features[:, :63].reshape(-1, 21, 3)
-    keypoints = np.array([d.keypoints for d in DETECTIONS])
+    keypoints = DETECTIONS.keypoints
     expected = keypoints - keypoints.mean(axis=1, keepdims=True) * [0, 0, 1]
     np.testing.assert_allclose(frame.to_picture(image), expected, atol=1e-9)
 
@@ -68,14 +68,13 @@ def test_how_the_picture_is_held_makes_no_difference(
     mirror: bool, angle: float, scale: float, shift: tuple[float, float]
 ) -> None:
     before = canonical_right(DETECTIONS)
-    moved = [changed(d, angle, scale, shift, mirror) for d in DETECTIONS]
-    after = canonical(moved, [d.side for d in moved])
+    moved = columns([changed(d, angle, scale, shift, mirror) for d in HANDS])
+    after = canonical(moved, moved.side)
     np.testing.assert_allclose(after.features, before.features, atol=1e-9)
     np.testing.assert_allclose(after.fused, before.fused, atol=1e-9)
     np.testing.assert_allclose(after.size, scale * before.size)
     # And the way back leads to where each was.
-    expected = np.array([d.keypoints_2d for d in moved])
-    np.testing.assert_allclose(after.to_picture(after.fused)[..., :2], expected, atol=1e-7)
+    np.testing.assert_allclose(after.to_picture(after.fused)[..., :2], moved.keypoints_2d, atol=1e-7)
 
 
 def test_world_landmarks_are_laid_over_the_image_ones() -> None:
@@ -84,23 +83,23 @@ def test_world_landmarks_are_laid_over_the_image_ones() -> None:
     for one, other, laid in zip(image, world, over, strict=True):
         np.testing.assert_allclose(laid, align(other, one, with_scale=True).apply(other), atol=1e-9)
     size = np.linalg.norm(world, axis=-1).mean(axis=1)
-    metres = [np.linalg.norm(d.world - d.world.mean(axis=0), axis=1).mean() for d in DETECTIONS]
+    metres = [np.linalg.norm(d.world - d.world.mean(axis=0), axis=1).mean() for d in HANDS]
     np.testing.assert_allclose(size, WORLD_SCALE * np.array(metres))
     np.testing.assert_allclose(frame.fused[..., :2], image[..., :2])
     np.testing.assert_allclose(frame.fused[..., 2], (image[..., 2] + over[..., 2]) / 2)
 
 
 def test_the_detectors_word_on_the_side() -> None:
-    detection = replace(DETECTIONS[0], score=0.7)
-    both = canonical([detection, detection], [RIGHT, "left"])
+    detection = replace(HANDS[0], score=0.7)
+    both = canonical(columns([detection, detection]), np.array([SIDES.index(RIGHT), SIDES.index("left")]))
     np.testing.assert_allclose(both.features[:, -1], [0.7, -0.7])
     np.testing.assert_array_equal(both.mirror, [1.0, -1.0])
 
 
 def test_points_in_one_place_do_no_harm() -> None:
-    frame = canonical([HandDetection(RIGHT, 0.5, np.full((21, 3), 7.0), np.zeros((21, 3)))], [RIGHT])
+    frame = canonical_right(columns([HandDetection(RIGHT, 0.5, np.full((21, 3), 7.0), np.zeros((21, 3)))]))
     assert np.isfinite(frame.features).all()
 
 
 def test_nothing_in_nothing_out() -> None:
-    assert canonical([], []).features.shape == (0, FEATURES)
+    assert canonical_right(columns([])).features.shape == (0, FEATURES)

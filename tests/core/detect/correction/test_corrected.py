@@ -12,37 +12,36 @@ from handfit_core.detect.correction.canonical import Canonical
 from handfit_core.detect.correction.corrected import TRUST, corrected, landmarked, with_side_judged
 from handfit_core.detect.correction.network import Correction
 from handfit_core.skeleton import SIDES, Side
-from tests.core.fit.detections import landmarks_of, poses, seen
+from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 POINTS = landmarks_of("right", *poses(12, seed=3))
-DETECTIONS = [seen(p, "right", noise=1.0, seed=i) for i, p in enumerate(POINTS)]
+DETECTIONS = columns([seen(p, "right", noise=1.0, seed=i) for i, p in enumerate(POINTS)])
+UNSURE = replace(DETECTIONS, side=np.zeros(12, dtype=int), score=np.full(12, 0.55))
+"""Named left hands, and not surely"""
 
 
 def test_a_sure_detector_keeps_its_word() -> None:
-    judged = with_side_judged(DETECTIONS)
-    assert [d.likely_side for d in judged] == ["right"] * 12
+    assert with_side_judged(DETECTIONS).likely_side.tolist() == [SIDES.index("right")] * 12
 
 
 def test_a_wrong_and_unsure_one_does_not() -> None:
-    judged = with_side_judged([replace(d, side="left", score=0.55) for d in DETECTIONS])
-    assert np.mean([d.likely_side == "right" for d in judged]) > 0.5
+    assert np.mean(with_side_judged(UNSURE).likely_side == SIDES.index("right")) > 0.5
 
 
 def test_the_detectors_word_counts_more() -> None:
-    unsure = [replace(d, side="left", score=0.55) for d in DETECTIONS]
-    _, probability = corrected(unsure, [d.side for d in unsure])
-    for p, judged in zip(probability, with_side_judged(unsure), strict=True):
-        assert judged.right_side is not None
-        odds = judged.right_side / (1.0 - judged.right_side)
-        np.testing.assert_allclose(odds, TRUST.detector_odds * p / (1.0 - p), rtol=1e-6)
+    _, probability = corrected(UNSURE, UNSURE.side)
+    right = with_side_judged(UNSURE).right_side
+    aim = TRUST.detector_odds * probability / (1.0 - probability)
+    np.testing.assert_allclose(right / (1.0 - right), aim, rtol=1e-6)
 
 
 def test_nothing_else_changes() -> None:
-    (judged,) = with_side_judged(DETECTIONS[:1])
-    assert judged.side == "right"
-    assert judged.score == DETECTIONS[0].score
-    assert judged.keypoints is DETECTIONS[0].keypoints
-    assert with_side_judged([]) == []
+    judged = with_side_judged(DETECTIONS)
+    for name in ("side", "score", "keypoints"):
+        assert getattr(judged, name) is getattr(DETECTIONS, name)
+    none = with_side_judged(columns([]))
+    assert none.corrected is not None
+    assert none.corrected.shape == (0, 21, 6)
 
 
 def test_what_was_said_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,13 +64,14 @@ def test_what_was_said_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> No
                 aim = getattr(expected[side], field.name)
                 np.testing.assert_allclose(getattr(found, field.name), aim, atol=1e-9)
         assert asked == count
-    landmarked([*judged[:5], *DETECTIONS[5:]], "right")
+    some = np.where(np.arange(12) < 5, judged.corrected_side, -1)
+    landmarked(replace(judged, corrected_side=some), "right")
     assert asked == [12, 7]
 
 
 def test_points_where_another_hand_is_are_believed_less() -> None:
-    covered = np.arange(21) > 16
-    detections = [DETECTIONS[0], replace(DETECTIONS[1], overlapped=covered), *DETECTIONS[2:]]
+    covered = (np.arange(21) > 16) & (np.arange(12) == 1)[:, None]
+    detections = replace(DETECTIONS, overlapped=covered)
     for before, given in (
         (landmarked(DETECTIONS, "right"), detections),
         (landmarked(with_side_judged(DETECTIONS), "right"), with_side_judged(detections)),
@@ -79,6 +79,6 @@ def test_points_where_another_hand_is_are_believed_less() -> None:
         doubted = landmarked(given, "right")
         np.testing.assert_array_equal(doubted.pixels, before.pixels)
         times = np.ones((12, 21))
-        times[1, covered] = corrected_module.TRUST.overlapped
+        times[covered] = corrected_module.TRUST.overlapped
         np.testing.assert_array_equal(doubted.pixel_sigma, before.pixel_sigma * times[..., None])
         np.testing.assert_array_equal(doubted.depth_sigma, before.depth_sigma * times)

@@ -18,12 +18,13 @@ from handfit_core.detect.correction.network import (
 )
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.skeleton import Side
-from tests.core.fit.detections import landmarks_of, mirror_image, poses, seen
+from tests.core.fit.detections import columns, landmarks_of, mirror_image, poses, seen
 
 RIGHT: Side = "right"
 POINTS = landmarks_of(RIGHT, *poses(12, seed=2))
-DETECTIONS = [seen(p, RIGHT, noise=2.0, seed=i) for i, p in enumerate(POINTS)]
-RIGHTS: list[Side] = [RIGHT for _ in DETECTIONS]
+HANDS = [seen(p, RIGHT, noise=2.0, seed=i) for i, p in enumerate(POINTS)]
+DETECTIONS = columns(HANDS)
+RIGHTS = DETECTIONS.side
 
 
 def looked_at(count: int, spread: float = 1.0) -> Canonical:
@@ -75,8 +76,9 @@ def test_it_says_something_about_every_landmark() -> None:
     assert landmark_network() is landmark_network()
 
 
-def probability(detections: list[HandDetection]) -> np.ndarray:
-    return corrected(detections, [d.side for d in detections])[1]
+def probability(hands: list[HandDetection]) -> np.ndarray:
+    detections = columns(hands)
+    return corrected(detections, detections.side)[1]
 
 
 def test_forward_pass_is_torchs() -> None:
@@ -97,16 +99,16 @@ def test_a_perfect_detection_is_hardly_moved() -> None:
 
 
 def test_bad_landmarks_are_expected_to_be_worse() -> None:
-    noisy = [seen(p, RIGHT, noise=25.0, seed=i) for i, p in enumerate(POINTS)]
+    noisy = columns([seen(p, RIGHT, noise=25.0, seed=i) for i, p in enumerate(POINTS)])
     clean = landmark_network()(canonical(DETECTIONS, RIGHTS)).sigma.mean()
     assert landmark_network()(canonical(noisy, RIGHTS)).sigma.mean() > 1.3 * clean
 
 
 def test_sides() -> None:
     """A right hand named a right one is likely; what is named wrong is not. Mirrored, it is the same."""
-    right = probability(DETECTIONS)
-    wrong = probability([replace(d, side="left", score=0.6) for d in DETECTIONS])
+    right = probability(HANDS)
+    wrong = probability([replace(d, side="left", score=0.6) for d in HANDS])
     assert right.mean() > 0.8
     assert wrong.mean() < right.mean() - 0.2
-    np.testing.assert_allclose(probability([mirror_image(d) for d in DETECTIONS]), right, atol=1e-4)
+    np.testing.assert_allclose(probability([mirror_image(d) for d in HANDS]), right, atol=1e-4)
     assert probability([]).shape == (0,)
