@@ -23,7 +23,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.farm.commands import add_work_command
 from handfit_core.files import path_of
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
@@ -32,6 +31,8 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.parts import Parts
 from handfit_core.pipeline import Progress, ProgressCallback, capture_to_file, detect_to_file
+from handfit_core.tasks.arguments import check_command
+from handfit_core.tasks.commands import add_batch_command
 from handfit_core.version import __version__
 
 EXIT_FAILED = 1
@@ -40,7 +41,9 @@ EXIT_INTERRUPTED = 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. User errors are one line on stderr."""
-    args = _parser().parse_args(argv)
+    parser, words = _parser(), sys.argv[1:] if argv is None else argv
+    check_command(parser, words)
+    args = parser.parse_args(words)
     output = _JsonOutput() if getattr(args, "progress", None) == "json" else _TextOutput()
     args.reporter = output
     log_handler = _LogHandler(output)
@@ -127,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     add_interchange_commands(commands)
-    add_work_command(commands)
+    add_batch_command(commands)
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.network"):  # as with the next one
         from handfit_core.network.commands import add_send_command

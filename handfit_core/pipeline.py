@@ -86,7 +86,7 @@ def capture(
     elif given or not isinstance(options, CaptureOptions):
         raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
-    _check(options)
+    check_options(options)
     origin = open_source(source, options, parts)
     media, recording = origin.media, origin.recording
     found = origin.find(lambda done: report(Progress("detect", done, max(media.expected_frames, done))), stop)
@@ -101,7 +101,7 @@ def capture(
     return replace(take, hands=hands, model_digests=digests)
 
 
-def _check(options: CaptureOptions) -> None:
+def check_options(options: CaptureOptions) -> None:
     """Raise OptionError for options that no input can be captured with, before one is read."""
     get_solver(options.solver, options.smoothing, options.hand_length)
     DETECTORS.get(options.detector)
