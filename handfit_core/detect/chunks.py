@@ -7,10 +7,10 @@ clip's hands are the same whichever threads and machines have detected its chunk
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -24,7 +24,7 @@ from handfit_core.detect.clips import (
     extend_track,
 )
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.keypoints import HandDetection, hands_from_arrays, hands_to_arrays
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.opening import settings_of
@@ -58,53 +58,6 @@ class Chunk:
         """What a finder has found in the frames of these numbers."""
         first, last = (finder.thumbnails[0], finder.thumbnails[-1]) if finder.thumbnails else (None, None)
         return cls(numbers, finder.frames, finder.tracked, finder.counts, finder.cuts, first, last)
-
-
-def chunks_to_arrays(chunks: Sequence[Chunk]) -> dict[str, np.ndarray]:
-    """C chunks as arrays for `.npz` files and messages: `sizes` (C, 4) counts the frames, tracked hands,
-    counts and cuts of each chunk; the other arrays have the rows of all chunks, one after the other."""
-    readable = [c for c in chunks if c.first is not None and c.last is not None]
-    thumbnails = [[each.pixels for each in (c.first, c.last) if each is not None] for c in readable]
-    sizes = [(len(c.numbers), len(c.tracked), len(c.counts), len(c.cuts)) for c in chunks]
-    return hands_to_arrays([h for c in chunks for h in (*c.frames, [t.last for t in c.tracked])]) | {
-        "sizes": np.array(sizes, dtype=np.int64).reshape(-1, 4),
-        "numbers": np.array([n for c in chunks for n in c.numbers], dtype=np.int64),
-        "velocity": np.array([t.velocity for c in chunks for t in c.tracked]).reshape(-1, 2),
-        "seen": np.array([n for c in chunks for n in c.counts], dtype=np.int64),
-        "cuts": np.array([n for c in chunks for n in c.cuts], dtype=np.int64),
-        "looked": np.array([c.first is not None for c in chunks], dtype=bool),
-        "glances": np.array(thumbnails, dtype=np.uint8) if readable else np.zeros((0, 2, 0, 0, 3), np.uint8),
-    }
-
-
-def chunks_from_arrays(arrays: Mapping[str, np.ndarray], threshold: float) -> list[Chunk]:
-    """The inverse of `chunks_to_arrays`. Raises KeyError, IndexError, TypeError and ValueError where the
-    arrays do not fit together."""
-    rows = {name: iter(arrays[name].tolist()) for name in ("numbers", "seen", "cuts")}
-    velocities, thumbnails = iter(arrays["velocity"]), iter(arrays["glances"])
-    hands = iter(hands_from_arrays(arrays))
-    chunks = []
-    for sizes, readable in zip(arrays["sizes"].tolist(), arrays["looked"], strict=True):
-        frame_count, tracked_count, counts, cuts = sizes
-        numbers = list(islice(rows["numbers"], frame_count))
-        frames = list(islice(hands, frame_count))
-        last_hands = next(hands, None)
-        if last_hands is None or (len(numbers), len(last_hands)) != (frame_count, tracked_count):
-            raise ValueError("its rows do not fit together")
-        moving = zip(last_hands, islice(velocities, tracked_count), strict=True)
-        first, last = map(Thumbnail, next(thumbnails, ())) if readable else (None, None)
-        chunks.append(
-            Chunk(
-                numbers,
-                frames,
-                [TrackedHand.of(hand, threshold, velocity) for hand, velocity in moving],
-                list(islice(rows["seen"], counts)),
-                list(islice(rows["cuts"], cuts)),
-                first,
-                last,
-            )
-        )
-    return chunks
 
 
 class ClipDetector:

@@ -1,10 +1,9 @@
-"""Frame ranges as artists write them, `10-200:2`, and the ranges of a clip that machines share."""
+"""Frame ranges as artists write them, `10-200:2`."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 from handfit_core.errors import OptionError
@@ -13,9 +12,6 @@ _PATTERN = re.compile(r"\s*(?P<first>\d+)?\s*(?:(?P<dash>-)\s*(?P<last>\d+)?)?\s
 CHUNK_FRAMES: Final = 96
 """Frames of a clip that are detected together. A chunk begins with a palm detection in the whole picture, as
 every 24th frame has one"""
-_MIN_PART_CHUNKS: Final = 4
-"""To start a process, and to read on to its first frame, should cost less than the detection"""
-
 _MAX_CHARS = 40
 """Characters; numbers beyond any clip's frames fit in"""
 
@@ -68,15 +64,3 @@ class FrameRange:
     def __str__(self) -> str:
         first, last = ("" if v is None else str(v) for v in (self.first, self.last))
         return f"{first}-{last}" + (f":{self.step}" if self.step > 1 else "")
-
-
-def part_ranges(frames: range, most: int) -> list[FrameRange]:
-    """At most `most` ranges that tile a clip of those frame numbers, for as many machines to detect: whole
-    chunks, about equally many, and at least 384 frames each. The last is open, in case the clip is longer
-    than its header says. Empty where there are no frames."""
-    if not frames:
-        return []
-    chunks = frames[::CHUNK_FRAMES]
-    count = max(1, min(most, len(chunks) // _MIN_PART_CHUNKS))
-    firsts = [chunks[i * len(chunks) // count] for i in range(count)]
-    return [FrameRange(a, b - 1) for a, b in pairwise(firsts)] + [FrameRange(firsts[-1])]

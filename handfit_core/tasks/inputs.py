@@ -17,9 +17,10 @@ from handfit_core.media.opening import (
 )
 from handfit_core.sheet import SUFFIX
 from handfit_core.take import is_take
+from handfit_core.tasks.record import read_record
 
 PREVIEW_SUFFIX: Final = ".preview.png"
-_OURS: Final = (SUFFIX, PREVIEW_SUFFIX)
+_OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".export.json")
 """What names of results end with that may lie among the inputs, and are none"""
 
 
@@ -57,6 +58,7 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
         return [Input(text, name, (str(path),))]
     pattern = str(Path(glob.escape(str(path.parent))) / path.name)
     found = sorted(p for p in map(Path, glob.glob(pattern)) if p.is_file() and not p.name.endswith(_OURS))
+    found = [p for p in found if p.suffix.lower() != ".json" or read_record(p) is None]
     pictures = [p for p in found if p.suffix.lower() in PHOTO_SUFFIXES]
     others = [_one_file(p) for p in found if p.suffix.lower() not in PHOTO_SUFFIXES]
     jobs = _group(pictures, grouping, path.absolute().parent.name) + others

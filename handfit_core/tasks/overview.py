@@ -10,10 +10,8 @@ import html
 import math
 import os
 import re
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -39,7 +37,6 @@ _SECTIONS: Final = {
         "Nobody can tell how far these are off: likely errors were not measured for their keypoints.",
     ),
     "good": ("Good", "Nothing speaks against these."),
-    "running": ("Running", ""),
     "pending": ("Waiting", ""),
 }
 """Section -> its title and what stands below, in the order of the page"""
@@ -48,9 +45,9 @@ _DONE: Final = ("doubtful", "unknown", "good")
 
 _STYLE: Final = """
 :root{color-scheme:light dark;--ground:#f6f6f4;--card:#fff;--text:#1d1f21;--faint:#62666b;--line:#dcdcd8;
---failed:#b3261e;--doubtful:#9a5b00;--good:#2c6e35;--running:#1f5fa8;--pending:#62666b}
+--failed:#b3261e;--doubtful:#9a5b00;--good:#2c6e35;--pending:#62666b}
 @media (prefers-color-scheme:dark){:root{--ground:#17181a;--card:#212326;--text:#e6e6e3;--faint:#a2a6ab;
---line:#383b3f;--failed:#ff8a80;--doubtful:#f0b35a;--good:#86cf90;--running:#8abbf2;--pending:#a2a6ab}}
+--line:#383b3f;--failed:#ff8a80;--doubtful:#f0b35a;--good:#86cf90;--pending:#a2a6ab}}
 *{box-sizing:border-box}
 body{margin:0 auto;padding:1rem;max-width:96rem;background:var(--ground);color:var(--text);
 font:15px/1.45 system-ui,sans-serif;overflow-wrap:anywhere}
@@ -59,10 +56,6 @@ p,ul,ol{margin:.3rem 0}ul,ol{padding-left:1.2rem}a{color:inherit}
 small,.faint{color:var(--faint);font-size:.87rem}
 nav{display:flex;flex-wrap:wrap;gap:.5rem;margin:.8rem 0}
 nav a{padding:.25rem .8rem;border:1px solid;border-radius:1rem;text-decoration:none;font-weight:600}
-table{border-collapse:collapse;margin:.6rem 0}td,th{padding:.1rem 1.4rem .1rem 0;text-align:right;
-font-weight:400;font-variant-numeric:tabular-nums}td:first-child,th:first-child{text-align:left}
-td+td,th{white-space:nowrap}
-th{color:var(--faint);font-size:.87rem}
 input{width:min(100%,30rem);padding:.45rem .7rem;font:inherit;color:inherit;background:var(--card);
 border:1px solid var(--line);border-radius:.4rem}
 article{background:var(--card);border:1px solid var(--line);border-left:4px solid var(--pending);
@@ -75,12 +68,12 @@ article.line h3{display:inline;font-weight:400;margin-right:.6rem}
 img{display:block;height:11rem;max-width:100%;object-fit:contain;object-position:left top}
 .files a{margin-right:.7rem}[hidden]{display:none!important}
 .failed{color:var(--failed)}.doubtful,.poor,.fair{color:var(--doubtful)}.good{color:var(--good)}
-.running{color:var(--running)}.pending,.unknown{color:var(--pending)}
-article.failed,article.doubtful,article.unknown,article.good,article.running,article.pending{color:inherit}
+.pending,.unknown{color:var(--pending)}
+article.failed,article.doubtful,article.unknown,article.good,article.pending{color:inherit}
 article.failed{border-left-color:var(--failed)}article.doubtful{border-left-color:var(--doubtful)}
-article.good{border-left-color:var(--good)}article.running{border-left-color:var(--running)}
+article.good{border-left-color:var(--good)}
 @media (max-width:45rem){article.sheet{grid-template-columns:1fr;gap:.5rem;contain-intrinsic-size:auto 20rem}
-.strip{overflow-x:auto}img{height:9rem;max-width:none}td,th{padding-right:.6rem}}
+.strip{overflow-x:auto}img{height:9rem;max-width:none}}
 """
 
 _SCRIPT: Final = """
@@ -94,16 +87,15 @@ section.hidden=!some}});
 
 
 def write_overview(
-    path: str | os.PathLike[str], entries: Sequence[Entry], *, at: datetime | None = None
+    path: str | os.PathLike[str], title: str, entries: Sequence[Entry], *, at: datetime | None = None
 ) -> None:
     """Write the overview of a batch's entries, whole or not at all.
 
     It belongs into the output folder: links are relative to its own. `at` is when things stood as the entries
     say; now, where it is missing. Raises OutputError.
     """
-    path = Path(path)
     with written_whole(path) as beside:
-        beside.write_text("".join(_page(path.absolute().parent.name, entries, at)), encoding="utf-8")
+        beside.write_text("".join(_page(title, entries, at)), encoding="utf-8")
 
 
 def section_of(entry: Entry) -> str:
@@ -114,7 +106,7 @@ def section_of(entry: Entry) -> str:
         doubted = not hands or _list(entry, "warnings") or any(_hand(hand, frames)[1] for hand in hands)
         unknown = any(hand.get("error_known") is False for hand in hands)
         return "doubtful" if doubted else "unknown" if unknown else "good"
-    return str(status) if status in ("failed", "running") else "pending"
+    return "failed" if status == "failed" else "pending"
 
 
 def _page(title: str, entries: Sequence[Entry], at: datetime | None) -> Iterator[str]:
@@ -143,7 +135,7 @@ def _page(title: str, entries: Sequence[Entry], at: datetime | None) -> Iterator
 
 
 def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
-    """What there is of each kind, what it took on which hosts, and what is left."""
+    """What there is of each kind, what it took, and what is left."""
     links = (
         f'<a class={name} href="#{name}">{_count(len(found))} {_SECTIONS[name][0].lower()}</a>'
         for name, found in sections.items()
@@ -151,28 +143,14 @@ def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
     )
     yield f"<nav>{''.join(links) or 'There is nothing in this batch.'}</nav>"
     done = [entry for name in _DONE for entry in sections[name]]
-    hosts = Counter(_host(entry) for name in (*_DONE, "failed") for entry in sections[name])
-    rows = [("all" if len(hosts) > 1 else next(iter(hosts), ""), done, sections["failed"])]
-    if len(hosts) > 1:
-        rows += [
-            (host, *([e for e in some if _host(e) == host] for some in (done, sections["failed"])))
-            for host, _ in hosts.most_common()
-        ]
-    if hosts:
-        yield "<table><tr><th><th>done<th>failed<th>frames<th>time<th>frames/s</tr>"
-        for host, good, failed in rows:
-            frames, seconds = (sum(_number(e, key) for e in good) for key in ("frames", "seconds"))
-            rate = f"{frames / seconds:.1f}" if seconds else ""
-            yield (
-                f"<tr><td>{_name(host)}<td>{_count(len(good))}<td>{_count(len(failed))}"
-                f"<td>{_count(frames)}<td>{_duration(seconds)}<td>{rate}</tr>"
-            )
-        yield "</table>"
-    left = len(sections["running"]) + len(sections["pending"])
-    if left:
-        took = sum(_number(entry, "seconds") for entry in done)
-        likely = f", about {_duration(left * took / len(done))} of work by the mean so far" if took else ""
-        yield f"<p>{_count(left)} left{likely}.</p>"
+    frames, seconds = (sum(_number(entry, key) for entry in done) for key in ("frames", "seconds"))
+    if seconds:
+        yield f"<p>{_count(frames)} frames in {_duration(seconds)}, {frames / seconds:.1f} a second.</p>"
+    if left := len(sections["pending"]):
+        work = (
+            f", about {_duration(left * seconds / len(done))} of work by the mean so far" if seconds else ""
+        )
+        yield f"<p>{_count(left)} left{work}.</p>"
     yield "\n"
 
 
@@ -188,8 +166,8 @@ def _card(section: str, entry: Entry) -> str:
         frames = _number(entry, "frames")
         facts.insert(0, f"{_count(frames)} frames" if frames != 1 else "1 frame")
     parts = [f"<h3>{_name(name)}</h3>"]
-    if section in ("running", "pending"):
-        parts.append(f"<small>{' · '.join([_name(given), *facts])} {_text(_said(entry, 'error'))}</small>")
+    if section == "pending":
+        parts.append(f"<small>{_name(given)}</small>")
         return f'<article class="{section} line">{"".join(parts)}</article>\n'
     parts.append(f"<small>{_name(given)}</small><p class=faint>{' · '.join(facts)}</p>")
     if section == "failed":

@@ -23,11 +23,19 @@ _KINDS: Final = {"key": str, "status": str, "result": dict, "files": dict}
 def read_record(path: Path) -> dict[str, Any] | None:
     """What a record says; None where there is none that can be understood."""
     try:
-        record = json.loads(read_file(path, _LARGEST))
+        record = json.loads(read_file(path, _LARGEST), parse_int=_whole)
+        json.dumps(record, allow_nan=False)
     except (OSError, ValueError, RecursionError):
         return None
     fits = isinstance(record, dict) and all(isinstance(record.get(n), kind) for n, kind in _KINDS.items())
     return record if fits else None
+
+
+def _whole(digits: str) -> int:
+    """A whole number, as far as floats can tell it from others."""
+    if len(digits) > 16:
+        raise ValueError(f"{digits[:16]}... is too large")
+    return int(digits)
 
 
 def write_record(

@@ -24,7 +24,7 @@ from handfit_core.fit_quality import (
 )
 from handfit_core.take import Take
 from handfit_core.tasks.overview import write_overview
-from handfit_core.tasks.record import missing_and_changed, read_record
+from handfit_core.tasks.record import missing_and_changed, move_results, read_record, results_folder
 
 if TYPE_CHECKING:
     from handfit_core.tasks.task import Task
@@ -151,13 +151,15 @@ def read_results(output: Path, tasks: Sequence[Task]) -> list[Result]:
 
 
 def write_report(output: Path, results: Sequence[Result]) -> None:
-    """Write report.json and overview.html, each whole. Raises OutputError."""
+    """Write report.json and overview.html. Raises OutputError."""
     report = {"format": "handfit-batch", "version": 1, "inputs": [vars(r) for r in results]}
-    with written_whole(output / REPORT) as beside:
-        text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
-        # Of a name that is no UTF-8 an escape is left, which says the same in JSON.
-        beside.write_text(text, encoding="utf-8", errors="backslashreplace")
-    write_overview(output / OVERVIEW, [vars(result) for result in results])
+    with results_folder(output) as part:
+        with written_whole(part / REPORT) as beside:
+            text = json.dumps(report, indent=2, ensure_ascii=False) + "\n"
+            # Of a name that is no UTF-8 an escape is left, which says the same in JSON.
+            beside.write_text(text, encoding="utf-8", errors="backslashreplace")
+        write_overview(part / OVERVIEW, output.absolute().name, [vars(result) for result in results])
+        move_results(part, output)
 
 
 def line(result: Result) -> str:

@@ -184,12 +184,13 @@ def own_version() -> str:
 
 
 def end_with(parent: int) -> None:
-    """Have this process end itself, as SIGTERM would, soon after that parent has ended."""
+    """Have this process end itself, as SIGTERM would, soon after that parent has ended; Windows does not tell
+    of it."""
 
     def look() -> None:
         while os.getppid() == parent:
             time.sleep(_LOOK)
-        signal.raise_signal(signal.SIGTERM)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # which may be waiting
 
     threading.Thread(target=look, daemon=True).start()
 

@@ -13,7 +13,6 @@ import numpy as np
 from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError, PictureSizeError
 from handfit_core.files import written_whole
-from handfit_core.media.frame_range import FrameRange
 from handfit_core.worker.protocol import FoundHand
 from handfit_core.worker.runner import OnProgress
 
@@ -31,8 +30,6 @@ def answer(
     match message["request"]:
         case "capture":
             return capture(message, should_stop, on_progress)
-        case "detect":
-            return detect(message, should_stop, on_progress)
         case "refit":
             from handfit_core import edit
 
@@ -58,11 +55,9 @@ def capture(
 ) -> dict[str, Any]:
     """Capture as the request says, write the take. Raises what `pipeline.capture` raises, and OutputError."""
     from handfit_core.options import CaptureOptions
-    from handfit_core.parts import Parts
     from handfit_core.pipeline import capture_to_file
 
     source, output = _source(message), _output(message)
-    parts = None if message.get("parts") is None else Parts(_paths(message, "parts"))
     flags = {name: message.get(name, False) for name in ("compact", "bare")}
     for name, flag in flags.items():
         if not isinstance(flag, bool):
@@ -80,7 +75,7 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, output, options, report, should_stop_once, **flags, parts=parts)
+    done = capture_to_file(source, output, options, report, should_stop_once, **flags)
     return {**done, "stopped": stopped}
 
 
@@ -96,26 +91,6 @@ def _check_retimed(source: Any, options: Any, rate: Any) -> None:
     if isinstance(media, Video) and is_other_rate(rate, media.fps):
         check_rate(rate)
         media.check_steady()
-
-
-def detect(
-    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
-) -> dict[str, Any]:
-    """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
-    from handfit_core.options import CaptureOptions
-    from handfit_core.pipeline import detect_to_file
-
-    part = message.get("part")
-    if part is not None and not isinstance(part, str):
-        raise OptionError(f"a part must be a range of frames, such as '961-1920', not {shortly(part)}")
-    return detect_to_file(
-        _source(message),
-        _output(message),
-        CaptureOptions.of_message(message.get("options") or {}),
-        FrameRange.parse(part) if part else None,
-        lambda progress: on_progress(progress.stage, progress.done, progress.total),
-        should_stop,
-    )
 
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 PROTOCOL: Final = 1
 """Version of the messages; the `ready` event carries it, and both sides must have the same"""
 
-JOBS: Final = ("capture", "detect", "probe", "find", "sheet", "refit", "warm", "check")
+JOBS: Final = ("capture", "probe", "find", "sheet", "refit", "warm", "check")
 """Requests that are done one at a time, in order, and answered by `done` or `error`"""
 
 REQUESTS: Final = (*JOBS, "cancel", "end")
@@ -161,7 +161,6 @@ _ANSWERS: Final[dict[str, dict[str, Callable[[str, Any], Any]]]] = {
         "first": whole,
         "last": whole,
     },
-    "detect": {"frames": _count},
     "find": {"frame": whole, "width": _count, "height": _count, "hands": _hands},
     "sheet": {"frames": _numbers},
     "refit": {"seconds": number},

@@ -27,7 +27,6 @@ from handfit_core.errors import (
     PlugInError,
     TakeError,
 )
-from handfit_core.farm import report
 from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
@@ -39,6 +38,7 @@ from handfit_core.pipeline import hand_summaries
 from handfit_core.registry import Registry
 from handfit_core.solvers import SOLVERS, Solver, TrackFit, TrackSolver, get_solver
 from handfit_core.sources import _rate
+from handfit_core.tasks import report
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"

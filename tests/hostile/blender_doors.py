@@ -19,14 +19,12 @@ import bpy
 
 import blender_manient
 from blender_manient import jobs, modules, shared_worker
-from blender_manient.batch.order import Order
 from blender_manient.block_reference import BlockReference
 from blender_manient.find_mode.choice import Choice
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
 from handfit_core.edit import result_from_message
 from handfit_core.errors import HandfitError
-from handfit_core.farm.plan import Plan
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.client import Worker
@@ -221,11 +219,6 @@ def client(peer: str, kind: str) -> None:
         raise as_error({"message": "taken in"})
 
 
-def order(path: str) -> None:
-    """What the process that does the tasks of a plan makes of its options."""
-    Order.of_plan(Plan.load(Path(path)).options, debug=False, python=None)
-
-
 def batch(argv: list[str], code: int) -> None:
     """scripts/batch_fit.py in this process: its exit code, and what stands in its report."""
     said = io.StringIO()
@@ -246,6 +239,5 @@ DOORS: dict[str, Callable[..., Any]] = {
     "import_of": import_of,
     "blend": blend,
     "client": client,
-    "order": order,
     "batch": batch,
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 from collections.abc import Callable
 from datetime import UTC, datetime
 from html.parser import HTMLParser
@@ -15,10 +14,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 import pytest
 
 from handfit_core.errors import OutputError
-from handfit_core.farm.collect import Report
-from handfit_core.farm.folder import Watch, files_in
-from handfit_core.farm.overview import section_of, write_overview
-from tests.core.farm.peers import plan_of
+from handfit_core.tasks.overview import section_of, write_overview
 
 VOID = {"meta", "input", "img", "br", "li", "th", "td"}
 """Without an end of their own here"""
@@ -103,7 +99,7 @@ def failed(name: str, error: str = "no hand", **fields: Any) -> dict[str, Any]:
 
 
 def made(folder: Path, *entries: dict[str, Any]) -> Page:
-    write_overview(folder / "overview.html", entries)
+    write_overview(folder / "overview.html", folder.name, entries)
     return Page(folder / "overview.html")
 
 
@@ -120,27 +116,23 @@ def test_what_needs_a_look_comes_first_and_the_worst_on_top(tmp_path: Path) -> N
         ok("fair", hand(0.010)),
         ok("poor", hand(0.013)),
         ok("warned", warnings=["The clip breaks off."]),
-        {"name": "runs", "input": "r.mp4", "status": "running", "host": "two"},
         failed("broken"),
         ok("worst", hand(0.006), hand(0.030, side="left")),
         ok("missing", hand(0.006, detected=50)),
         ok("unsure", hand(0.006, doubtful=60)),
         ok("handless", hands=[]),
-        {"name": "stopped", "input": "s.mp4", "status": "interrupted", "error": "stopped by the user"},
     )
-    assert list(page.sections) == ["failed", "doubtful", "good", "running", "pending"]
+    assert list(page.sections) == ["failed", "doubtful", "good", "pending"]
     expected = {
         "failed": "broken",
         "doubtful": "worst unsure poor missing warned handless",
         "good": "fair fine",
-        "running": "runs",
-        "pending": "stopped waits",
+        "pending": "waits",
     }
     for section, order in expected.items():
         assert sorted(names(page.sections[section], order)) == sorted(order.split()), section
     assert names(page.sections["doubtful"], expected["doubtful"]) == expected["doubtful"].split()
     assert names(page.sections["good"], "fair fine") == ["fair", "fine"]
-    assert "stopped by the user" in "".join(page.sections["pending"])
 
 
 def test_every_hand_is_told_with_its_error_in_words(tmp_path: Path) -> None:
@@ -190,16 +182,16 @@ def test_on_top_stands_how_far_it_is(tmp_path: Path) -> None:
     entries = [ok(f"a{n}", seconds=20.0) for n in range(3)] + [ok("b", host="two", seconds=100.0)]
     waiting = [{"name": f"w{n}", "input": "w.mp4", "status": "pending"} for n in range(1500)]
     at = datetime(2026, 5, 4, 3, 2, tzinfo=UTC)
-    write_overview(tmp_path / "overview.html", [*entries, failed("c", host="two"), *waiting], at=at)
+    write_overview(
+        tmp_path / "overview.html", tmp_path.name, [*entries, failed("c", host="two"), *waiting], at=at
+    )
     page = Page(tmp_path / "overview.html")
     head = " ".join(page.head.split())
     assert tmp_path.name in head
     assert "2026-05-04 03:02 UTC" in head
     assert "1 failed 4 good 1 500 waiting" in head
-    assert "all 4 1 400 3 min 2.5" in head
-    assert "one 3 0 300 1 min 5.0" in head
-    assert "two 1 1 100 2 min 1.0" in head
-    assert "1 500 left, about 16 h 40 min of work by the mean so far" in head
+    assert "400 frames in 3 min, 2.5 a second." in head
+    assert "1 500 left, about 16 h 40 min of work by the mean" in head
     assert {"#failed", "#good", "#pending"} == {link for link in page.links if link.startswith("#")}
 
 
@@ -257,7 +249,7 @@ def test_no_text_becomes_part_of_the_page(text: str, tmp_path: Path) -> None:
         return [
             ok(said, hand(0.05, side=said), files=files, **told),
             failed(said, said, **told),
-            {"name": said, "status": "running", "error": said, **told},
+            {"name": said, "status": "pending", "error": said, **told},
         ]
 
     harmless, page = made(tmp_path, *entry("harmless")), made(tmp_path, *entry(text))
@@ -271,7 +263,7 @@ def test_no_text_becomes_part_of_the_page(text: str, tmp_path: Path) -> None:
 
 
 def test_the_page_needs_nothing_from_elsewhere(tmp_path: Path) -> None:
-    write_overview(tmp_path / "overview.html", [ok("a"), failed("b")])
+    write_overview(tmp_path / "overview.html", "title", [ok("a"), failed("b")])
     text = (tmp_path / "overview.html").read_text(encoding="utf-8")
     assert "http" not in text
     assert "url(" not in text
@@ -318,40 +310,8 @@ def test_much_is_folded_away_and_ten_thousand_entries_stay_small(tmp_path: Path)
 def test_it_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     (tmp_path / "overview.html").mkdir()
     with pytest.raises(OutputError):
-        write_overview(tmp_path / "overview.html", [ok("a")])
+        write_overview(tmp_path / "overview.html", "title", [ok("a")])
     assert [path.name for path in tmp_path.iterdir()] == ["overview.html"]
-
-
-def test_a_folder_of_results_is_shown_as_it_is_now(tmp_path: Path) -> None:
-    plan = plan_of(tmp_path, ["done", "broken", "at-hand", "left"])
-    done, broken, at_hand, _ = (plan.folder(task) for task in plan.tasks)
-    ids = [task.id for task in plan.tasks]
-    done.path.mkdir()
-    (done.path / "done.sheet.jpg").write_bytes(b"a picture")
-    files = files_in(done.path, ["done.sheet.jpg"])
-    done.seal(ids[0], {**ok("done"), "id": ids[0], "files": ["done/done.sheet.jpg"]}, files, 1.0)
-    broken.fail(ids[1], {**failed("broken"), "id": ids[1]}, {})
-    claim = Watch().claim(at_hand, ids[2])
-    assert claim is not None
-    report = Report([plan])
-    report.look()
-    report.write()
-    page = Page(tmp_path / "overview.html")
-    assert {
-        section: names(found, "done broken at-hand left") for section, found in page.sections.items()
-    } == {
-        "failed": ["broken"],
-        "good": ["done"],
-        "running": ["at-hand"],
-        "pending": ["left"],
-    }
-    assert socket.gethostname() in page.sections["running"][0]
-    assert all((tmp_path / link).is_file() for link in page.files)
-    told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["inputs"]
-    assert [entry["status"] for entry in told] == ["ok", "failed", "running", "pending"]
-    claim.release()
-    report.look()
-    assert [result.status for result in report.results] == ["ok", "failed", "pending", "pending"]
 
 
 def test_entries_of_a_report_are_understood(tmp_path: Path) -> None:
