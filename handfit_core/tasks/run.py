@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.errors import OptionError
 from handfit_core.tasks.capture import Settings, fail
 from handfit_core.tasks.record import read_record, remove_abandoned
 from handfit_core.tasks.report import Result, attempt, result_of
 from handfit_core.tasks.task import Task
-from handfit_core.tasks.workers import Workers
+from handfit_core.tasks.workers import SchedulerGone, Workers
 
 
 @dataclass(eq=False)
@@ -99,10 +99,7 @@ def _result(task: Task, future: Future[Result], output: Path, settings: Settings
     if error is None:
         return future.result()
     if isinstance(error, CancelledError):
-        raise HandfitError(
-            "the Dask scheduler has gone; what was finished is kept: start it and its workers, and give the "
-            "same command again"
-        )
+        raise SchedulerGone
     if isinstance(error, OptionError):
         raise error
     record = read_record(task.record(output))

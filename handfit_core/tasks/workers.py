@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Final, Protocol
 
-from handfit_core.errors import OptionError
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.machine import usable_cores
 from handfit_core.tasks.capture import Settings, run_task
 from handfit_core.tasks.report import Result
@@ -24,8 +24,19 @@ from handfit_core.worker.runner import THREAD_VARIABLES
 
 _CONNECT: Final = 10.0
 """Seconds in which a scheduler must answer"""
+_PYTHON: Final = platform.python_version().rpartition(".")[0]
 _LOOK: Final = 1.0
 """Seconds between two looks at whether the parent is still there"""
+
+
+class SchedulerGone(HandfitError):
+    """The Dask scheduler has gone."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "the Dask scheduler has gone; what was finished is kept: start it and its workers, and give the "
+            "same command again"
+        )
 
 
 class Workers(Protocol):
@@ -131,42 +142,45 @@ class DaskWorkers:
                 f"no Dask scheduler answers at {address} ({' '.join(str(error).split())}); start one with "
                 "'dask scheduler', and workers with 'dask worker', or give its address"
             ) from error
+        print(f"Dask's dashboard: {self._client.dashboard_link}", file=sys.stderr, flush=True)
         try:
             self._check_workers()
         except BaseException:
             self.close()
             raise
-        self._executor = self._client.get_executor(pure=False)
-        print(f"Dask's dashboard: {self._client.dashboard_link}", file=sys.stderr, flush=True)
+        self.executor = self._client.get_executor(pure=False)
 
     def _check_workers(self) -> None:
-        here = (".".join(platform.python_version_tuple()[:2]), __version__)
+        self._client.wait_for_workers(1, timeout=None)
         for worker, python in self._client.run(platform.python_version).items():
-            found = ".".join(python.split(".")[:2])
-            if found != here[0]:
-                raise OptionError(f"{worker} runs Python {found}, and this is {here[0]}; use one everywhere")
+            found = python.rpartition(".")[0]
+            if found != _PYTHON:
+                raise OptionError(f"{worker} runs Python {found}, and this is {_PYTHON}; use one everywhere")
         try:
             versions = self._client.run(own_version)
         except Exception as error:  # whatever another version may lack
             raise OptionError(
-                f"the workers of the Dask cluster have no handfit_core of version {here[1]} ({error}); "
+                f"the workers of the Dask cluster have no handfit_core of version {__version__} ({error}); "
                 "install it there"
             ) from error
         for worker, version in versions.items():
-            if version != here[1]:
+            if version != __version__:
                 raise OptionError(
-                    f"{worker} has version {version} of handfit_core, and this is version {here[1]}; use the "
-                    "same version on all machines"
+                    f"{worker} has version {version} of handfit_core, and this is version {__version__}; use "
+                    "the same version on all machines"
                 )
 
     @property
     def room(self) -> int:
         """As `Workers.room`: one task to do and one to go on with for each thread."""
-        return max(2, 2 * sum(self._client.nthreads().values()))
+        try:
+            return max(2, 2 * sum(self._client.nthreads().values()))
+        except OSError as error:
+            raise SchedulerGone from error
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
-        return self._executor.submit(run_task, task, output, settings)
+        return self.executor.submit(run_task, task, output, settings)
 
     def renew(self) -> None:
         """As `Workers.renew`."""
