@@ -102,8 +102,8 @@ class LocalProcesses:
 
             self._executor = ProcessPoolExecutor(
                 self.room,
-                initializer=_set_up,
-                initargs=(os.getpid(),),
+                initializer=exec,
+                initargs=(_SET_UP.format(folder=str(_CORE_FOLDER), parent=os.getpid()), {}),
                 env=dict.fromkeys(THREAD_VARIABLES, self._threads),
             )
         return self._executor.submit(run_task, task, output, settings)
@@ -223,7 +223,20 @@ def terminated_as_interrupted() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _set_up(parent: int) -> None:
+_CORE_FOLDER: Final = Path(__file__).resolve().parents[1]
+_SET_UP: Final = """
+import runpy, sys
+if "handfit_core" not in sys.modules:
+    launch = runpy.run_path({folder!r} + "/worker/launch.py")
+    launch["import_package"]("handfit_core", {folder!r})
+from handfit_core.tasks.workers import set_up
+set_up({parent})
+"""
+"""What a new process does first. It has to find handfit_core as this one has found it, which may be by the
+launcher; no function of ours can be sent there before"""
+
+
+def set_up(parent: int) -> None:
     """Make a process ready for tasks: who has started it ends it, and not the terminal."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent)

@@ -266,3 +266,14 @@ def test_dry_run_does_nothing(tmp_path: Path) -> None:
     (shop.inputs / "b.jpg").write_bytes(b"new")
     said = shop.run("--dry-run", "--jobs", "1")
     assert [line.split()[0] for line in said.splitlines()] == ["done", "to", "failed", "1"]
+
+
+def test_processes_of_a_python_that_has_handfit_core_from_the_launcher(tmp_path: Path) -> None:
+    """As that of a user's own Python has it, to which the add-on brings nothing else."""
+    shop = Shop(tmp_path, ["a", "b"])
+    command = [sys.executable, str(ROOT / "handfit_core" / "worker" / "launch.py"), "batch", "--jobs", "2"]
+    command += ["--separate", str(shop.inputs), "-o", str(shop.output)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
+    assert done.returncode == 1, done.stderr
+    errors = [entry["error"] for entry in shop.report.values()]
+    assert all("not a picture" in error for error in errors), errors
