@@ -161,22 +161,23 @@ def _make(
         left = []
         start_empty(keep_addons=keep_addons)
     frames = spread_frames(take, 3) if PREVIEW in formats else []
+    preview = folder / f"{name}{PREVIEW_SUFFIX}"
     if left or frames:
+        megapixels = given["max_megapixels"]
         built = build_take(
             take,
             model=model,
             pose_correctives=not given["no_correctives"],
             picture=not given["no_picture"],
-            max_megapixels=given["max_megapixels"],
+            max_megapixels=megapixels,
         )
         warnings += built.warnings
         for fmt in left:
             made[fmt] = _sizes(export_take(built, take, folder, name, fmt))
-    if frames:
-        path, middle = folder / f"{name}{PREVIEW_SUFFIX}", frames[len(frames) // 2]
-        render_preview(built, take, middle, path, max_megapixels=given["max_megapixels"])
+        if frames:
+            render_preview(built, take, frames[len(frames) // 2], preview, max_megapixels=megapixels)
     if PREVIEW in formats:
-        made[PREVIEW] = _sizes([path] if frames else [])
+        made[PREVIEW] = _sizes([preview] if frames else [])
 
 
 def _sizes(files: Iterable[Path]) -> dict[str, int]:

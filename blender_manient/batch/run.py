@@ -96,7 +96,7 @@ def _run(args: argparse.Namespace, host: Host) -> int:
     if code in (EXIT_USAGE, EXIT_INTERRUPTED):  # it has said why
         return code
     if code not in (EXIT_OK, EXIT_SOME_FAILED):
-        print_error(f"the process that captures ended with code {code}; give the same line again")
+        print_error(f"the process that captures ended with code {code}; with --jobs 2 an input fails alone")
     return EXIT_OK if batch.export() and code == EXIT_OK else EXIT_SOME_FAILED
 
 
