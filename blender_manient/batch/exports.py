@@ -103,9 +103,8 @@ def tell(task: Task, error: str, style: str, stream: TextIO | None = None) -> No
         event = {"event": "exported", "task": task.key, "name": task.name, "status": status, "error": error}
         print(json.dumps(event), file=stream, flush=True)
     elif style == "text":
-        print(
-            f"failed: {task.shown}: {error}" if error else f"exported: {task.shown}", file=stream, flush=True
-        )
+        said = f"failed: {task.shown}: {error}" if error else f"exported: {task.shown}"
+        print(said, file=stream, flush=True)
 
 
 def start_empty(*, keep_addons: bool) -> None:

@@ -25,7 +25,7 @@ from handfit_core.tasks.report import Result, read_results
 from handfit_core.tasks.task import Task, make_tasks
 from handfit_core.worker import interpreter
 
-from .. import verification
+from .. import shared_worker
 from .commands import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXPORT
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
 from .exported import Exported
@@ -76,11 +76,8 @@ def run(args: argparse.Namespace, host: Host) -> int:
 
 def _run(args: argparse.Namespace, host: Host) -> int:
     """Both steps. Raises HandfitError where nothing can be tried."""
-    exports, options, output = (
-        Exports.of_arguments(args),
-        CaptureOptions.of_arguments(args),
-        args.output.absolute(),
-    )
+    exports, output = Exports.of_arguments(args), args.output.absolute()
+    options = CaptureOptions.of_arguments(args)
     if exports.character is not None:  # before hours of work for nothing
         with blender_silenced(args.debug):
             start_empty(keep_addons=host.keep_addons)
@@ -96,7 +93,8 @@ def _run(args: argparse.Namespace, host: Host) -> int:
     if code in (EXIT_USAGE, EXIT_INTERRUPTED):  # it has said why
         return code
     if code not in (EXIT_OK, EXIT_SOME_FAILED):
-        print_error(f"the process that captures ended with code {code}; with --jobs 2 an input fails alone")
+        hint = "; with --jobs 2 an input that ends it fails alone" if code < 0 else ""
+        print_error(f"the process that captures ended with code {code}{hint}")
     return EXIT_OK if batch.export() and code == EXIT_OK else EXIT_SOME_FAILED
 
 
@@ -116,19 +114,21 @@ class _Batch:
         args, python = self.args, interpreter.find_python(python)
         only_takes = all(task.take for task in self.tasks)
         is_own = interpreter.is_current_interpreter(python)
-        if is_own and not only_takes and (problem := verification.capture_problem()) is not None:
-            raise OptionError(problem.sentence)
+        if not only_takes and (sentence := shared_worker.capture_sentence(python)):
+            raise OptionError(sentence)
         given = {option.flag: getattr(args, name) for name, option in OPTIONS.items()}
         given |= {f"--{name.replace('_', '-')}": getattr(args, name) for name in _OF_CORE}
         given["--processes"] = args.processes or self.host.threads
         words = [f"--{args.grouping}"] if args.grouping else []
         for flag, value in given.items():
-            values = value if isinstance(value, list) else [value]
-            given_ones = (each for each in values if each is not None and each is not False)
-            words += [flag if each is True else f"{flag}={each}" for each in given_ones]
+            if value is True:
+                words.append(flag)
+            elif value is not None and value is not False:
+                words += [f"{flag}={each}" for each in (value if isinstance(value, list) else [value])]
         command = interpreter.worker_command(python, "batch", *words, *parent_option(), "--", *args.inputs)
+        bytecode = shared_worker.bytecode_folder() if is_own else None
         try:
-            child = subprocess.Popen(command, env=interpreter.worker_environment(python))
+            child = subprocess.Popen(command, env=interpreter.worker_environment(python, bytecode))
         except OSError as error:
             if only_takes and not is_own:  # they need nothing but NumPy
                 return self.capture(sys.executable)
@@ -220,6 +220,7 @@ class _Batch:
             for job, share in zip(jobs, shares, strict=True):
                 job.write_text(json.dumps({**common, "tasks": [asdict(task) for task in share]}))
                 children.append(subprocess.Popen([*self.host.command, EXPORT, str(job)], stderr=said))
+                stack.callback(children[-1].wait)
                 stack.callback(children[-1].kill)
             codes = [child.wait() for child in children]
             return [self._log_of(job, code) for job, code in zip(jobs, codes, strict=True)]
