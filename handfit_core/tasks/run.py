@@ -74,7 +74,8 @@ def _hand_out(
     workers: Workers,
 ) -> None:
     """Hand out as many tasks as there is room for; the last tries once nothing else is left."""
-    while not running or (waiting and len(running) < workers.room):
+    room = workers.room
+    while not running or (waiting and len(running) < room):
         this = waiting[0] if waiting else last[-1]
         try:
             running[workers.submit(this.task, output, settings)] = this

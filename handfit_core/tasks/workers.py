@@ -25,6 +25,8 @@ from handfit_core.worker.runner import THREAD_VARIABLES
 _CONNECT: Final = 10.0
 """Seconds in which a scheduler must answer"""
 _PYTHON: Final = platform.python_version().rpartition(".")[0]
+_LEAKED: Final = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e9"}
+"""Bytes beyond which loky replaces a process between two tasks; a first clip alone leaves 0.3e9"""
 _LOOK: Final = 1.0
 """Seconds between two looks at whether the parent is still there"""
 
@@ -104,7 +106,7 @@ class LocalProcesses:
                 self.room,
                 initializer=exec,
                 initargs=(_SET_UP.format(folder=str(_CORE_FOLDER), parent=os.getpid()), {}),
-                env=dict.fromkeys(THREAD_VARIABLES, self._threads),
+                env=dict.fromkeys(THREAD_VARIABLES, self._threads) | _LEAKED,
             )
         return self._executor.submit(run_task, task, output, settings)
 
