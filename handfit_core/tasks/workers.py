@@ -100,8 +100,9 @@ class LocalProcesses:
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
         if self._executor is None:
-            from loky import ProcessPoolExecutor
+            from loky import ProcessPoolExecutor, process_executor
 
+            process_executor.kill_process_tree = _kill
             self._executor = ProcessPoolExecutor(
                 self.room,
                 initializer=exec,
@@ -236,6 +237,14 @@ set_up({parent})
 """
 """What a new process does first. It has to find handfit_core as this one has found it, which may be by the
 launcher; no function of ours can be sent there before"""
+
+
+def _kill(process: Any, **_: Any) -> None:
+    """End a process at once. Loky's own way needs psutil or pgrep, and waits for ever where neither is there;
+    captures start no processes that it would have to find."""
+    with contextlib.suppress(OSError):
+        os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+    process.join()
 
 
 def set_up(parent: int) -> None:
