@@ -67,14 +67,16 @@ def parse_arguments(
 
     from blender_manient.batch.arguments import add_commands
     from blender_manient.batch.commands import COMMANDS
-    from handfit_core.tasks.arguments import check_command
+    from handfit_core.tasks.arguments import GONE_COMMANDS, check_command
 
     # A folder may be called as a command, and no command for people does without another word.
     alone = len(argv) < 2 or argv[1].startswith("-")
-    if not (alone and argv and Path(argv[0]).exists()):
+    is_command = (
+        bool(argv) and argv[0] in (*COMMANDS, *GONE_COMMANDS) and not (alone and Path(argv[0]).exists())
+    )
+    if is_command:
         check_command(parser, argv)
-        alone = False
-    if not argv or alone or argv[0] not in (*COMMANDS, "--help", "-h"):
+    elif argv[:1] not in (["--help"], ["-h"]):
         argv = ["capture", *argv]
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     add_commands(commands, argv[:1], default_inputs)

@@ -17,11 +17,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from handfit_core.errors import HandfitError, OptionError
+from handfit_core.files import check_writable
 from handfit_core.machine import usable_jobs
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.tasks.arguments import parent_option
 from handfit_core.tasks.progress import Progress
-from handfit_core.tasks.report import Result, read_results
+from handfit_core.tasks.report import REPORT, Result, read_results
 from handfit_core.tasks.task import Task, make_tasks
 from handfit_core.worker import interpreter
 
@@ -89,6 +90,7 @@ def _run(args: argparse.Namespace, host: Host) -> int:
     batch = _Batch(args, host, exports, output, tasks)
     if args.dry_run:
         return batch.tell()
+    check_writable(output / REPORT)
     code = batch.capture(args.python or host.python)
     if code in (EXIT_USAGE, EXIT_INTERRUPTED):  # it has said why
         return code
