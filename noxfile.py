@@ -19,13 +19,13 @@ nox.options.error_on_missing_interpreters = True
 ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
-RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe"]
-"""What captures."""
+RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "loky", "tqdm"]
+"""What captures, one input or many."""
 PAPER = ["torch"]
 """What the paper's experiments, the differentiable layer and training need on top."""
 EVALUATION = ["pandas", "matplotlib", "jinja2"]
 """What the reports of `evaluate` need on top."""
-FARM = ["distributed", "dask-jobqueue"]
+FARM = ["distributed"]
 """What a batch on many machines needs on top."""
 PYTEST = ["pytest", "pytest-xdist"]
 FARM_TOOLS = ["openjd-cli"]

@@ -7,6 +7,7 @@ is wrong with it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,9 +16,8 @@ from typing import Any
 import bpy
 
 from . import installation
-from .batch.commands import COMMANDS
+from .batch.commands import COMMANDS, EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 from .batch.console import print_error, show_all_names, stopped_by_signals
-from .batch.exit_codes import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 
 NAME = "manient"
 
@@ -58,6 +58,10 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     else:
         for name, said in COMMANDS.items():
             commands.add_parser(name, help=said)
+        with contextlib.suppress(ImportError):  # it is only for a better sentence
+            from handfit_core.tasks.arguments import check_command
+
+            check_command(parser, argv)
     check = commands.add_parser(
         "check",
         help="check the installation",
@@ -74,8 +78,7 @@ def _run_batch(args: argparse.Namespace) -> int:
     from handfit_core.worker.interpreter import PYTHON_VARIABLE
 
     from . import preferences
-    from .batch.host import Host
-    from .batch.run import run
+    from .batch.run import Host, run
 
     chosen = preferences.get()
     host = Host(

@@ -104,7 +104,7 @@ def configured_worker(
     if installation.is_installed():
         broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
         advice = Advice(advice.where, advice.crash, broken)
-    return BlendersWorker(python, threads, debug, advice=advice, bytecode=_bytecode_folder())
+    return BlendersWorker(python, threads, debug, advice=advice, bytecode=bytecode_folder())
 
 
 def capture_sentence(python: str | None = None) -> str:
@@ -161,7 +161,7 @@ def _settings() -> _Settings:
     return _Settings(preferences.full_path(chosen.python) or None, chosen.threads or None, debug)
 
 
-def _bytecode_folder() -> Path | None:
+def bytecode_folder() -> Path | None:
     """Where Blender's own Python keeps what it compiles for the worker; compiling anew costs each start.
 
     Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it

@@ -1,6 +1,6 @@
-"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `detect` and `solve` for a clip that
-several machines share, `convert` and `info` for other programs' files, `model convert`, `model info`,
-`evaluate DATASET`; and `worker`, the process that Blender talks to."""
+"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `batch` for many inputs, `convert` and
+`info` for other programs' files, `model convert`, `model info`, `evaluate DATASET`; and `worker`, the process
+that Blender talks to."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.farm.commands import add_work_command
 from handfit_core.files import path_of
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
-from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import OPTIONS, CaptureOptions, add_options
-from handfit_core.parts import Parts
-from handfit_core.pipeline import Progress, ProgressCallback, capture_to_file, detect_to_file
+from handfit_core.options import CaptureOptions, add_options
+from handfit_core.pipeline import Progress, ProgressCallback, capture_to_file
+from handfit_core.tasks.arguments import check_command
+from handfit_core.tasks.commands import add_batch_command
 from handfit_core.version import __version__
 
 EXIT_FAILED = 1
@@ -40,7 +39,9 @@ EXIT_INTERRUPTED = 130
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. User errors are one line on stderr."""
-    args = _parser().parse_args(argv)
+    parser, words = _parser(), sys.argv[1:] if argv is None else argv
+    check_command(parser, words)
+    args = parser.parse_args(words)
     output = _JsonOutput() if getattr(args, "progress", None) == "json" else _TextOutput()
     args.reporter = output
     log_handler = _LogHandler(output)
@@ -83,41 +84,6 @@ def _parser() -> argparse.ArgumentParser:
     _add_output(command, "the take to write")
     add_options(command)
 
-    command = commands.add_parser(
-        "detect", help="find the hands in a part of a clip, for solve to join with other parts"
-    )
-    command.set_defaults(handler=_detect)
-    command.add_argument("input", nargs="+", metavar="INPUT", help="a clip, as capture takes it")
-    _add_output(command, "the part to write")
-    command.add_argument(
-        "--frames",
-        dest="part",
-        metavar="A-B",
-        help="the part: the stretches of 96 frames that begin in these source frames (default: all)",
-    )
-    command.add_argument(
-        "--clip-frames",
-        dest="frames",
-        metavar="A-B:S",
-        help="source frames of the whole clip that are used, as capture's --frames (default: all)",
-    )
-    add_options(command, [name for name in OPTIONS if name != "frames"])
-
-    command = commands.add_parser(
-        "solve", help="fit the hands of a clip whose parts were detected, write a take"
-    )
-    command.set_defaults(handler=_solve)
-    command.add_argument(
-        "parts", nargs="+", metavar="PART.npz", help="what detect wrote: all parts of one clip"
-    )
-    _add_output(command, "the take to write")
-    command.add_argument(
-        "--input",
-        nargs="+",
-        metavar="INPUT",
-        help="the clip, where it lies elsewhere than when it was detected",
-    )
-
     worker = commands.add_parser(
         "worker", help="answer Blender's requests on stdin (docs/worker-protocol.md)"
     )
@@ -127,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     add_interchange_commands(commands)
-    add_work_command(commands)
+    add_batch_command(commands)
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.network"):  # as with the next one
         from handfit_core.network.commands import add_send_command
@@ -175,19 +141,6 @@ def _worker(args: argparse.Namespace) -> int:
 def _capture(args: argparse.Namespace) -> int:
     source, options = _source(args.input), CaptureOptions.of_arguments(args)
     args.reporter.done(capture_to_file(source, args.output, options, _progress(args)))
-    return 0
-
-
-def _detect(args: argparse.Namespace) -> int:
-    options, part = CaptureOptions.of_arguments(args), args.part and FrameRange.parse(args.part)
-    args.reporter.done(detect_to_file(_source(args.input), args.output, options, part, _progress(args)))
-    return 0
-
-
-def _solve(args: argparse.Namespace) -> int:
-    parts = Parts(args.parts)
-    source = _source(args.input or parts.input)
-    args.reporter.done(capture_to_file(source, args.output, parts.options, _progress(args), parts=parts))
     return 0
 
 

@@ -17,7 +17,7 @@ from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.regions import detect_frame, detect_region
 from handfit_core.detect.sharing import detect_chunks
-from handfit_core.errors import Cancelled, InputError, OptionError
+from handfit_core.errors import Cancelled, InputError
 from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame, Media
@@ -26,19 +26,14 @@ from handfit_core.solvers import ShouldStop, never
 
 log = logging.getLogger("handfit")
 
-ChunkSource = Callable[[ChunkedDetector, CaptureOptions, Callable[[int], None], ShouldStop], list[Chunk]]
-"""Gives the chunks of a clip from its beginning on: detects them, as `detect_chunks`, or reads them from
-files"""
-
 
 def detect_frames(
     media: Media,
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: ShouldStop = never,
-    chunk_source: ChunkSource = detect_chunks,
 ) -> Detected:
-    """The hands of a source's frames. A detector that works in chunks joins those that `chunk_source` gives.
+    """The hands of a source's frames.
 
     `on_frame` is called with the count of frames that are done, whenever it has grown. `should_stop` is asked
     before every frame; the frames before that are returned.
@@ -52,7 +47,7 @@ def detect_frames(
         seen = _one_by_one(media, options, on_frame, should_stop, blamed)
     else:
         with blamed(), clip(media, options) as detector:
-            seen = _in_chunks(detector, chunk_source(detector, options, on_frame, should_stop))
+            seen = _in_chunks(detector, detect_chunks(detector, options, on_frame, should_stop))
     if not seen.numbers:
         if should_stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found")
@@ -63,34 +58,6 @@ def detect_frames(
     with blamed():
         finite = _finite(seen.hands, options.detector)
     return seen if finite.all() else replace(seen, hands=seen.hands.select(finite))
-
-
-def detect_part(
-    media: Media,
-    options: CaptureOptions,
-    part: slice,
-    on_frame: Callable[[int], None],
-    should_stop: ShouldStop,
-) -> list[Chunk]:
-    """Detect those chunks of a clip, fewer where it ends before. `on_frame` is called with the count of
-    frames that are done, whenever it has grown.
-
-    Raises OptionError for what has no parts, Cancelled where it was stopped before all chunks were detected.
-    """
-    if media.source.kind == "photo":
-        raise OptionError(f"{media.source.name}: a photo has no parts; capture it")
-    clip = DETECTORS.get(options.detector).clip
-    if clip is None:
-        raise OptionError(
-            f"the detector {options.detector} looks at a clip from its beginning to its end, so that no part "
-            "of it stands for itself; capture the whole clip, or take the detector direct"
-        )
-    options = at_least_two(options)
-    with DETECTORS.blamed(options.detector), clip(media, options) as detector:
-        chunks = detect_chunks(detector, options, on_frame, should_stop, part)
-    if should_stop():
-        raise Cancelled(f"{media.source.name}: stopped before all frames of the part were looked at")
-    return chunks
 
 
 def at_least_two(options: CaptureOptions) -> CaptureOptions:

@@ -15,6 +15,8 @@ from typing import Final
 
 _OF_OTHERS: Final = 4e9
 """bytes that a system and its programs usually take, where nobody can be asked how much is free"""
+_OF_JOB: Final = 1.0e9
+"""bytes that a capture may need: 0.3e9 were measured for photos and 0.5e9 for clips of 1080 lines"""
 
 
 def usable_cores(root: Path = Path("/")) -> int:
@@ -27,6 +29,12 @@ def usable_cores(root: Path = Path("/")) -> int:
 def free_memory(root: Path = Path("/")) -> float | None:
     """Bytes that this process and its children may still take; None where the system does not tell."""
     return min([*_free_of_machine(root), *_free_of_groups(root)], default=None)
+
+
+def usable_jobs() -> int:
+    """How many captures or exports may run at a time: one a core, as far as memory reaches."""
+    memory = free_memory()
+    return max(1, usable_cores() if memory is None else min(usable_cores(), int(memory / _OF_JOB)))
 
 
 def _free_of_machine(root: Path) -> Iterator[float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,8 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.detect.sharing import expected_frames
-from handfit_core.detection import detect_part
 from handfit_core.errors import OptionError
 from handfit_core.files import check_writable
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
@@ -23,11 +21,9 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import MediaInput, open_media, sequence_numbers
-from handfit_core.media.settings import MEDIA
+from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.options import CaptureOptions
-from handfit_core.parts import Part, Parts, chunks_in
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import Take
@@ -57,7 +53,6 @@ def capture(
     options: CaptureOptions | None = None,
     progress: ProgressCallback | None = None,
     should_stop: ShouldStop | None = None,
-    parts: Parts | None = None,
     **given: Any,
 ) -> Take:
     """Find the hands in a photo, image sequence or video and fit a hand model to each.
@@ -75,20 +70,18 @@ def capture(
     should_stop
         Asked between frames; once it says True, it must go on saying so. Then what was finished is kept: the
         frames seen so far, or all frames with those hands that were fitted; the others count as not detected.
-    parts
-        What was found before in parts of the clip; hands are detected otherwise.
 
-    Raises a `HandfitError` whose message is meant for the user: OptionError, InputError (also for parts that
-    do not fit), NoHandFoundError, HandModelError, LandmarkModelError; Cancelled when it was stopped before a
-    hand was found. Raises TypeError for an option that does not exist, and for both `options` and names.
+    Raises a `HandfitError` whose message is meant for the user: OptionError, InputError, NoHandFoundError,
+    HandModelError, LandmarkModelError; Cancelled when it was stopped before a hand was found. Raises
+    TypeError for an option that does not exist, and for both `options` and names.
     """
     if options is None:
         options = CaptureOptions(**given)
     elif given or not isinstance(options, CaptureOptions):
         raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
-    _check(options)
-    origin = open_source(source, options, parts)
+    check_options(options)
+    origin = open_source(source, options)
     media, recording = origin.media, origin.recording
     found = origin.find(lambda done: report(Progress("detect", done, max(media.expected_frames, done))), stop)
     hands, digests = fit_hands(
@@ -102,7 +95,7 @@ def capture(
     return replace(take, hands=hands, model_digests=digests)
 
 
-def _check(options: CaptureOptions) -> None:
+def check_options(options: CaptureOptions) -> None:
     """Raise OptionError for options that no input can be captured with, before one is read."""
     get_solver(options.solver, options.smoothing, options.hand_length)
     DETECTORS.get(options.detector)
@@ -150,16 +143,15 @@ def capture_to_file(
     *,
     compact: bool = False,
     bare: bool = False,
-    parts: Parts | None = None,
 ) -> dict[str, Any]:
     """Capture and write the take (`compact` as in `Take.save`), or `bare_take`'s; returns a report of it, fit
     for JSON.
 
     Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
     """
-    check_writable(output, _named(source, options, () if parts is None else parts.files))
+    check_writable(output, _named(source, options))
     started = time.perf_counter()
-    take = bare_take(source, options) if bare else capture(source, options, progress, should_stop, parts)
+    take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
     path = take.save(output, compact=compact)
     return {
         "output": str(path),
@@ -169,53 +161,10 @@ def capture_to_file(
     }
 
 
-def _named(
-    source: MediaInput, options: CaptureOptions, others: Sequence[str | os.PathLike[str]] = ()
-) -> list[str | os.PathLike[str]]:
+def _named(source: MediaInput, options: CaptureOptions) -> list[str | os.PathLike[str]]:
     """The files that a capture reads, before it is known which are videos and which patterns."""
     given = [source] if isinstance(source, str | os.PathLike) else list(source)
-    return [*given, *others, *(each for each in (options.keypoints, options.model) if each)]
-
-
-def detect_to_file(
-    source: MediaInput,
-    output: str | os.PathLike[str],
-    options: CaptureOptions,
-    part: FrameRange | None = None,
-    progress: ProgressCallback | None = None,
-    should_stop: ShouldStop | None = None,
-) -> dict[str, Any]:
-    """Find the hands in a part of a clip and write it for `Parts`; returns a report of it, fit for JSON.
-
-    `part` is a range of frame numbers, of which each chunk belongs to the part in which its first frame lies
-    (None: all), and `options` those of the capture of the whole clip, its `frames` included.
-
-    Raises what `capture` raises before it fits, but for NoHandFoundError, and OutputError.
-    """
-    check_writable(output, _named(source, options))
-    started = time.perf_counter()
-    media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
-    rows = chunks_in(media, part)
-    expected = expected_frames(media, rows)
-    report = progress or (lambda _: None)
-
-    def on_frame(done: int) -> None:
-        report(Progress("detect", done, max(expected, done)))
-
-    found = detect_part(media, options, rows, on_frame, should_stop or never)
-    path = Part.found(media, options, rows, found).save(output)
-    numbers = [number for chunk in found for number in chunk.numbers]
-    if not numbers:
-        log.warning(
-            "no stretch of %d frames begins in frames %s: this part is empty", MEDIA.chunk_frames, part or "-"
-        )
-    return {
-        "output": str(path),
-        "frames": len(numbers),
-        "first": numbers[0] if numbers else None,
-        "last": numbers[-1] if numbers else None,
-        "seconds": round(time.perf_counter() - started, 3),
-    }
+    return [*given, *(each for each in (options.keypoints, options.model) if each)]
 
 
 def _read_part(source: Source, count: int) -> Source:

@@ -35,7 +35,6 @@ from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.opening import MediaInput
 from handfit_core.media.source import Media
 from handfit_core.options import CROWD, CaptureOptions
-from handfit_core.parts import Parts
 from handfit_core.skeleton import SIDES, HandChoice
 from handfit_core.solvers import ShouldStop
 from handfit_core.take import TAKE_LIMITS
@@ -101,8 +100,6 @@ class Pictures:
     media: Media
     known: Intrinsics | None
     options: CaptureOptions
-    parts: Parts | None = None
-    """Chunks of the clip in which hands were found before"""
     recording: None = None
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:
@@ -110,10 +107,7 @@ class Pictures:
         media, options = self.media, self.options
         with DETECTORS.blamed(options.detector):
             calibrated = DETECTORS.get(options.detector).calibrated(settings_of(options))
-        if self.parts is None:
-            seen = detect_frames(media, options, on_frame, should_stop)
-        else:
-            seen = detect_frames(media, options, on_frame, should_stop, self.parts.of(media, options))
+        seen = detect_frames(media, options, on_frame, should_stop)
         return _tracked(media, self.known, options, seen, should_stop, calibrated=calibrated)
 
 
@@ -158,12 +152,12 @@ class Poses:
         return Found(numbers, intrinsics, [*points, *tracks])
 
 
-def open_source(source: MediaInput, options: CaptureOptions, parts: Parts | None = None) -> HandSource:
+def open_source(source: MediaInput, options: CaptureOptions) -> HandSource:
     """The input of a capture. Raises InputError, NoHandFoundError, OptionError and HandModelError."""
     media, known = opened(source, options)
     recording = _recording(media, options)
     if recording is None:
-        return Pictures(media, known, options, parts)
+        return Pictures(media, known, options)
     return (Poses if recording.seen is None else Keypoints)(media, known, options, recording)
 
 

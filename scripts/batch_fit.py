@@ -31,8 +31,7 @@ def main(argv: Sequence[str] | None = None, default_inputs: Sequence[str] = ()) 
     """Run the batch; returns the exit code. `default_inputs` are used where none are given."""
     args = parse_arguments(argv, default_inputs)
 
-    from blender_manient.batch.host import Host
-    from blender_manient.batch.run import run
+    from blender_manient.batch.run import Host, run
 
     return run(args, Host(_own_command()))
 
@@ -66,15 +65,21 @@ def parse_arguments(
     except ImportError:  # without it not even the options can be imported
         parser.exit(2, f"error: {_NO_BPY}\n")
 
-    from blender_manient.batch.arguments import COMMANDS, SLOT, add_commands
+    from blender_manient.batch.arguments import add_commands
+    from blender_manient.batch.commands import COMMANDS
+    from handfit_core.tasks.arguments import GONE_COMMANDS, check_command
 
-    # A folder may be called as a command, and no command does without another word.
+    # A folder may be called as a command, and no command for people does without another word.
     alone = len(argv) < 2 or argv[1].startswith("-")
-    is_input = alone and argv and argv[0] != SLOT and Path(argv[0]).exists()
-    if not argv or is_input or argv[0] not in (*COMMANDS, "--help", "-h"):
+    is_command = (
+        bool(argv) and argv[0] in (*COMMANDS, *GONE_COMMANDS) and not (alone and Path(argv[0]).exists())
+    )
+    if is_command:
+        check_command(parser, argv)
+    elif argv[:1] not in (["--help"], ["-h"]):
         argv = ["capture", *argv]
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    add_commands(commands, COMMANDS if argv[0] in COMMANDS else (), default_inputs)
+    add_commands(commands, argv[:1], default_inputs)
     return parser.parse_args(argv)
 
 

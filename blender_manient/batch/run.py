@@ -1,40 +1,58 @@
-"""The commands of a batch: a plan, its tasks, and what came of them.
+"""The commands of a batch: inputs become takes, and takes become files.
 
-The process that runs here stays light: slots (slot.py), which are processes of their own, do the tasks.
+The first step is `python -m handfit_core batch`, a child in the Python that captures. In the second one some
+processes that hold Blender turn takes into files, each its share. The process that runs here stays light.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
+import contextlib
+import json
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import closing
-from functools import partial
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from handfit_core.detect.detector import DETECTORS
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.farm.collect import Report, state
-from handfit_core.farm.commands import do, given_plans, task_exit_code, work_words
-from handfit_core.farm.folder import Lost
-from handfit_core.farm.inputs import Input, expand
-from handfit_core.farm.plan import FOLDER, Plan, PlanGone, make_plan, plans_in
-from handfit_core.farm.pool import Pool, is_final, share, usable_jobs
-from handfit_core.farm.show import ProgressReporter, clock
-from handfit_core.farm.templates import write_template
 from handfit_core.files import check_writable
-from handfit_core.media.frame_range import FrameRange, part_ranges
-from handfit_core.worker.interpreter import find_python, worker_command, worker_environment
-from handfit_core.worker.runner import Runner
+from handfit_core.machine import usable_jobs
+from handfit_core.options import OPTIONS, CaptureOptions
+from handfit_core.tasks.arguments import parent_option
+from handfit_core.tasks.progress import Progress
+from handfit_core.tasks.report import REPORT, Result, read_results
+from handfit_core.tasks.task import Task, make_tasks
+from handfit_core.worker import interpreter
 
-from . import slot
+from .. import shared_worker
+from .commands import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXPORT
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
-from .exit_codes import EXIT_INTERRUPTED, EXIT_LATER, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
-from .host import Host
-from .one_input import start_empty
-from .order import Order, files_named, options_of
+from .exported import Exported
+from .exports import Exports, export, start_empty, tell
+
+_OF_CORE = (
+    *("output", "jobs", "scheduler", "timeout", "progress"),
+    *("again", "retry_failed", "overwrite", "flat", "no_sheet", "debug"),
+)
+"""Arguments of the first step, beside those of a capture"""
+
+
+@dataclass(frozen=True)
+class Host:
+    """The command line that is running: what differs between the script and the installed add-on."""
+
+    command: tuple[str, ...]
+    """What starts another one like it, but for the name of the command"""
+    python: str | None = None
+    """Captures where --python names none; None: as `find_python` chooses"""
+    threads: int | None = None
+    """How many a capture may use; None: its own choice"""
+    python_is_chosen: str = f"with --python or in ${interpreter.PYTHON_VARIABLE}"
+    """Part of a sentence: where the user names the Python that captures"""
+    keep_addons: bool = False
+    """Whether add-ons and preferences stay as they are; else the run is under Blender's factory settings"""
 
 
 def run(args: argparse.Namespace, host: Host) -> int:
@@ -42,13 +60,13 @@ def run(args: argparse.Namespace, host: Host) -> int:
     show_all_names()
     with stopped_by_signals():
         try:
-            return _COMMANDS[args.command](args, host)
-        except Lost as error:
-            print_error(str(error), args.debug)
-            return EXIT_LATER if args.command == "task" else EXIT_SOME_FAILED
+            if args.command == EXPORT:
+                export(args.job, keep_addons=host.keep_addons)
+                return EXIT_OK
+            return _run(args, host)
         except HandfitError as error:
             print_error(str(error), args.debug)
-            return EXIT_LATER if args.command == "task" and isinstance(error, PlanGone) else EXIT_USAGE
+            return EXIT_USAGE
         except KeyboardInterrupt:
             print("stopped; what was finished is kept", file=sys.stderr)
             return EXIT_INTERRUPTED
@@ -57,177 +75,162 @@ def run(args: argparse.Namespace, host: Host) -> int:
             return EXIT_SOME_FAILED
 
 
-def _capture(args: argparse.Namespace, host: Host) -> int:
-    """A plan, its tasks, and the report."""
-    plan = _planned(args, host)
-    if args.dry_run:
-        return _tell(plan, args)
-    plan.save()  # also finds out now, not after an hour, that nothing can be written
-    return _do(args, host, [plan])
-
-
-def _plan(args: argparse.Namespace, host: Host) -> int:
-    """A plan alone; its file's name on stdout."""
-    plan = _planned(args, host)
-    print(plan.save())
-    return EXIT_OK
-
-
-def _work(args: argparse.Namespace, host: Host) -> int:
-    """What is left of a plan, beside whoever else is at it."""
-    return _do(args, host, given_plans(args))
-
-
-def _task(args: argparse.Namespace, host: Host) -> int:
-    """One task, or some that one machine gets together."""
-    (plan, *others) = given_plans(args)
-    for other in others:
-        if args.id in other.by_id:
-            plan = other
-    tasks = plan.chosen(args.id)
-    with closing(ProgressReporter(tasks, args.progress)) as shown, _pool(args, host, 1) as pool:
-        results = pool.run(plan, tasks, shown, again=args.again, retry_failed=args.retry_failed, wait=False)
-    return task_exit_code(results, accept_failed=args.accept_failed)
-
-
-def _farm_template(args: argparse.Namespace, _host: Host) -> int:
-    """Job files; their names on stdout."""
-    plans = plans_in(args.plan)
-    if args.output and len(plans) > 1:
-        raise OptionError(f"{args.plan} has {len(plans)} plans; name the one that {args.output} is to be for")
-    for plan in plans:
-        how = {"most": args.jobs, "timeout": args.timeout, "places": args.map}
-        print(write_template(args.kind, plan, args.output, **how))
-    return EXIT_OK
-
-
-def _collect(args: argparse.Namespace, _host: Host) -> int:
-    """The report as it is now."""
-    report = Report(plans_in(args.plan if args.plan.is_dir() else args.plan.absolute().parent.parent))
-    report.look()
-    report.write()
-    counts = {s: sum(r.status == s for r in report.results) for s in ("ok", "failed", "running", "pending")}
-    print(", ".join(f"{count} {status}" for status, count in counts.items() if count) or "nothing to do")
-    return EXIT_OK if counts["ok"] == len(report.results) else EXIT_SOME_FAILED
-
-
-def _slot(_args: argparse.Namespace, host: Host) -> int:
-    """Do tasks for whoever has started this process."""
-    return slot.serve(host)
-
-
-_COMMANDS: dict[str, Callable[[argparse.Namespace, Host], int]] = {
-    "capture": _capture,
-    "apply": _capture,
-    "plan": _plan,
-    "work": _work,
-    "task": _task,
-    "farm-template": _farm_template,
-    "collect": _collect,
-    "slot": _slot,
-}
-
-
-def _planned(args: argparse.Namespace, host: Host) -> Plan:
-    """The plan of the inputs and options of a command line. Raises HandfitError."""
-    order = Order.of_arguments(args, args.python or host.python)
-    if order.character is not None:  # before hours of work for nothing
-        with blender_silenced(order.debug):
+def _run(args: argparse.Namespace, host: Host) -> int:
+    """Both steps. Raises HandfitError where nothing can be tried."""
+    exports, output = Exports.of_arguments(args), args.output.absolute()
+    options = CaptureOptions.of_arguments(args)
+    if exports.character is not None:  # before hours of work for nothing
+        with blender_silenced(args.debug):
             start_empty(keep_addons=host.keep_addons)
-            order.character.check()
-    options = options_of(args, order)
-    inputs = [each for text in args.inputs for each in expand(text, args.grouping)]
-    check_writable(args.output / FOLDER / "plan.json")
-    make = partial(
-        make_plan,
-        inputs,
-        args.output,
-        options,
-        files=files_named(options),
-        flat=args.flat,
-        overwrite=args.overwrite,
-        command=host.command,
-        frames=order.options.frames,
+            exports.character.check()
+    sheet, flat, overwrite = not args.no_sheet, args.flat, args.overwrite
+    tasks = make_tasks(
+        args.inputs, options, output, grouping=args.grouping, sheet=sheet, flat=flat, overwrite=overwrite
     )
-    if not args.split:
-        return make()
-    if DETECTORS.get(order.options.detector).clip is None:
-        raise OptionError(
-            f"the detector {order.options.detector} looks at whole clips alone: leave out --split"
-        )
-    with slot.make_worker(host, args.python, None, args.debug) as runner:
-        return make(parts_of=partial(_parts_of, args.split, order, runner))
+    batch = _Batch(args, host, exports, output, tasks)
+    if args.dry_run:
+        return batch.tell()
+    check_writable(output / REPORT)
+    code = batch.capture(args.python or host.python)
+    if code in (EXIT_USAGE, EXIT_INTERRUPTED):  # it has said why
+        return code
+    if code not in (EXIT_OK, EXIT_SOME_FAILED):
+        hint = "; with --jobs 2 an input that ends it fails alone" if code < 0 else ""
+        print_error(f"the process that captures ended with code {code}{hint}")
+    return EXIT_OK if batch.export() and code == EXIT_OK else EXIT_SOME_FAILED
 
 
-def _parts_of(most: int, order: Order, runner: Runner, each: Input) -> list[str]:
-    """The ranges of a clip with more than `most` frames; of other inputs, and of those that cannot be opened,
-    none."""
-    if each.take or each.error:
-        return []
-    try:
-        known = runner.wait(runner.submit("probe", input=list(each.source)))
-    except HandfitError:  # which its task will tell
-        return []
-    frames = (order.options.frames or FrameRange()).within(known["first"], known["last"])
-    ranges = part_ranges(frames, -(-len(frames) // most))
-    return [str(part) for part in ranges] if known["kind"] != "photo" and len(ranges) > 1 else []
+@dataclass(frozen=True)
+class _Batch:
+    """The tasks of a command line, and their two steps."""
 
+    args: argparse.Namespace
+    host: Host
+    exports: Exports
+    output: Path
+    tasks: Sequence[Task]
 
-def _tell(plan: Plan, args: argparse.Namespace) -> int:
-    """What would be done."""
-    left = []
-    for task in plan.tasks:
-        found, said = state(plan, task), task.error
-        if is_final(found) and not (args.again or args.retry_failed):
-            said = f"{found.error}; --retry-failed tries it again"
-        elif found.status != "running" and (args.again or found.status != "ok"):
-            found.status = "to do"
-            left.append(task.cost)
-        status = "done" if found.status == "ok" else found.status
-        print(f"{status:8} {task.shown} -> {plan.folder(task).path}{said and f': {said}'}")
-    jobs = _jobs(args, len(left))
-    guess = clock(max(sum(left) / jobs, *left)) if left else ""
-    print(f"{len(left)} of {len(plan.tasks)} to do" + (guess and f", {jobs} at a time: about {guess}"))
-    return EXIT_OK
+    def capture(self, python: str | None) -> int:
+        """Have a take made of each input. Returns the exit code of the process that does it. Raises
+        OptionError where it cannot be started."""
+        args, python = self.args, interpreter.find_python(python)
+        only_takes = all(task.take for task in self.tasks)
+        is_own = interpreter.is_current_interpreter(python)
+        if not only_takes and (sentence := shared_worker.capture_sentence(python)):
+            raise OptionError(sentence)
+        given = {option.flag: getattr(args, name) for name, option in OPTIONS.items()}
+        given |= {f"--{name.replace('_', '-')}": getattr(args, name) for name in _OF_CORE}
+        given["--processes"] = args.processes or self.host.threads
+        words = [f"--{args.grouping}"] if args.grouping else []
+        for flag, value in given.items():
+            if value is True:
+                words.append(flag)
+            elif value is not None and value is not False:
+                words += [f"{flag}={each}" for each in (value if isinstance(value, list) else [value])]
+        command = interpreter.worker_command(python, "batch", *words, *parent_option(), "--", *args.inputs)
+        bytecode = shared_worker.bytecode_folder() if is_own else None
+        try:
+            child = subprocess.Popen(command, env=interpreter.worker_environment(python, bytecode))
+        except OSError as error:
+            if only_takes and not is_own:  # they need nothing but NumPy
+                return self.capture(sys.executable)
+            raise OptionError(
+                f"cannot start the Python '{python}' ({error.strerror or error}); choose another one "
+                f"{self.host.python_is_chosen}"
+            ) from error
+        try:
+            return child.wait()
+        except KeyboardInterrupt:
+            child.terminate()
+            child.wait()
+            raise
 
+    def look(self, *, again: bool = False) -> Iterator[tuple[Task, Result, bool]]:
+        """Each task, its entry of the report as it is now, and whether files have to be made of its take, as
+        they all have with `again`."""
+        key, formats, overwrite = self.exports.key, self.exports.formats, self.args.overwrite
+        for task, result in zip(self.tasks, read_results(self.output, self.tasks), strict=True):
+            left = False
+            if result.status == "ok":
+                exported = Exported(task, self.output, key)
+                exported.fill_in(result)
+                try:
+                    left = bool(exported.left(formats, again=again, overwrite=overwrite))
+                    result.status = "pending" if left else "ok"
+                except HandfitError as error:  # which the process that is to make them tells
+                    left, result.status, result.error = True, "failed", str(error)
+            yield task, result, left
 
-def _do(args: argparse.Namespace, host: Host, plans: Sequence[Plan]) -> int:
-    """All tasks of some plans that are not sealed. Returns the exit code."""
-    if args.scheduler or args.cluster:
-        return _do_elsewhere(args, host, getattr(args, "plan", plans[0].path))
-    pool = _pool(args, host, sum(len(plan.tasks) for plan in plans))
-    return EXIT_OK if do(plans, pool, args) else EXIT_SOME_FAILED
+    def tell(self) -> int:
+        """Say what would be done."""
+        count, again, retried = 0, self.args.again, self.args.again or self.args.retry_failed
+        for task, result, left in self.look(again=again):
+            status, said = "done" if result.status == "ok" else "to do", task.error
+            if result.status == "failed" and left:
+                status, said = "failed", result.error
+            elif result.is_final and not retried:
+                status, said = "failed", f"{result.error}; --retry-failed tries it again"
+            count += status == "to do"
+            print(f"{status:8} {task.shown} -> {task.folder(self.output)}{said and f': {said}'}")
+        print(f"{count} of {len(self.tasks)} to do")
+        return EXIT_OK
 
+    def export(self) -> bool:
+        """Have files made of all takes, and write the report anew. Returns whether all of it succeeded."""
+        progress = Progress(self.output, self.tasks, "none")
+        errors: dict[str, str] = {}
+        tasks = [task for task, _, left in self.look(again=self.args.again) if left]
+        try:
+            self._make_files(tasks, errors)
+        finally:
+            for task, result, _ in self.look():
+                if error := errors.get(task.name):
+                    result.status, result.error = "failed", error
+                    tell(task, error, self.args.progress)
+                progress.results[task.key] = result
+            progress.close()
+        return not progress.trouble and all(result.status == "ok" for result in progress.results.values())
 
-def _do_elsewhere(args: argparse.Namespace, host: Host, plan: Path) -> int:
-    """The same with Dask, whose client has threads: in a process of the Python that captures."""
-    python = find_python(args.python or host.python)
-    command = worker_command(python, *work_words(args, plan), f"--parent={os.getpid()}")
-    try:
-        client = subprocess.Popen(command, env=worker_environment(python))
-    except OSError as error:
-        raise OptionError(f"{python} cannot be started ({error.strerror}); name another Python") from error
-    try:
-        return client.wait()
-    except KeyboardInterrupt:
-        client.terminate()  # of Ctrl-C it knows already
-        client.wait()
-        raise
+    def _make_files(self, tasks: Sequence[Task], errors: dict[str, str]) -> None:
+        """Have processes make files of takes, each of its share; `errors` gets why takes failed, by their
+        names. A take at which a process dies is tried once more at the end, alone."""
+        jobs = min(self.args.jobs or usable_jobs(), len(tasks))
+        shares, crashed = [tasks[i::jobs] for i in range(jobs)], list[Task]()
+        while shares:
+            logs = self._logs_of_processes(shares)
+            errors |= {name: error for log in logs for name, error in log.items() if error}
+            rest = []
+            for share, log in zip(shares, logs, strict=True):
+                crashed += [task for task in share if log.get(task.name, "") is None]
+                rest.append([task for task in share if task.name not in log])
+            if rest == shares:
+                raise OptionError("the Blender that is to make files ends at once; try --debug")
+            shares = [share for share in rest if share]
+        for task in crashed:
+            (log,) = self._logs_of_processes([[task]])
+            crash = "Blender crashed twice while it made files of it; try again with --debug"
+            errors[task.name] = crash if (error := log.get(task.name)) is None else error
 
+    def _logs_of_processes(self, shares: Sequence[Sequence[Task]]) -> list[dict[str, str | None]]:
+        """Have a process make files of each share. What they have logged: by the names of the takes that were
+        begun, what was wrong, empty where nothing was, or None where the process has died of it."""
+        common = {"given": self.exports.given, "output": str(self.output)}
+        said = None if self.args.debug else subprocess.DEVNULL
+        with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as stack:
+            jobs = [Path(folder, f"{number}.json") for number in range(len(shares))]
+            children = []
+            for job, share in zip(jobs, shares, strict=True):
+                job.write_text(json.dumps({**common, "tasks": [asdict(task) for task in share]}))
+                children.append(subprocess.Popen([*self.host.command, EXPORT, str(job)], stderr=said))
+                stack.callback(children[-1].wait)
+                stack.callback(children[-1].kill)
+            codes = [child.wait() for child in children]
+            return [self._log_of(job, code) for job, code in zip(jobs, codes, strict=True)]
 
-def _jobs(args: argparse.Namespace, tasks: int) -> int:
-    """How many tasks run at a time."""
-    return max(1, min(args.jobs or usable_jobs(), tasks))
-
-
-def _pool(args: argparse.Namespace, host: Host, tasks: int) -> Pool:
-    jobs = _jobs(args, tasks)
-    return Pool(
-        host.command,
-        jobs=jobs,
-        timeout=args.timeout,
-        debug=args.debug,
-        python=args.python or host.python,
-        threads=min(filter(None, (host.threads, share(jobs))), default=None),
-        processes=args.processes,
-    )
+    def _log_of(self, job: Path, code: int) -> dict[str, str | None]:
+        lines = job.with_suffix(".log").read_text() if job.with_suffix(".log").exists() else ""
+        log = {entry["name"]: entry.get("error") for entry in map(json.loads, lines.splitlines())}
+        if code == EXIT_SOME_FAILED and (limit := self.args.timeout):
+            late = f"to make files of it took longer than {limit:g} seconds (--timeout)"
+            log = {name: late if error is None else error for name, error in log.items()}
+        return log

@@ -149,8 +149,7 @@ class Backend:
     it may use again"""
     clip: Callable[[Media, Any], ChunkedDetector] | None = None
     """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: the detector that
-    `open` makes gets it frame after frame, in one thread; no cut to another shot is noticed, and a batch
-    cannot `--split` it"""
+    `open` makes gets it frame after frame, in one thread, and no cut to another shot is noticed"""
     calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
     """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings.
     That was measured with MediaPipe's networks, and is not known for other keypoints"""

@@ -15,13 +15,10 @@ from handfit_core.detect.detector import DETECTORS, ChunkedDetector
 from handfit_core.detect.networks import usable_threads
 from handfit_core.media.opening import open_media
 from handfit_core.media.settings import MEDIA
-from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 
 MAX_THREADS: Final = 8
 """Threads unless more are asked for: each decodes the video for itself, and more would do little else"""
-
-ALL_CHUNKS: Final = slice(0, None)
 
 
 def detect_chunks(
@@ -29,21 +26,20 @@ def detect_chunks(
     options: CaptureOptions,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
-    part: slice = ALL_CHUNKS,
 ) -> list[Chunk]:
-    """Detect all chunks of a clip, or those of a part of them, in as many threads as the options say. The
-    number of threads changes no result.
+    """Detect all chunks of a clip, in as many threads as the options say. The number of threads changes no
+    result.
 
     `on_progress` gets the count of the frames that are done. Where it is stopped, the chunks before the first
     gap are returned.
     """
-    media, frames = detector.media, expected_frames(detector.media, part)
-    count = 1 if media.given is None else thread_count(options.processes, frames)
+    media = detector.media
+    count = 1 if media.given is None else thread_count(options.processes, media.expected_frames)
     if count > 1:
-        return _in_threads(count, detector, options, on_progress, should_stop, part)
+        return _in_threads(count, detector, options, on_progress, should_stop)
     found: list[Chunk] = []
     done = itertools.count(1)
-    for index in itertools.count(part.start) if part.stop is None else range(part.start, part.stop):
+    for index in itertools.count():
         found.append(detector.chunk(index, lambda _: on_progress(next(done)), should_stop))
         if len(found[-1].numbers) < MEDIA.chunk_frames:
             break
@@ -56,9 +52,8 @@ def _in_threads(
     options: CaptureOptions,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
-    part: slice,
 ) -> list[Chunk]:
-    indices = itertools.count(part.start)
+    indices = itertools.count()
     found: dict[int, Chunk] = {}
     ended = Event()
     """Set where the clip's end was seen, or at a stop"""
@@ -71,8 +66,6 @@ def _in_threads(
             own.single_threaded()
             while not ended.is_set():
                 index = next(indices)
-                if part.stop is not None and index >= part.stop:
-                    return
                 if number > 0 and 0 < detector.media.expected_frames <= index * MEDIA.chunk_frames:
                     return  # the first thread sees whether the header tells the truth
                 found[index] = own.chunk(index, lambda _: events.put(None), stopped.is_set)
@@ -100,7 +93,7 @@ def _in_threads(
             stopped.set()
             ended.set()
     chunks: list[Chunk] = []
-    while (chunk := found.get(part.start + len(chunks))) is not None:
+    while (chunk := found.get(len(chunks))) is not None:
         chunks.append(chunk)
         if len(chunk.numbers) < MEDIA.chunk_frames:
             break
@@ -113,18 +106,6 @@ def _another_detector(detector: ChunkedDetector, options: CaptureOptions) -> Chu
     assert clip is not None
     assert media.given is not None
     return clip(open_media(media.given, options.frames, max_megapixels=options.max_megapixels), options)
-
-
-def expected_frames(media: Media, part: slice = ALL_CHUNKS) -> int:
-    """How many frames those chunks of a clip should have; 0 where the header does not tell."""
-    if not media.expected_frames:
-        return 0
-    end = (
-        media.expected_frames
-        if part.stop is None
-        else min(media.expected_frames, part.stop * MEDIA.chunk_frames)
-    )
-    return max(end - part.start * MEDIA.chunk_frames, 1)
 
 
 def thread_count(asked: int | None, frames: int) -> int:

@@ -1,10 +1,9 @@
-"""Frame ranges as artists write them, `10-200:2`, and the ranges of a clip that machines share."""
+"""Frame ranges as artists write them, `10-200:2`."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
 
 from handfit_core.errors import OptionError
 from handfit_core.media.settings import MEDIA
@@ -60,15 +59,3 @@ class FrameRange:
     def __str__(self) -> str:
         first, last = ("" if v is None else str(v) for v in (self.first, self.last))
         return f"{first}-{last}" + (f":{self.step}" if self.step > 1 else "")
-
-
-def part_ranges(frames: range, most: int) -> list[FrameRange]:
-    """At most `most` ranges that tile a clip of those frame numbers, for as many machines to detect: whole
-    chunks, about equally many, and at least 384 frames each. The last is open, in case the clip is longer
-    than its header says. Empty where there are no frames."""
-    if not frames:
-        return []
-    chunks = frames[:: MEDIA.chunk_frames]
-    count = max(1, min(most, len(chunks) // MEDIA.min_part_chunks))
-    firsts = [chunks[i * len(chunks) // count] for i in range(count)]
-    return [FrameRange(a, b - 1) for a, b in pairwise(firsts)] + [FrameRange(firsts[-1])]

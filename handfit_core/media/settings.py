@@ -13,9 +13,6 @@ class MediaSettings:
     chunk_frames: int = 96
     """Frames of a clip that are detected together. A chunk begins with a palm detection in the whole picture,
     as every 24th frame has one"""
-    min_part_chunks: int = 4
-    """of a part of a clip: to start a process, and to read on to its first frame, should cost less than the
-    detection"""
     max_range_chars: int = 40
     """Numbers beyond any clip's frames fit in"""
     max_frame_number: int = 1_048_574

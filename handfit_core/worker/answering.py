@@ -13,11 +13,9 @@ from handfit_core.detection import find_in_frame
 from handfit_core.errors import PictureSizeError
 from handfit_core.files import written_whole
 from handfit_core.interchange.opening import RELATIVE, open_input
-from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.videos import Video
 from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.parts import Parts
-from handfit_core.pipeline import capture_to_file, detect_to_file
+from handfit_core.pipeline import capture_to_file
 from handfit_core.retiming import check_rate, is_other_rate
 from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
@@ -37,8 +35,6 @@ def answer(
     match message["request"]:
         case "capture":
             return capture(message, should_stop, on_progress)
-        case "detect":
-            return detect(message, should_stop, on_progress)
         case "refit":
             return edit.answer(message, should_stop)
         case "probe":
@@ -58,9 +54,7 @@ def capture(
     message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
 ) -> dict[str, Any]:
     """Capture as the request says, write the take. Raises what `pipeline.capture` raises, and OutputError."""
-
     source, retimed = _source(message), message.get("retimed")
-    parts = Parts(message["parts"]) if "parts" in message else None
     flags = {name: message.get(name, False) for name in ("compact", "bare")}
     options = CaptureOptions.of_message(message.get("options") or {})
     if retimed is not None:
@@ -75,7 +69,7 @@ def capture(
     def report(progress: Progress) -> None:
         on_progress(progress.stage, progress.done, progress.total)
 
-    done = capture_to_file(source, message["output"], options, report, should_stop_once, **flags, parts=parts)
+    done = capture_to_file(source, message["output"], options, report, should_stop_once, **flags)
     return {**done, "stopped": stopped}
 
 
@@ -87,22 +81,6 @@ def _check_retimed(source: Any, options: Any, rate: float) -> None:
     if isinstance(media, Video) and is_other_rate(rate, media.fps):
         check_rate(rate)
         media.check_steady()
-
-
-def detect(
-    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
-) -> dict[str, Any]:
-    """Find the hands in a part of a clip. Raises what `pipeline.detect_to_file` raises."""
-
-    part = message.get("part")
-    return detect_to_file(
-        _source(message),
-        message["output"],
-        CaptureOptions.of_message(message.get("options") or {}),
-        FrameRange.parse(part) if part else None,
-        lambda progress: on_progress(progress.stage, progress.done, progress.total),
-        should_stop,
-    )
 
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:

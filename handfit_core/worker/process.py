@@ -7,7 +7,6 @@ systems, and its stderr is a file without a name, which nobody has to read in ti
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import json
 import os
@@ -19,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import IO, Any, BinaryIO
 
 _READ_BYTES = 1 << 16
@@ -274,27 +273,6 @@ def out_of_memory_kills() -> int | None:
     return None
 
 
-def end_with_parent(parent: int, end: Callable[[], None]) -> None:
-    """Call `end` soon after that parent of this process has ended, however it did.
-
-    Blender's process runs no threads, so a signal has to look, in the main thread; where there is none of the
-    kind, as on Windows, nobody does.
-    """
-    if not hasattr(signal, "setitimer"):
-        return
-
-    def look(_number: int, _frame: object) -> None:
-        if os.getppid() != parent:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            end()
-
-    signal.signal(signal.SIGALRM, look)
-    signal.siginterrupt(signal.SIGALRM, False)
-    signal.setitimer(signal.ITIMER_REAL, _PARENT_POLL_SECONDS, _PARENT_POLL_SECONDS)
-    # While Python ends, signals do again what they do by default, and this one's is to kill the process.
-    atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)
-
-
 def reap() -> None:
     """Ask the system about the killed processes, so that it forgets them."""
     _killed[:] = [process for process in _killed if process.poll() is None]
@@ -310,15 +288,9 @@ def wait_for_killed(seconds: float) -> bool:
         time.sleep(_POLL_SECONDS)
 
 
-SAME_GROUP = "HANDFIT_SAME_GROUP"
-"""Set in the environment, processes belong to the group of who starts them, which may be killed as a whole"""
-
-
 def _own_group() -> dict[str, Any]:
     """Popen's options for a process group of its own: no console window, and no share in a terminal's Ctrl-C,
     because ending the child is up to us."""
-    if os.environ.get(SAME_GROUP):
-        return {}
     if sys.platform == "win32":
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}

@@ -52,11 +52,14 @@ _NAMES = r"(LICEN[CS]E|NOTICE|COPYING|AUTHORS)[^/]*(?<!\.py)(?<!\.pyc)(?<!\.pyi)
 _TEXTS = rf"[^/]+\.dist-info/licen[cs]es/.*|(.*/)?{_NAMES}"
 _GCC = "GPL-3.0-or-later WITH GCC-exception-3.1"
 _OWN_LICENCE = {
+    "cloudpickle": ("BSD-3-Clause",),
+    "loky": ("BSD-3-Clause",),
     "mediapipe": ("Apache-2.0",),
     "opencv-python-headless": ("Apache-2.0",),
     # Its OpenBLAS holds GCC's runtime on Windows, too, where it is no file of its own.
     "scipy": ("BSD-3-Clause", _GCC),
     "torch": ("BSD-3-Clause",),
+    "tqdm": ("MPL-2.0", "MIT"),
 }
 """Of packages whose metadata has no SPDX expression, as their licence files have it"""
 _LIBRARIES = (

@@ -40,9 +40,9 @@ PLATFORMS = {
 }
 """Blender's name of each platform that has a zip, and the wheel tags that it takes, newest first."""
 
-RUN_TIME = ("scipy", "opencv-python-headless", "mediapipe")
-"""What the worker imports, besides handfit_core, and NumPy, which is Blender's own. mediapipe declares
-absl-py, flatbuffers and sounddevice, but its hand landmarker imports none of them."""
+RUN_TIME = ("scipy", "opencv-python-headless", "mediapipe", "loky", "cloudpickle", "tqdm")
+"""What the worker and batches import, besides handfit_core, and NumPy, which is Blender's own. mediapipe
+declares absl-py, flatbuffers and sounddevice, but its hand landmarker imports none of them."""
 TORCH = ("torch", "typing-extensions")
 """What the paper's experiments need besides: torch and what it imports. What else it declares (sympy,
 networkx, jinja2, ...) it imports only for what is not used here."""

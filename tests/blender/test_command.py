@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -13,11 +11,7 @@ import bpy
 import pytest
 
 from blender_manient import command, preferences
-from blender_manient.batch import run
-from blender_manient.batch.host import Host
 from blender_manient.scene.store import captured_hands, hand_of
-from handfit_core.errors import OptionError
-from handfit_core.farm.plan import Plan, check_files
 from handfit_core.take import Take
 
 from .conftest import READY
@@ -34,33 +28,10 @@ def take_file(make_take, tmp_path) -> Path:
 
 INTERRUPTING = f"{READY}sys.stdin.readline(); os.kill(os.getppid(), signal.SIGINT); time.sleep(600)"
 """A worker that answers every request with a Ctrl-C to who asked"""
-INTERRUPTING_BATCH = (
-    f"{READY}sys.stdin.readline()\n"
-    "slot = open(f'/proc/{os.getppid()}/stat').read().rpartition(')')[2].split()\n"
-    "os.kill(int(slot[1]), signal.SIGINT); time.sleep(600)"
-)
-"""The same to who started the process that asked"""
 
 
 def report(folder: Path) -> list[dict]:
     return json.loads((folder / "report.json").read_text(encoding="utf-8"))["inputs"]
-
-
-def test_a_plan_notices_keypoints_that_change(tmp_path, monkeypatch, capfd):
-    """A folder of another program, by a relative path, with what lies in its folders."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.jpg").write_bytes(b"no photo")
-    kept = tmp_path / "hands" / "person" / "a_000000_keypoints.json"
-    kept.parent.mkdir(parents=True)
-    kept.write_text("{}")
-    assert command.main(["plan", "a.jpg", "-o", "out", "--format", "bvh", "--keypoints", "hands"]) == 0
-    plan = Plan.load(Path(capfd.readouterr().out.strip()))
-    assert plan.options["capture"]["keypoints"] == str(tmp_path / "hands")
-    assert [path for path, _ in plan.files] == [str(tmp_path / "hands")]
-    check_files(plan.files)
-    kept.write_text("[]")
-    with pytest.raises(OptionError, match="hands: holds something else"):
-        check_files(plan.files)
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["capture", "--help"], ["check", "--help"]])
@@ -76,6 +47,8 @@ def test_help(arguments, capfd):
     [
         ([], "COMMAND"),
         (["fetch"], "fetch"),
+        (["work", "out"], "there is no command work any more; "),
+        (["capture", "a.jpg", "-o", "out", "--split", "100"], "there is no option --split any more; "),
         (["capture"], "INPUT"),
         (["capture", "a.jpg", "-o", "out", "--nonsense"], "--nonsense"),
     ],
@@ -110,32 +83,21 @@ def test_a_take_becomes_files_and_the_addon_stays(take_file, tmp_path, capfd):
     assert hand.take.frame_numbers.tolist() == Take.load(take_file).frame_numbers.tolist()
 
 
-def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path, monkeypatch):
+def test_the_python_is_the_preferences_unless_an_option_names_one(tmp_path, capfd):
     (tmp_path / "a.jpg").write_bytes(b"\xff\xd8\xff")
     preferences.get().python = str(tmp_path / "preferred-python")
-    arguments = ["capture", str(tmp_path / "a.jpg"), "--flat", "-o", str(tmp_path / "out")]
+    arguments = ["capture", str(tmp_path / "a.jpg"), "-o", str(tmp_path / "out")]
     for options, expected in (([], "preferred-python"), (["--python", "named-python"], "named-python")):
-        assert command.main([*arguments, *options]) == 1
-        (entry,) = report(tmp_path / "out")
-        assert f"{expected}'" in entry["error"]
-        assert "--python" in entry["error"]
-        assert "preferences" in entry["error"]
-    # Another Python may have the torch that is not here.
-    monkeypatch.setitem(sys.modules, "torch", None)
-    assert command.main([*arguments, "--solver", "paper-a"]) == 1
-    preferences.get().python = ""
-    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
-    assert command.main([*arguments, "--solver", "paper-a"]) == 2
+        assert command.main([*arguments, *options]) == 2
+        said = capfd.readouterr().err
+        assert all(word in said for word in (f"{expected}'", "--python", "preferences"))
+    assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="only Linux tells who started a process")
-def test_ctrl_c_ends_a_capture(peer, tmp_path, capfd):
-    out, before = tmp_path / "out", signal.getsignal(signal.SIGINT)
-    arguments = ["capture", "a.jpg", "b.jpg", "-o", str(out), "--python", peer(INTERRUPTING_BATCH)]
-    assert command.main([*arguments, "--jobs", "1"]) == 130
-    assert "what was finished is kept" in capfd.readouterr().err
-    assert [entry["status"] for entry in report(out)] == ["interrupted", "pending"]
-    assert signal.getsignal(signal.SIGINT) == before
+def test_takes_need_no_python_that_captures(take_file, tmp_path):
+    preferences.get().python = str(tmp_path / "no-python")
+    arguments = ["capture", str(take_file), "-o", str(tmp_path / "out"), "--format", "bvh", "--jobs", "1"]
+    assert command.main(arguments) == 0
 
 
 def test_ctrl_c_ends_a_check(peer, capfd):
@@ -180,14 +142,3 @@ def test_without_a_part_that_blenders_side_needs(arguments, missing, tmp_path):
     assert [line for line in done.stderr.splitlines() if line.startswith("error: ") and name in line]
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
-
-
-def test_several_inputs_at_a_time_share_the_threads_of_the_preferences(monkeypatch):
-    monkeypatch.setattr("handfit_core.farm.pool.usable_cores", lambda: 8)
-    shares = {}
-    for jobs in (1, 4):
-        args = argparse.Namespace(jobs=jobs, timeout=None, debug=False, python=None, processes=None)
-        for threads in (None, 3):
-            with run._pool(args, Host(("none",), threads=threads), 4) as pool:
-                shares[jobs, threads] = pool._here["threads"]
-    assert shares == {(1, None): None, (1, 3): 3, (4, None): 2, (4, 3): 2}

@@ -63,7 +63,8 @@ def test_versions_to_install_are_the_pinned_ones() -> None:
     text = text_of(ROOT / "docs" / "installing.md")
     constraints = text_of(ROOT / "constraints.txt")
     named = set(re.findall(r"([\w-]+)==([\d.]+\d)", text))
-    assert {package for package, _ in named} == {"torch", "scipy", "opencv-python-headless", "mediapipe"}
+    wanted = {"torch", "scipy", "opencv-python-headless", "mediapipe", "loky", "tqdm"}
+    assert {package for package, _ in named} == wanted
     for package, version in named:
         assert re.search(rf"^{package}=={re.escape(version)}(;.*)?\s", constraints, re.MULTILINE), package
 

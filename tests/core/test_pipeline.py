@@ -26,7 +26,6 @@ from handfit_core.errors import (
     PlugInError,
     TakeError,
 )
-from handfit_core.farm import report
 from handfit_core.fitting import hand_track
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
@@ -40,6 +39,7 @@ from handfit_core.registry import Registry
 from handfit_core.skeleton import SIDES, HandChoice
 from handfit_core.solvers import SOLVERS, Solver, TrackSolver, get_solver
 from handfit_core.sources import _rate
+from handfit_core.tasks import report
 from tests.conftest import ROOT
 from tests.core.fit.detections import track_of
 

@@ -142,7 +142,9 @@ def test_a_character_comes_out_with_the_motion(request, in_blender, hero, look, 
     assert entry["character"] == {"armature": "Hero", "hands": hands}
     files = ["clip.take.npz", *(f"clip{ending}" for ending in [*endings, ".vrma"])]
     assert entry["files"] == [f"clip/{name}" for name in files]
-    assert sorted(p.name for p in (out / "clip").iterdir()) == sorted([*files, "done.json"])
+    assert sorted(p.name for p in (out / "clip").iterdir()) == sorted(
+        [*files, "clip.json", "clip.export.json"]
+    )
     assert hero.read_bytes() == before
 
     blend = look(out / "clip" / "clip.blend")

@@ -110,7 +110,6 @@ def test_the_core_is_its_source_with_the_models_and_without_evaluation_and_netwo
         "handfit_core/detect/correction/data/landmark_network.npz",
         "handfit_core/fit/data/doubt.npz",
         "handfit_core/interchange/data/lift_network.npz",
-        *(f"handfit_core/farm/templates/{name}" for name in ("flamenco.js", "slurm.sh", "snakemake.smk")),
     }
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "handfit_core").rglob("*.py")}
     artists = {name for name in modules if not name.startswith(NOT_THE_ARTISTS)}

@@ -1,7 +1,7 @@
 """A real batch that is killed at random moments and started again ends as one that was left alone; a video
 that kills the process that captures is the only thing that fails.
 
-`HANDFIT_KILLS=30` kills as often as the figures in docs/batch.md were made with.
+`HANDFIT_KILLS=30` kills as often as docs/batch.md says.
 """
 
 from __future__ import annotations
@@ -25,8 +25,6 @@ pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 if sys.platform != "linux":
     pytest.skip("processes are looked for in Linux's /proc", allow_module_level=True)
 
-from handfit_core.farm.plan import plans_in
-from handfit_core.farm.pool import ATTEMPTS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import Source
 from tests.capturing import needs_capture
@@ -88,29 +86,31 @@ def hashes(output: Path) -> dict[str, str]:
     return {p.relative_to(output).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest() for p in names}
 
 
+def records(output: Path) -> dict[Path, tuple[int, int]]:
+    """Which record of what is finished is there, and since when."""
+    found = ((path, path.stat()) for path in output.glob("*/*.json"))
+    return {path: (stat.st_ino, stat.st_mtime_ns) for path, stat in found}
+
+
 def test_a_batch_killed_at_random_moments_ends_as_if_it_was_not(takes, tmp_path):
     calm, out = tmp_path / "calm", tmp_path / "out"
     running = start(takes, calm)
     said, _ = running.communicate(timeout=LIMIT)
     assert running.returncode == 0, said
     chance = random.Random(18)
-    seals: dict[str, tuple[int, int]] = {}
-    killed = 0
-    while killed < KILLS:
+    finished: dict[Path, tuple[int, int]] = {}
+    for number in range(KILLS):
         running = start(takes, out)
         time.sleep(chance.uniform(1.0, 12.0))
-        if killed % 3 == 2:  # a slot first, or what it has started
+        if number % 3 == 2:  # one of its processes first
             others = [pid for pid in processes_of(out) if pid != running.pid] or [running.pid]
             with suppress(ProcessLookupError):
                 os.kill(chance.choice(others), signal.SIGKILL)
             time.sleep(chance.uniform(0.0, 2.0))
         running.kill()
         running.communicate()
-        killed += 1
-        for path in out.glob("*/done.json"):
-            found = path.stat()
-            seal = seals.setdefault(path.parent.name, (found.st_ino, found.st_mtime_ns))
-            assert seal == (found.st_ino, found.st_mtime_ns), "what is sealed is not done again"
+        finished = records(out) | finished
+        assert finished == records(out), "what is finished is not done again"
     for _ in range(2):
         running = start(takes, out)
         said, _ = running.communicate(timeout=LIMIT)
@@ -121,13 +121,8 @@ def test_a_batch_killed_at_random_moments_ends_as_if_it_was_not(takes, tmp_path)
         time.sleep(0.1)
     assert len(hashes(out)) == 3 * INPUTS
     assert hashes(out) == hashes(calm)
-    (plan,) = plans_in(out)
-    assert all(plan.is_sealed(task.id) for task in plan.tasks)
-    for name, seal in seals.items():
-        found = (out / name / "done.json").stat()
-        assert seal == (found.st_ino, found.st_mtime_ns)
-    assert not list(out.glob(".part-*"))
-    assert not list(out.glob("*/running.json"))
+    assert {path: finished[path] for path in finished} == {path: records(out)[path] for path in finished}
+    assert not [path for path in out.rglob(".*") if path.name != ".."]
     entries = json.loads((out / "report.json").read_text(encoding="utf-8"))["inputs"]
     assert [entry["status"] for entry in entries] == ["ok"] * INPUTS
 
@@ -172,14 +167,9 @@ def test_a_video_that_kills_the_process_that_captures_fails_alone(crashing_video
     entries = json.loads((out / "report.json").read_text(encoding="utf-8"))["inputs"]
     crashed, done = entries
     assert (crashed["name"], crashed["status"]) == ("crashing", "failed")
-    assert len(crashed["attempts"]) == ATTEMPTS
-    for attempt in crashed["attempts"]:
-        assert attempt["kind"] == "WorkerDied"
-        assert "SIGSEGV" in attempt["error"]
-        assert "save it anew with another program" in attempt["error"]
-        assert "\n" not in attempt["error"]
+    assert "the process that captured it died 3 times; the input is damaged" in crashed["error"]
+    assert [attempt["kind"] for attempt in crashed["attempts"]] == ["WorkerDied"] * 3
     assert (done["status"], done["attempts"]) == ("ok", [])
     assert {Path(name).suffix for name in done["files"]} == {".npz", ".blend", ".glb", ".bvh"}
     assert not processes_of(out)
     assert not list(out.glob(".part-*"))
-    assert not list(out.glob("*/running.json"))

@@ -19,11 +19,9 @@ import bpy
 
 import blender_manient
 from blender_manient import modules
-from blender_manient.batch.order import Order
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
 from handfit_core.errors import HandfitError
-from handfit_core.farm.plan import Plan
 from handfit_core.media.source import Source
 from scripts import batch_fit
 from tests.drawn import drawn
@@ -174,11 +172,6 @@ def _draw() -> None:
             drawn(cls)
 
 
-def order(path: str) -> None:
-    """What the process that does the tasks of a plan makes of its options."""
-    Order.of_plan(Plan.load(Path(path)).options, debug=False, python=None)
-
-
 def batch(argv: list[str], code: int) -> None:
     """scripts/batch_fit.py in this process: its exit code, and what stands in its report."""
     said = io.StringIO()
@@ -198,6 +191,5 @@ DOORS: dict[str, Callable[..., Any]] = {
     "import_take": import_take,
     "import_of": import_of,
     "blend": blend,
-    "order": order,
     "batch": batch,
 }

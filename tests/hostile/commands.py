@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from tests.hostile import models, parts, pickles, pictures, recordings, takes, videos
+from tests.hostile import models, pickles, pictures, recordings, takes, videos
 from tests.hostile.engine import Case, Place
 from tests.hostile.names import TEXTS
 from tests.hostile.npz import bomb
@@ -55,8 +55,6 @@ def outputs() -> Iterator[Case]:
     for verb, file, data in (
         ("capture", "a.points.json", _points),
         ("convert", "a.points.json", _points),
-        ("detect", "a.avi", lambda: videos.good_bytes("avi")),
-        ("solve", "a.npz", parts.good_bytes),
         ("model convert", "a.npz", models.good_bytes),
     ):
         for where in (*NODES, "link", "address", "input"):

@@ -25,29 +25,19 @@ import numpy as np
 
 from handfit_core import errors, pipeline
 from handfit_core.__main__ import main
-from handfit_core.arrays import check_arrays
-from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.keypoints import Detections
-from handfit_core.detect.tracks import link_tracks
-from handfit_core.farm import pool
-from handfit_core.farm.collect import Report
-from handfit_core.farm.plan import Plan
-from handfit_core.farm.pool import Pool
-from handfit_core.farm.show import ProgressReporter
-from handfit_core.farm.templates import KINDS, write_template
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.opening import RELATIVE, open_input, read_recording
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.parts import Part
 from handfit_core.pipeline import hand_summaries
 from handfit_core.sheet import write_sheet
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
+from handfit_core.tasks.report import line, read_results, write_report
+from handfit_core.tasks.task import Task
 from handfit_core.worker import answering, protocol
-from tests.core.farm.peers import COMMAND as PEER
 from tests.core.interchange.known_hands import own_mano
 from tests.hostile.engine import MOST_BYTES
 
@@ -87,18 +77,6 @@ def check_take(found: Take) -> None:
     Take.from_bytes(found.to_bytes())
 
 
-def part(path: str) -> None:
-    """Read a part of a clip, and join its hands."""
-    found = Part.load(path)
-    assert all(type(text) is str for text in (*found.input, found.fingerprint, found.made_by))
-    for chunk in found.chunks:
-        assert len(chunk.numbers) == len(chunk.frames)
-        hands = with_side_judged(Detections.of(chunk.frames))
-        check_arrays(hands)
-        if len(hands):
-            link_tracks(hands, len(chunk.frames))
-
-
 @cache
 def _mano() -> str:
     return str(own_mano(Path(tempfile.mkdtemp())))
@@ -126,34 +104,15 @@ def _recorded(path: str, mano: bool) -> None:
     check_take(pipeline.capture(path, replace(options, frames=FrameRange(numbers[0], numbers[-1]))))
 
 
-_doing: list[Pool] = []
-"""A pool that stays warm from case to case"""
-
-
-def farm(path: str) -> None:
-    """Do what is left of a plan with a stand-in for Blender, as `work` does, and report; write job files."""
-    plan = Plan.load(Path(path))
-    assert all(type(text) is str for task in plan.tasks for text in (*task.source, *task.needs, task.shown))
-    _doing[:] = _doing or [Pool(PEER, timeout=60.0)]
-    tasks = plan.tasks[:8]
-    report = Report([plan])
-    report.look()
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            results = _doing[0].run(plan, tasks, ProgressReporter(list(tasks), "json", report), wait=False)
-        report.look()
-        report.write()
-    except BaseException:
-        _doing.pop().stop()
-        raise
-    assert len(results) == len(tasks)
-    content = json.loads(Path("result/report.json").read_text("utf-8"), parse_constant=_no_number)
-    for result in content["inputs"]:
-        assert result["status"] in ("ok", "failed", "running", "pending"), result
-        assert "unexpected" not in result["error"], result
-    assert "<script>canary" not in Path("result/overview.html").read_text("utf-8", "replace")
-    for kind in KINDS:
-        write_template(kind, plan, Path("result", f"job.{kind}"), most=3)
+def results(path: str) -> None:
+    """Read what a folder of results says of a task, and write the reports."""
+    task, output = Task("a", "key", "a.mp4"), Path(path)
+    write_report(output, read_results(output, [task]))
+    content = json.loads((output / "report.json").read_text("utf-8"), parse_constant=_no_number)
+    (result,) = content["inputs"]
+    assert (result["name"], result["id"]) == ("a", "key")
+    assert "<script>canary" not in (output / "overview.html").read_text("utf-8", "replace")
+    line(read_results(output, [task])[0])
 
 
 def _no_number(text: str) -> None:
@@ -232,9 +191,8 @@ def check_ending(code: object, said: str) -> None:
 
 DOORS: dict[str, Callable[..., Any]] = {
     "take": take,
-    "part": part,
     "recording": recording,
-    "farm": farm,
+    "results": results,
     "model": model,
     "media": media,
     "capture": capture,
@@ -243,4 +201,3 @@ DOORS: dict[str, Callable[..., Any]] = {
     "process": process,
 }
 os.environ["OPENCV_FFMPEG_READ_ATTEMPTS"] = "64"
-pool.BACK_OFF = (0.01, 0.01)

@@ -17,10 +17,10 @@ import numpy as np
 
 from tests.core.interchange.every_format import keypoint_files, other_files
 from tests.hostile.engine import Case, Place, file_case
-from tests.hostile.farms import ODD
 from tests.hostile.mutations import MUTATIONS, mutants, mutated, told
 from tests.hostile.npz import VALUES, lies, npy_lies, raw_member
 from tests.hostile.pickles import harms
+from tests.hostile.records import ODD
 
 DOOR = "core.recording"
 MANO = {"arctic", "interhand", "hot3d", "dex-ycb"}

@@ -19,19 +19,18 @@ pytest.importorskip("cv2", reason="needs OpenCV")
 from tests.hostile import (
     blends,
     commands,
-    farms,
     models,
     names,
-    parts,
     pickles,
     pictures,
     recordings,
+    records,
     takes,
     videos,
 )
 from tests.hostile.engine import Case, Doorkeeper
 
-KINDS = (takes, parts, recordings, farms, models, pickles, pictures, videos, names, commands, blends)
+KINDS = (takes, recordings, records, models, pickles, pictures, videos, names, commands, blends)
 # By door, so that the children that hold a door open change places once.
 CASES = sorted(
     (case for kind in KINDS for case in kind.cases()), key=lambda case: case.door.partition(".")[0]

@@ -65,12 +65,14 @@ run wrong manient capture photo.jpg
 run check manient check
 run capture manient capture photo.jpg clip.mp4 nowhere.jpg --output results --format blend,glb,fbx \
   --frames 1-20 --preview --timeout 200
-run again manient capture results/photo/photo.take.npz --output again --format bvh
+run again manient capture photo.jpg clip.mp4 --output results --format blend,bvh --frames 1-20 --jobs 2
+run take manient capture results/photo/photo.take.npz --output take --format bvh
+run gone_command manient plan photo.jpg --output planned
 blender -b -P hero.py
 run apply manient apply results/photo/photo.take.npz --to hero.blend --output applied --format blend,fbx
 
 blender --command manient capture clip.mp4 photo.jpg --output stopped --jobs 1 >stopped.out 2>stopped.err &
-while [ ! -e stopped/clip/running.json ]; do sleep 0.1; done
+while [ ! -e stopped/report.json ]; do sleep 0.1; done
 sleep 1
 kill -INT $!
 wait $! && code=0 || code=$?
@@ -169,7 +171,7 @@ def test_a_photo_and_a_video_become_files(commands):
     for entry in (photo, clip):
         name = entry["name"]
         endings = (".take.npz", ".sheet.jpg", ".blend", ".glb", ".fbx", ".preview.png")
-        assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
+        assert sorted(entry["files"]) == sorted(f"{name}/{name}{ending}" for ending in endings)
         sizes = [(commands.folder / "results" / file).stat().st_size for file in entry["files"]]
         assert min(sizes) > 1000, sizes
     told = [
@@ -180,17 +182,31 @@ def test_a_photo_and_a_video_become_files(commands):
     assert "Traceback" not in commands["capture"].err
 
 
-def test_a_take_is_exported_again(commands):
-    assert commands["again"].code == 0
-    (entry,) = commands.report("again")
-    assert entry["files"] == [f"photo/photo{ending}" for ending in (".take.npz", ".sheet.jpg", ".bvh")]
+def test_the_same_line_with_another_format_only_makes_that(commands):
+    assert commands["again"].code == 0, commands["again"].err
+    exported = [line for line in commands["again"].out.splitlines() if line.startswith("exported: ")]
+    assert sorted(exported) == ["exported: clip.mp4", "exported: photo.jpg"]
+    for name in ("photo", "clip"):
+        assert (commands.folder / "results" / name / f"{name}.bvh").is_file()
+
+
+def test_a_take_becomes_other_files(commands):
+    assert commands["take"].code == 0, commands["take"].err
+    (entry,) = commands.report("take")
+    assert sorted(entry["files"]) == [f"photo/photo{e}" for e in (".bvh", ".sheet.jpg", ".take.npz")]
+
+
+def test_a_command_that_went_says_what_does_it_now(commands):
+    assert commands["gone_command"].code == 2
+    assert "there is no command plan any more; " in commands["gone_command"].err
+    assert not (commands.folder / "planned").exists()
 
 
 def test_a_take_goes_onto_a_character(commands):
     assert commands["apply"].code == 0, commands["apply"].err
     (entry,) = commands.report("applied")
-    endings = (".take.npz", ".sheet.jpg", ".blend", ".fbx")
-    assert entry["files"] == [f"photo/photo{ending}" for ending in endings]
+    endings = (".blend", ".fbx", ".sheet.jpg", ".take.npz")
+    assert sorted(entry["files"]) == [f"photo/photo{ending}" for ending in endings]
     (hand,) = entry["character"]["hands"]
     assert (hand["side"], hand["rig"], hand["bones"], hand["frames"]) == ("left", "Mixamo", 15, 1)
 
@@ -198,7 +214,7 @@ def test_a_take_goes_onto_a_character(commands):
 def test_ctrl_c_keeps_what_was_finished_and_ends_the_worker(commands):
     assert commands["stopped"].code == 130
     assert "what was finished is kept" in commands["stopped"].err
-    assert [entry["status"] for entry in commands.report("stopped")] == ["interrupted", "pending"]
+    assert [entry["status"] for entry in commands.report("stopped")] == ["pending", "pending"]
     assert processes_with(f"{MARK}={commands.mark}") == []
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from handfit_core.arrays import check_arrays
 from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
-from handfit_core.parts import hands_from_arrays, hands_to_arrays
 from handfit_core.skeleton import SIDES, Side, other_side
 
 POINTS = np.arange(63.0).reshape(21, 3)
@@ -72,10 +71,3 @@ def test_extent_and_track() -> None:
     assert detection("left").extent == 60.0
     track = Track("left", Detections.of([[], [detection("left")]]), frame_count=3)
     np.testing.assert_array_equal(track.detected, [False, True, False])
-
-
-@pytest.mark.parametrize("counts", [[10**15], [-1, 2], [2**62, 2**62, 2**62, 2**62, 1], []])
-def test_wrong_counts(counts: list[int]) -> None:
-    arrays = hands_to_arrays([[detection("left")]])
-    with pytest.raises(ValueError, match="as its frames count"):
-        hands_from_arrays(arrays | {"counts": np.array(counts, dtype=np.int64)})

@@ -10,7 +10,6 @@ import pytest
 
 from handfit_core.__main__ import main
 from handfit_core.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
-from handfit_core.farm.inputs import expand
 from handfit_core.interchange.opening import RecordedMedia, is_recording, open_input, read_recording
 from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
@@ -18,6 +17,7 @@ from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import other_side
 from handfit_core.take import Take, chosen, is_take
+from handfit_core.tasks.inputs import expand
 from handfit_core.worker.answering import probe
 from tests.conftest import ROOT
 

@@ -1,0 +1,125 @@
+"""The options of a batch that do not depend on Blender, and sentences for those that went."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Sequence
+from typing import Any, Final, NoReturn
+
+from handfit_core.files import path_of
+from handfit_core.options import add_options
+
+STYLES: Final = ("text", "json", "none")
+
+_SHARE: Final = "give each machine a batch of its share of the inputs (docs/scale.md)"
+_GONE_OPTIONS: Final = {
+    "--split": "a clip is captured by one process, with --processes threads; leave --split out",
+    "--cluster": "--scheduler ADDRESS uses a Dask cluster that runs, and --scheduler local starts one",
+    "--tls": "a tls:// address is enough: Dask finds its certificates in its own configuration",
+    "--map": "inputs are named as they are called on the machine that captures; leave --map out",
+    "--command": "the workers of a Dask cluster capture by themselves; leave --command out",
+    "--accept-failed": "exit code 1 says that some inputs failed, and report.json which; leave it out",
+}
+GONE_COMMANDS: Final = {
+    "detect": "a clip is captured by one process: use capture, with --processes threads",
+    "solve": "a clip is captured by one process: use capture, with --processes threads",
+    "plan": f"nothing has to be planned: {_SHARE}, and --dry-run tells what is left",
+    "task": f"a task is a batch of one input: {_SHARE}",
+    "work": f"whoever gives the same line again goes on: {_SHARE}, or use --scheduler ADDRESS",
+    "run": f"whoever gives the same line again goes on: {_SHARE}, or use --scheduler ADDRESS",
+    "collect": "give the line of the whole batch once more: it does what is left, and writes the report",
+    "farm-template": "docs/scale.md has the job file of each farm, to be copied",
+    "slot": "the batch starts processes that capture by itself",
+}
+"""Commands that went, and what does now what they did"""
+
+
+def check_command(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
+    """End with a sentence where the first word is a command that went."""
+    if words and words[0] in GONE_COMMANDS:
+        parser.error(f"there is no command {words[0]} any more; {GONE_COMMANDS[words[0]]}")
+
+
+def add_batch_arguments(
+    parser: argparse.ArgumentParser, default_inputs: Sequence[str] = (), *, output_required: bool = True
+) -> None:
+    """Add the inputs, the options of a capture, and how a batch is done.
+
+    `default_inputs` are taken where none are given; without them at least one must be given.
+    """
+    parser.add_argument(
+        "inputs",
+        nargs="*" if default_inputs else "+",
+        default=default_inputs,
+        metavar="INPUT",
+        help="photo, video, folder of either, name.%%04d.png or glob pattern, or a take (.npz)",
+    )
+    parser.add_argument(
+        "-o", "--output", type=path_of, required=output_required, metavar="DIR", help="where results go"
+    )
+    add_options(parser)
+    grouping = parser.add_mutually_exclusive_group()
+    for name, said in (
+        ("sequence", "a folder's photos are one sequence"),
+        ("separate", "each photo is an input of its own"),
+    ):
+        grouping.add_argument(f"--{name}", dest="grouping", action="store_const", const=name, help=said)
+    parser.add_argument("--no-sheet", action="store_true", help="no contact sheet of each input")
+    parser.add_argument("--overwrite", action="store_true", help="write into result folders that exist")
+    parser.add_argument(
+        "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
+    )
+    parser.add_argument(
+        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
+    )
+    parser.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="have the workers of this Dask scheduler capture, tcp://HOST:8786, or local: N workers that are "
+        "started here (--jobs)",
+    )
+    parser.add_argument("--timeout", type=_seconds, metavar="SECONDS", help="longest time for one input")
+    parser.add_argument("--again", action="store_true", help="also do what is done already")
+    parser.add_argument(
+        "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
+    for name, said in _GONE_OPTIONS.items():
+        parser.add_argument(name, action=_Gone, nargs="?", help=argparse.SUPPRESS, said=said)
+
+
+def parent_option() -> list[str]:
+    """The words with which a batch ends itself once the process that runs here has ended."""
+    return [f"--parent={os.getpid()}"]
+
+
+class _Gone(argparse.Action):
+    """An option that went: refused with a sentence that says what does now what it did."""
+
+    def __init__(self, *arguments: Any, said: str, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._said = said
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, _namespace: object, _values: object, option: str | None = None
+    ) -> NoReturn:
+        parser.error(f"there is no option {option} any more; {self._said}")
+
+
+def _seconds(text: str) -> float:
+    """A time of more than 0 seconds."""
+    number = float(text)
+    if not 0.0 < number < math.inf:
+        raise argparse.ArgumentTypeError("more than 0 seconds are needed")
+    return number
+
+
+def _count(text: str) -> int:
+    """A number of at least 1."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError("at least 1 is needed")
+    return number

@@ -1,0 +1,119 @@
+"""The command `batch`: capture many inputs."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import uuid
+from collections.abc import Sequence
+from contextlib import closing
+from typing import Any, Final
+
+from handfit_core.errors import HandfitError, OptionError
+from handfit_core.files import check_writable
+from handfit_core.machine import usable_cores, usable_jobs
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import check_options
+from handfit_core.tasks.arguments import add_batch_arguments
+from handfit_core.tasks.capture import Settings
+from handfit_core.tasks.progress import Progress
+from handfit_core.tasks.report import REPORT, Result, read_results
+from handfit_core.tasks.run import run_tasks
+from handfit_core.tasks.task import Task, make_tasks
+from handfit_core.tasks.workers import (
+    DaskWorkers,
+    InThisProcess,
+    LocalProcesses,
+    Workers,
+    end_with,
+    terminated_as_interrupted,
+)
+
+EXIT_SOME_FAILED: Final = 1
+EXIT_USAGE: Final = 2
+
+
+def add_batch_command(commands: Any) -> None:
+    """Add `batch`, which sets `handler`, called as handler(args) -> exit code."""
+    parser = commands.add_parser("batch", help="capture many inputs, and go on where it was stopped")
+    parser.set_defaults(handler=_batch)
+    add_batch_arguments(parser)
+    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # the process with which it ends
+
+
+def _batch(args: argparse.Namespace) -> int:
+    with terminated_as_interrupted():
+        if args.parent is not None:
+            end_with(args.parent)
+        try:
+            return _run(args)
+        except OptionError as error:
+            args.reporter.error("OptionError", str(error))
+            return EXIT_USAGE
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Do what is left. Returns the exit code. Raises OptionError where nothing can be tried."""
+    options, output = CaptureOptions.of_arguments(args), args.output.absolute()
+    tasks = make_tasks(
+        args.inputs,
+        options,
+        output,
+        grouping=args.grouping,
+        sheet=not args.no_sheet,
+        flat=args.flat,
+        overwrite=args.overwrite,
+    )
+    if not all(task.take for task in tasks):  # takes need nothing that captures
+        check_options(options)
+    found = list(zip(tasks, read_results(output, tasks), strict=True))
+    left = [task for task, result in found if _is_left(result, args)]
+    jobs = min(args.jobs or usable_jobs(), max(1, len(left)))
+    if args.dry_run:
+        return _tell(found, jobs, args)
+    try:
+        check_writable(output / REPORT)
+    except HandfitError as error:
+        raise OptionError(str(error)) from error
+    message = options.to_message()
+    if jobs > 1 or args.scheduler is not None:  # each capture has its share of the cores
+        message["processes"] = options.processes or max(1, usable_cores() // jobs)
+    settings = Settings(message, not args.no_sheet, args.timeout, args.again, uuid.uuid4().hex)
+    with closing(Progress(output, tasks, args.progress)) as progress:
+        for task, result in found:
+            if not _is_left(result, args):
+                progress.ended(task, result)
+        if left:
+            for task, result in run_tasks(left, output, settings, _workers(args, jobs)):
+                progress.ended(task, result)
+    done = all(result.status == "ok" for result in progress.results.values())
+    return 0 if done and not progress.trouble else EXIT_SOME_FAILED
+
+
+def _is_left(result: Result, args: argparse.Namespace) -> bool:
+    if args.again or (result.status == "failed" and args.retry_failed):
+        return True
+    return result.status != "ok" and not result.is_final
+
+
+def _workers(args: argparse.Namespace, jobs: int) -> Workers:
+    """Who does the tasks. Raises OptionError."""
+    if args.scheduler is not None:
+        return DaskWorkers(args.scheduler, args.jobs or jobs)
+    # A process that dies or takes too long must not be this one, unless somebody wants it so.
+    chosen = args.jobs == 1 or (args.jobs is None and importlib.util.find_spec("loky") is None)
+    if chosen and args.timeout is None:
+        return InThisProcess()
+    return LocalProcesses(jobs)
+
+
+def _tell(found: Sequence[tuple[Task, Result]], jobs: int, args: argparse.Namespace) -> int:
+    """What would be done."""
+    for task, result in found:
+        status = "done" if result.status == "ok" else result.status
+        status = "to do" if _is_left(result, args) else status
+        said = f"{result.error}; --retry-failed tries it again" if status == "failed" else task.error
+        print(f"{status:8} {task.shown} -> {task.folder(args.output.absolute())}{said and f': {said}'}")
+    left = sum(_is_left(result, args) for _, result in found)
+    print(f"{left} of {len(found)} to do, {jobs} at a time")
+    return 0

@@ -1,0 +1,79 @@
+"""From what the user names to inputs: folders, patterns and sequences taken apart, each with a name."""
+
+from __future__ import annotations
+
+import glob
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from handfit_core.interchange.opening import is_recording
+from handfit_core.media.opening import (
+    PHOTO_SUFFIXES,
+    VIDEO_SUFFIXES,
+    is_pattern,
+    pictures_in,
+    sequence_numbers,
+)
+from handfit_core.sheet import SUFFIX
+from handfit_core.take import is_take
+from handfit_core.tasks.record import read_record
+
+PREVIEW_SUFFIX: Final = ".preview.png"
+_OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".export.json")
+"""What names of results end with that may lie among the inputs, and are none"""
+
+
+@dataclass(frozen=True)
+class Input:
+    """What to capture, or the take to use, and the name that its results would like to have."""
+
+    shown: str
+    name: str
+    source: tuple[str, ...] = ()
+    take: Path | None = None
+    error: str = ""
+    """Why it cannot even be tried"""
+
+
+def expand(text: str, grouping: str | None = None) -> list[Input]:
+    """The inputs of one INPUT.
+
+    A folder or a glob pattern gives one per video, and one per photo, unless the photos
+    form one numbered sequence (`grouping` forces either: "sequence" or "separate"). Contact
+    sheets and previews that a batch has put there are left out.
+    """
+    path = Path(text).expanduser()
+    if path.is_dir():
+        videos = sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.name[0] != ".")
+        pictures = [p for p in pictures_in(path) if not p.name.endswith(_OURS)]
+        jobs = _group(pictures, grouping, path.resolve().name) + [_one_file(v) for v in videos]
+        if not jobs and is_recording(path):
+            return [Input(text, path.resolve().name, (str(path),))]
+        return jobs or [Input(text, path.resolve().name, error=f"{text}: no photos or videos in this folder")]
+    if path.exists() or not is_pattern(text):
+        return [_one_file(path)]
+    if not any(c in path.name for c in "*?["):  # name.%04d.png and name.####.png are sequences by intent
+        name = path.name.partition("%")[0].partition("#")[0].rstrip("._- ") or path.absolute().parent.name
+        return [Input(text, name, (str(path),))]
+    pattern = str(Path(glob.escape(str(path.parent))) / path.name)
+    found = sorted(p for p in map(Path, glob.glob(pattern)) if p.is_file() and not p.name.endswith(_OURS))
+    found = [p for p in found if p.suffix.lower() != ".json" or read_record(p) is None]
+    pictures = [p for p in found if p.suffix.lower() in PHOTO_SUFFIXES]
+    others = [_one_file(p) for p in found if p.suffix.lower() not in PHOTO_SUFFIXES]
+    jobs = _group(pictures, grouping, path.absolute().parent.name) + others
+    return jobs or [Input(text, "pattern", error=f"{text}: no file matches this pattern")]
+
+
+def _one_file(path: Path) -> Input:
+    if path.suffix.lower() == ".npz" and (is_take(path) or not path.exists()):
+        return Input(str(path), path.stem.removesuffix(".take"), take=path)
+    return Input(str(path), path.stem, (str(path),))
+
+
+def _group(pictures: list[Path], grouping: str | None, name: str) -> list[Input]:
+    is_sequence = grouping == "sequence" or (grouping is None and sequence_numbers(pictures) is not None)
+    if len(pictures) > 1 and is_sequence:
+        shown = f"{pictures[0]} ... {pictures[-1].name} ({len(pictures)} pictures)"
+        return [Input(shown, name, tuple(map(str, pictures)))]
+    return [_one_file(p) for p in pictures]

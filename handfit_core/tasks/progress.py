@@ -1,0 +1,83 @@
+"""How far a batch is: a bar on a terminal, a line for each input, or an object a line for programs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, TextIO
+
+from handfit_core.errors import HandfitError
+from handfit_core.tasks.report import Result, line, write_report
+from handfit_core.tasks.task import Task
+
+_OFTEN: Final = 1.0
+"""Seconds between two reports at least"""
+_SHARE: Final = 20.0
+"""Times the seconds that the last report took: a large one is written less often"""
+
+
+class Progress:
+    """Tells of each input that is over, and keeps the report up to date."""
+
+    def __init__(self, output: Path, tasks: Sequence[Task], style: str) -> None:
+        self._output, self._style, self._count = output, style, len(tasks)
+        self.results = {task.key: Result(task.shown, task.name, id=task.key) for task in tasks}
+        """By the key of its task, what came of each input so far"""
+        self.trouble = ""
+        """Why the report could not be written the last time"""
+        self._over, self._next = 0, 0.0
+        self._bar: Any = None
+        if style == "text" and sys.stderr.isatty():
+            with contextlib.suppress(ImportError):
+                from tqdm import tqdm
+
+                self._bar = tqdm(total=self._count, unit="input", file=sys.stderr, dynamic_ncols=True)
+
+    def ended(self, task: Task, result: Result) -> None:
+        """An input is over."""
+        self.results[task.key] = result
+        self._over += 1
+        if self._style == "json":
+            said = {"task": task.key, "name": task.name, "status": result.status, "error": result.error}
+            event = {"event": "ended", **said, "done": self._over, "total": self._count}
+            _print(json.dumps(event), sys.stdout)
+        elif self._bar is not None:
+            self._bar.write(line(result), file=sys.stdout)
+            self._bar.update()
+        elif self._style == "text":
+            _print(f"[{self._over}/{self._count}] {line(result)}", sys.stdout)
+        if time.monotonic() > self._next:
+            self.write()
+
+    def write(self) -> None:
+        """Write the reports; where that cannot be, what is left to do may still succeed."""
+        began = time.monotonic()
+        try:
+            write_report(self._output, list(self.results.values()))
+            self.trouble = ""
+        except HandfitError as error:
+            if str(error) != self.trouble:
+                _print(f"error: {' '.join(str(error).split())}", sys.stderr)
+            self.trouble = str(error)
+        self._next = time.monotonic() + max(_OFTEN, _SHARE * (time.monotonic() - began))
+
+    def close(self) -> None:
+        """Write the reports a last time, and leave the terminal as it was."""
+        if self._bar is not None:
+            self._bar.close()
+        self.write()
+
+
+def _print(text: str, stream: TextIO) -> None:
+    """Print at once; where nobody reads it any more, the batch goes on in silence."""
+    try:
+        print(text, file=stream, flush=True)
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
