@@ -35,8 +35,6 @@ _POLL_SECONDS = 0.005
 """seconds between two looks at whether a child has ended"""
 _KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
-_PARENT_POLL_SECONDS = 1.0
-"""seconds between two looks at whether the parent is still there"""
 
 _NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
 """Has the system not kill Blender, which leaves SIGPIPE deadly, for writing to a child that is gone"""
