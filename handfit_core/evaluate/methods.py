@@ -140,7 +140,6 @@ def solved(solver: str, models: Models, track: Track, intrinsics: Intrinsics) ->
 def published(solver: str, models: Models, track: Track, intrinsics: Intrinsics) -> TrackResult:
     """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
     the inverse of its alignment, with no camera anywhere."""
-
     model = models[track.side]
     fitter = PaperFitter(model, EXPERIMENTS[solver])
     hands, count = track.detections, track.frame_count

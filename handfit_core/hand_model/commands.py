@@ -61,7 +61,6 @@ def _info(args: argparse.Namespace) -> int:
 
 def _read(path: Path) -> HandModel:
     """One file of either format; its side is what it is."""
-
     if path.is_dir():
         raise HandModelError(f"{path}: this is a folder; give one file, MANO_RIGHT or MANO_LEFT")
     if not path.exists():

@@ -71,7 +71,6 @@ def add_input(command: argparse.ArgumentParser) -> None:
 def take_of_input(args: argparse.Namespace) -> Take:
     """The take that the arguments of `add_input` name, or that is captured of what they name. Raises
     HandfitError."""
-
     take = opened_take(Path(args.input[0])) if len(args.input) == 1 else None
     if take is not None:
         return _chosen(take, args)

@@ -76,7 +76,6 @@ def capture(
 def _check_retimed(source: Any, options: Any, rate: float) -> None:
     """Raise what keeps a clip from being retimed to a scene's frames per second, before anything is detected
     in it."""
-
     media = open_input(source, options)
     if isinstance(media, Video) and is_other_rate(rate, media.fps):
         check_rate(rate)
@@ -85,7 +84,6 @@ def _check_retimed(source: Any, options: Any, rate: float) -> None:
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:
     """Open the request's input and read nothing but its first picture. Raises OptionError and InputError."""
-
     source, limit = _source(message), message.get("max_megapixels")
     try:
         media = open_input(source, CaptureOptions(max_megapixels=limit))
@@ -108,7 +106,6 @@ def probe(message: Mapping[str, Any]) -> dict[str, Any]:
 def find(message: Mapping[str, Any]) -> dict[str, Any]:
     """All hands of the first used frame, and a copy of that frame for people to look at. Raises what
     `detection.find_in_frame` raises, and OutputError."""
-
     picture = message.get("picture")
     frame, hands = find_in_frame(_source(message), CaptureOptions.of_message(message.get("options") or {}))
     assert frame.rgb is not None
@@ -131,7 +128,6 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
 
 def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
     """Write the contact sheet of a take. Raises TakeError and OutputError."""
-
     limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
     return {"frames": write_sheet(Take.load(message["take"]), message["output"], max_megapixels=limit)}
 

@@ -78,7 +78,6 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
     The request's `model` is the hand model that re-fits will use, null for the open hand. Raises
     LandmarkModelError, HandModelError, Cancelled, and ImportError where a package is missing.
     """
-
     started = time.perf_counter()
     model = message.get("model") or OPEN_HAND
     loading = [partial(importlib.import_module, name) for name in ("cv2", "scipy.optimize")]
@@ -91,7 +90,6 @@ def warm(message: Mapping[str, Any], should_stop: Callable[[], bool]) -> dict[st
 
 def blank_picture_hands() -> int:
     """How many hands the detector sees in a grey picture. Raises LandmarkModelError."""
-
     with open_detector(CaptureOptions(plain_detection=True)) as finder:
         return len(finder.find(np.full((240, 320, 3), 128, dtype=np.uint8)))
 
@@ -99,7 +97,6 @@ def blank_picture_hands() -> int:
 def synthetic_fit_error_mm(side: Side = "right") -> float:
     """Mean distance in mm of the 21 keypoints that the fast solver finds, from those of the relaxed open hand
     that was projected for it, laid over each other."""
-
     model = load_model(None, side)
     hand = seen_hand(model, OPEN_HAND, side)
     fitter = fitter_of(model)
