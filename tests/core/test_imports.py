@@ -148,7 +148,7 @@ ARROWS = {
     "media": ("errors", "doors", "files", "geometry", "media"),
     "detect": (
         *("detect", "doors", "errors", "files", "geometry", "hand_model", "media"),
-        *("batch", "machine", "options", "registry", "skeleton"),
+        *("arrays", "batch", "machine", "options", "registry", "skeleton"),
     ),
 }
 """What the rooms at the beginning of the path may know of the core"""

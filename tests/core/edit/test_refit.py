@@ -642,7 +642,7 @@ BAD_HANDS: list[tuple[str, Any, str]] = [
     ("fps", 1e200, "fps must be a finite number from 0.001 to 1e"),
     ("pins", np.full((1, 21, 2), -1e10), "pins holds numbers beyond 1e"),
     ("smoothing", 11.0, "smoothing"),
-    ("pins", np.zeros((0, 21, 2)), "detections|global_orient"),
+    ("pins", np.zeros((0, 21, 2)), "pins has shape"),
     ("detections", columns([None, photo_like(0.0)]), "detections: at most one"),
     ("detections", columns([photo_like(np.nan)]), "detections: keypoints is not finite"),
 ]
