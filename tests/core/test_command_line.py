@@ -41,21 +41,6 @@ def test_json_progress(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Take.load(tmp_path / "a.npz").frame_numbers, [5, 7])
 
 
-def test_a_part_is_detected_and_solved(tmp_path: Path) -> None:
-    """A clip of one chunk, which is in one part alone, whatever frames that names."""
-    pattern, clip = PHOTO.parent / "hand.%04d.jpg", "5-9:2"
-    part, output = tmp_path / "part.npz", tmp_path / "take.npz"
-    detected = run("detect", pattern, "--frames=-6", f"--clip-frames={clip}", "--hand-length=180", "-o", part)
-    assert (detected.returncode, "3 frames looked at" in detected.stderr) == (0, True), detected.stderr
-    solved = run("solve", part, "-o", output, "--input", pattern, "--progress", "json")
-    assert json.loads(solved.stdout.splitlines()[-1])["frames"] == 3, solved.stdout
-    captured = run(
-        "capture", pattern, f"--frames={clip}", "--hand-length=180", "-o", tmp_path / "captured.npz"
-    )
-    assert captured.returncode == 0, captured.stderr
-    assert output.read_bytes() == (tmp_path / "captured.npz").read_bytes()
-
-
 def test_names_that_the_console_cannot_show(tmp_path: Path) -> None:
     output = tmp_path / "手.npz"
     command = [sys.executable, "-m", "handfit_core", "capture", str(PHOTO), "-o", str(output)]
