@@ -97,7 +97,6 @@ def mixed(folder: Path) -> None:
         ({}, lambda f: (f / "blender_manifest.toml").unlink(), False, "its list of parts cannot be read"),
         ({}, lambda f: next(f.rglob("mediapipe*.whl")).write_bytes(b"x"), True, "missing or damaged"),
     ],
-    ids=str,
 )
 def test_a_broken_installation_is_one_sentence(install, options, change, runs, said):
     folder = install(**options)
