@@ -18,12 +18,22 @@ _REQUIRED = ("name", "label", "description", "suffix")
 _BUILT_IN = ("blend", "fbx", "gltf", "usd", "bvh", "alembic", "vrma", "take")
 """The files of this folder that are no plug-ins, in the order of the buttons"""
 
+_TAKEN = (".json", ".export.json", ".sheet.jpg", ".preview.png")
+"""What else a batch writes beside an input's exports"""
+
 EXPORTERS: dict[str, Exporter] = {}
-"""Every format by its name, in the order of the buttons; who comes later cannot take a name away"""
+"""Every format by its name, in the order of the buttons; who comes later takes away no name and no suffix"""
 for _kind in find_plugins(__name__, Exporter, _REQUIRED, _BUILT_IN):
-    if EXPORTERS.setdefault(_kind.name, _exporter := _kind()) is not _exporter:
+    _why = ""
+    if _kind.name in EXPORTERS:
+        _why = f"there is a format {_kind.name!r} already"
+    elif _kind.suffix in (*_TAKEN, *(each.suffix for each in EXPORTERS.values())):
+        _why = f"other files end with {_kind.suffix} already, choose another suffix"
+    if _why:
         _file = _kind.__module__.rpartition(".")[2]
-        print_once(f"{_kind.__name__} of {_file}.py is left out: there is a format {_kind.name!r} already")
+        print_once(f"{_kind.__name__} of {_file}.py is left out: {_why}")
+    else:
+        EXPORTERS[_kind.name] = _kind()
 
 
 def find_exporter(name: str) -> Exporter:

@@ -25,6 +25,9 @@ class Nameless(Exporter):
 class Usurper(Nameless):
     name, label, description = "fbx", "FBX", "Another"
 
+class Records(Nameless):
+    name, label, description, suffix = "records", "Records", "Ends as a record does", ".json"
+
 class Failing(Nameless):
     name, label, description = "failing", "Failing", "Fails"
 
@@ -219,6 +222,7 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
             "aaa.py is left out: Nameless has no name, label, description",
             "aaa.py is left out: Half has no write",
             "Usurper of aaa.py is left out: there is a format 'fbx' already",
+            "Records of aaa.py is left out: other files end with .json already",
         ),
         "A rig": ("the plug-in aaa.py failed in Raising (KeyError: ",),
         "A character": ("the plug-in aaa.py failed in Wrong (KeyError: ",),
