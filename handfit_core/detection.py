@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from handfit_core.arrays import check_arrays
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected
 from handfit_core.detect.keypoints import Detections, HandDetection
@@ -22,6 +23,7 @@ from handfit_core.media.opening import MediaInput, open_media
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame, Media
 from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import SIDES
 from handfit_core.solvers import ShouldStop, never
 
 log = logging.getLogger("handfit")
@@ -92,10 +94,16 @@ def _one_by_one(
 
 def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
     hands, cuts = detector.joined(chunks)
+    numbers = [number for chunk in chunks for number in chunk.numbers]
+    if isinstance(hands, Detections):
+        check_arrays(hands, ValueError)
+        rows = np.concatenate([[0], hands.frame, [max(0, len(numbers) - 1)]])
+        if np.any(np.diff(rows) < 0) or not np.isin(hands.side, range(len(SIDES))).all():
+            raise ValueError("frame must not decrease and lie within the clip, and side be 0 or 1")
     # At least twice, since one picture may show what only looks like a hand.
     counts = sorted(count for chunk in chunks for count in chunk.counts)
     return Detected(
-        numbers=[number for chunk in chunks for number in chunk.numbers],
+        numbers=numbers,
         hands=hands if isinstance(hands, Detections) else Detections.of(hands),
         most_seen=counts[-min(2, len(counts))] if counts else 0,
         cuts=tuple(cuts),

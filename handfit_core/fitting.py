@@ -66,6 +66,8 @@ def fit_hands(
         model = models[track.side]
         with SOLVERS.blamed(options.solver):
             fit = solve(model, track, found.intrinsics, one_more, should_stop)
+            if (np.isfinite(fit.transl).all(axis=1) != fit.present).any():
+                raise ValueError("a frame's global_orient, hand_pose and transl must be finite together")
             hand = hand_track(model, _where(track, fit.present), fit, found.intrinsics)
         fitted.append(
             hand if track.landmarks is None else _as_detected(model, hand, fit, fps, found.intrinsics)

@@ -23,6 +23,7 @@ import bpy
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.take import Take
 from handfit_core.tasks.inputs import PREVIEW_SUFFIX
+from handfit_core.tasks.progress import say
 from handfit_core.tasks.task import TAKE_SUFFIX, Task, fingerprint
 
 from ..exporters import EXPORTERS, find_exporter
@@ -101,10 +102,10 @@ def tell(task: Task, error: str, style: str, stream: TextIO | None = None) -> No
     if style == "json":
         status = "failed" if error else "ok"
         event = {"event": "exported", "task": task.key, "name": task.name, "status": status, "error": error}
-        print(json.dumps(event), file=stream, flush=True)
+        say(json.dumps(event), stream or sys.stdout)
     elif style == "text":
         said = f"failed: {task.shown}: {error}" if error else f"exported: {task.shown}"
-        print(said, file=stream, flush=True)
+        say(said, stream or sys.stdout)
 
 
 def start_empty(*, keep_addons: bool) -> None:

@@ -20,7 +20,7 @@ from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import check_writable
 from handfit_core.machine import usable_jobs
 from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.tasks.arguments import parent_option
+from handfit_core.tasks.arguments import WITH_PARENT
 from handfit_core.tasks.progress import Progress
 from handfit_core.tasks.report import REPORT, Result, read_results
 from handfit_core.tasks.task import Task, make_tasks
@@ -94,6 +94,8 @@ def _run(args: argparse.Namespace, host: Host) -> int:
     code = batch.capture(args.python or host.python)
     if code in (EXIT_USAGE, EXIT_INTERRUPTED):  # it has said why
         return code
+    if code == interpreter.EXIT_UNFIT:
+        raise OptionError(f"choose another Python {host.python_is_chosen}: this one cannot capture")
     if code not in (EXIT_OK, EXIT_SOME_FAILED):
         hint = "; with --jobs 2 an input that ends it fails alone" if code < 0 else ""
         print_error(f"the process that captures ended with code {code}{hint}")
@@ -127,7 +129,7 @@ class _Batch:
                 words.append(flag)
             elif value is not None and value is not False:
                 words += [f"{flag}={each}" for each in (value if isinstance(value, list) else [value])]
-        command = interpreter.worker_command(python, "batch", *words, *parent_option(), "--", *args.inputs)
+        command = interpreter.worker_command(python, "batch", *words, WITH_PARENT, "--", *args.inputs)
         bytecode = shared_worker.bytecode_folder() if is_own else None
         try:
             child = subprocess.Popen(command, env=interpreter.worker_environment(python, bytecode))
@@ -178,7 +180,7 @@ class _Batch:
     def export(self) -> bool:
         """Have files made of all takes, and write the report anew. Returns whether all of it succeeded."""
         progress = Progress(self.output, self.tasks, "none")
-        errors: dict[str, str] = {}
+        errors, failed = dict[str, str](), self._failed_captures()
         tasks = [task for task, _, left in self.look(again=self.args.again) if left]
         try:
             self._make_files(tasks, errors)
@@ -187,9 +189,19 @@ class _Batch:
                 if error := errors.get(task.name):
                     result.status, result.error = "failed", error
                     tell(task, error, self.args.progress)
+                elif task.key in failed:  # of which a take may be there from before
+                    result.status, result.error = "failed", failed[task.key]
                 progress.results[task.key] = result
             progress.close()
         return not progress.trouble and all(result.status == "ok" for result in progress.results.values())
+
+    def _failed_captures(self) -> dict[str, str]:
+        """By their keys, why captures have failed, as the first step has just reported."""
+        try:
+            entries = json.loads((self.output / REPORT).read_text(encoding="utf-8"))["inputs"]
+            return {each["id"]: each["error"] for each in entries if each["status"] == "failed"}
+        except (OSError, ValueError, KeyError, TypeError):
+            return {}
 
     def _make_files(self, tasks: Sequence[Task], errors: dict[str, str]) -> None:
         """Have processes make files of takes, each of its share; `errors` gets why takes failed, by their
@@ -204,7 +216,9 @@ class _Batch:
                 crashed += [task for task in share if log.get(task.name, "") is None]
                 rest.append([task for task in share if task.name not in log])
             if rest == shares:
-                raise OptionError("the Blender that is to make files ends at once; try --debug")
+                why = "the Blender that is to make files ends at once; try --debug"
+                errors |= {task.name: why for share in rest for task in share}
+                break
             shares = [share for share in rest if share]
         for task in crashed:
             (log,) = self._logs_of_processes([[task]])

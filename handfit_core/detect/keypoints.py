@@ -232,11 +232,6 @@ class Detections(Batch):
         rows = np.split(np.arange(len(self)), np.flatnonzero(np.diff(self.frame)) + 1)
         return rows if len(self) else []
 
-    def forget_corrections(self) -> None:
-        """Free half of the memory by dropping `corrected`, for which the correction network has to run
-        again. Nothing else of an object ever changes."""
-        object.__setattr__(self, "corrected", None)
-
 
 _UNKNOWN: Final = {
     "shown": False,
@@ -253,6 +248,8 @@ def _column(name: str, spec: Array, rows: Sequence[Any]) -> Any:
     """The values of N hands as a column, NaN or False for None; None where all are, if that is allowed."""
     if spec.optional and all(row is None for row in rows):
         return None
+    if not spec.optional and any(row is None for row in rows):
+        raise ValueError(f"a hand has no {name}")
     shape = tuple(size for size in spec.shape if isinstance(size, int))
     nothing = np.full(shape, False if spec.kind == "b" else np.nan)
     column = np.array([nothing if row is None else row for row in rows], spec.dtype(np.float64))

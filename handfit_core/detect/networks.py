@@ -58,7 +58,6 @@ class NetworkSettings:
     augmentation_turns: tuple[float, float, float] = (0.0, 0.35, -0.35)
     """Radians by which the crops of test-time augmentation are turned; the picture and its mirror image have
     each"""
-    augmentation_crops: int = 2 * len(augmentation_turns)
     mean_bone: float = 0.0385
     """Metres; mean length of the 20 bones between an average hand's keypoints"""
     presence_bias_2020: float = 2.5
@@ -66,6 +65,11 @@ class NetworkSettings:
     the hands in twenty photos of people and for what are none"""
     max_threads: int = 4
     """Each has networks of its own: some 30 MB"""
+
+    @property
+    def augmentation_crops(self) -> int:
+        """Crops of test-time augmentation."""
+        return 2 * len(self.augmentation_turns)
 
 
 NETWORK: Final = NetworkSettings()

@@ -75,7 +75,7 @@ class _OpenTrack:
 
     @property
     def frames(self) -> np.ndarray:
-        """Of its detections."""
+        """(n,) frames of the track's detections."""
         return self.hands.frame[self.rows]
 
     @property
@@ -151,8 +151,7 @@ def link_and_count(
 ) -> tuple[tuple[Track, ...], int]:
     """`link_tracks`, and among how many hands of the whole clip (of that side) it chose. `only_shown`: among
     those that a person has said to be there."""
-    detections = without_duplicates(detections)
-    merger = _Merger(detections, _link(detections))
+    merger = _Merger(detections, _link(detections, without_duplicates(detections)))
     merger.merge(_Merger.overlapping)
     surest = sorted(merger.tracks, key=lambda track: track.weight, reverse=True)
     separate = separate_hands(detections, [np.array(track.rows) for track in surest])
@@ -182,7 +181,7 @@ def link_and_count(
 
 
 def _sure(tracks: Sequence[_OpenTrack]) -> list[_OpenTrack]:
-    """Those tracks that are no false detections."""
+    """The tracks that are no false detections."""
     most = max(t.weight for t in tracks)
     return [t for t in tracks if t.shown or t.weight >= LINKING.min_weight * most]
 
@@ -243,26 +242,28 @@ def _of_doubtful_side(first: _OpenTrack, second: _OpenTrack) -> _OpenTrack | Non
     return shares[share] if share < LINKING.sure_side_share else None
 
 
-def without_duplicates(hands: Detections) -> Detections:
-    """Non-maximum suppression: the best detection of each hand in each frame, the best first."""
+def without_duplicates(hands: Detections) -> list[np.ndarray]:
+    """Non-maximum suppression: for each frame with hands the row of each hand's best detection, the best
+    first."""
     ordered = np.lexsort([-hands.score, ~hands.shown, hands.frame])
-    kept: list[int] = []
+    kept: list[np.ndarray] = []
     for rows in hands.rows_by_frame:
         best = ordered[rows[:1]]
         for row in ordered[rows[1:]]:
             apart = distances(hands, np.full(len(best), row), best, LINKING.duplicate_distance)
             if np.all(apart > LINKING.duplicate_distance):
                 best = np.append(best, row)
-        kept += best.tolist()
-    return hands.select(np.array(kept, dtype=int))
+        kept.append(best)
+    return kept
 
 
-def _link(hands: Detections) -> list[_OpenTrack]:
+def _link(hands: Detections, frames: Sequence[np.ndarray]) -> list[_OpenTrack]:
+    """Tracks of those rows of each frame with hands."""
     from scipy.optimize import linear_sum_assignment
 
     every: list[_OpenTrack] = []
     tracks: list[_OpenTrack] = []
-    for now in hands.rows_by_frame:
+    for now in frames:
         frame = hands.frame[now[0]]
         tracks = [t for t in tracks if frame - hands.frame[t.rows[-1]] <= LINKING.max_gap]
         cost = _costs(hands, tracks, now)
@@ -315,7 +316,7 @@ class _Merger:
     def __init__(self, hands: Detections, tracks: Sequence[_OpenTrack]) -> None:
         self._hands, self._tracks = hands, tracks
         self._track_of = np.full(len(hands), -1)
-        """(N,) number of each detection's track; -1: it has none, as it was dropped in a merge"""
+        """(N,) number of each detection's track; -1: it has none, as a duplicate or dropped in a merge"""
         for number, track in enumerate(tracks):
             self._track_of[track.rows] = number
         self._sides = np.array([SIDES.index(track.side) for track in tracks], dtype=int)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -118,8 +118,6 @@ def raw(
 def solved(solver: str, models: Models, track: Track, intrinsics: Intrinsics) -> TrackResult:
     """A solver, called as a capture calls it."""
     model, seen = models[track.side], track.detected
-    # The next solver wants the corrections that this one may forget.
-    track = replace(track, detections=replace(track.detections))
     started = time.perf_counter()
     fit = get_solver(solver)(model, track, intrinsics, lambda: None)
     spent = 1000 * (time.perf_counter() - started) / max(1, int(seen.sum()))

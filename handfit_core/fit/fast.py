@@ -113,7 +113,7 @@ class FastFitter:
         return Problem(self.chain, seen, terms, shape, held, angle_bounds=angle_bounds)
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
-        """Solve independent frames in batches. `max_iterations`: None for max_iterations."""
+        """Solve independent frames in batches. `max_iterations`: None for `SOLVER`'s."""
         most = SOLVER.max_iterations if max_iterations is None else max_iterations
         # Fingers that are made to touch have none of `pinned`.
         corrected = problem.seen.pinned is not None or problem.seen.touches is not None
@@ -196,7 +196,6 @@ def fit_track(
     # A track's side is voted for by all of its frames.
     side_logit = side_logits(hands, model.side).mean()
     error_factor = crop_spread_factor(hands)
-    hands.forget_corrections()
     cuts = detect_cuts(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         seen, solution = fitter.solve_pictures(seen)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
@@ -91,9 +90,8 @@ def add_batch_arguments(
         parser.add_argument(name, action=_Gone, nargs="?", help=argparse.SUPPRESS, said=said)
 
 
-def parent_option() -> list[str]:
-    """The words with which a batch ends itself once the process that runs here has ended."""
-    return [f"--parent={os.getpid()}"]
+WITH_PARENT: Final = "--with-parent"
+"""Has a batch end itself once the process that has started it has ended"""
 
 
 class _Gone(argparse.Action):

@@ -91,7 +91,7 @@ def fail(task: Task, output: Path, result: Result, last: dict[str, Any], setting
     result.attempts.append(last)
     record = task.record(output)
     known = read_record(record)
-    if known is None or known["status"] != "done":
+    if known is None or known["status"] != "done" or known["key"] != task.key:
         with contextlib.suppress(OutputError):
             write_record(record, task.key, vars(result), {}, settings.run)
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import os
+import sys
 import uuid
 from collections.abc import Sequence
 from contextlib import closing
+from pathlib import Path
 from typing import Any, Final
 
 from handfit_core.errors import HandfitError, OptionError
@@ -14,7 +17,7 @@ from handfit_core.files import check_writable
 from handfit_core.machine import usable_cores, usable_jobs
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import check_options
-from handfit_core.tasks.arguments import add_batch_arguments
+from handfit_core.tasks.arguments import WITH_PARENT, add_batch_arguments
 from handfit_core.tasks.capture import Settings
 from handfit_core.tasks.progress import Progress
 from handfit_core.tasks.report import REPORT, Result, read_results
@@ -38,13 +41,13 @@ def add_batch_command(commands: Any) -> None:
     parser = commands.add_parser("batch", help="capture many inputs, and go on where it was stopped")
     parser.set_defaults(handler=_batch)
     add_batch_arguments(parser)
-    parser.add_argument("--parent", type=int, help=argparse.SUPPRESS)  # the process with which it ends
+    parser.add_argument(WITH_PARENT, action="store_true", help=argparse.SUPPRESS)
 
 
 def _batch(args: argparse.Namespace) -> int:
     with terminated_as_interrupted():
-        if args.parent is not None:
-            end_with(args.parent)
+        if args.with_parent:
+            end_with(os.getppid())  # which may be a script around this Python
         try:
             return _run(args)
         except OptionError as error:
@@ -65,6 +68,7 @@ def _run(args: argparse.Namespace) -> int:
         overwrite=args.overwrite,
     )
     if not all(task.take for task in tasks):  # takes need nothing that captures
+        _check_packages()
         check_options(options)
     found = list(zip(tasks, read_results(output, tasks), strict=True))
     left = [task for task, result in found if _is_left(result, args)]
@@ -76,7 +80,12 @@ def _run(args: argparse.Namespace) -> int:
     except HandfitError as error:
         raise OptionError(str(error)) from error
     message = options.to_message()
-    if jobs > 1 or args.scheduler is not None:  # each capture has its share of the cores
+    for name in ("model", "keypoints", "landmark_model"):
+        if message.get(name):  # workers may have been started in another folder
+            message[name] = str(Path(message[name]).expanduser().absolute())
+    if args.scheduler not in (None, "local"):  # what cores there are nobody knows here
+        message["processes"] = options.processes or 1
+    elif jobs > 1 or args.scheduler is not None:  # each capture has its share of the cores
         message["processes"] = options.processes or max(1, usable_cores() // jobs)
     settings = Settings(message, not args.no_sheet, args.timeout, args.again, uuid.uuid4().hex)
     with closing(Progress(output, tasks, args.progress)) as progress:
@@ -88,6 +97,16 @@ def _run(args: argparse.Namespace) -> int:
                 progress.ended(task, result)
     done = all(result.status == "ok" for result in progress.results.values())
     return 0 if done and not progress.trouble else EXIT_SOME_FAILED
+
+
+def _check_packages() -> None:
+    """Raise OptionError where this Python lacks what every capture needs."""
+    missing = [name for name in ("cv2", "scipy") if importlib.util.find_spec(name) is None]
+    if missing:
+        raise OptionError(
+            f"the Python {sys.executable} cannot capture, as it has no {' and no '.join(missing)}: install "
+            "them there, or choose another Python"
+        )
 
 
 def _is_left(result: Result, args: argparse.Namespace) -> bool:

@@ -45,12 +45,13 @@ class Progress:
         if self._style == "json":
             said = {"task": task.key, "name": task.name, "status": result.status, "error": result.error}
             event = {"event": "ended", **said, "done": self._over, "total": self._count}
-            _print(json.dumps(event), sys.stdout)
+            say(json.dumps(event), sys.stdout)
         elif self._bar is not None:
-            self._bar.write(line(result), file=sys.stdout)
+            self._bar.clear()
+            say(line(result), sys.stdout)
             self._bar.update()
         elif self._style == "text":
-            _print(f"[{self._over}/{self._count}] {line(result)}", sys.stdout)
+            say(f"[{self._over}/{self._count}] {line(result)}", sys.stdout)
         if time.monotonic() > self._next:
             self.write()
 
@@ -62,7 +63,7 @@ class Progress:
             self.trouble = ""
         except HandfitError as error:
             if str(error) != self.trouble:
-                _print(f"error: {' '.join(str(error).split())}", sys.stderr)
+                say(f"error: {' '.join(str(error).split())}", sys.stderr)
             self.trouble = str(error)
         self._next = time.monotonic() + max(_OFTEN, _SHARE * (time.monotonic() - began))
 
@@ -73,7 +74,7 @@ class Progress:
         self.write()
 
 
-def _print(text: str, stream: TextIO) -> None:
+def say(text: str, stream: TextIO) -> None:
     """Print at once; where nobody reads it any more, the batch goes on in silence."""
     try:
         print(text, file=stream, flush=True)

@@ -154,6 +154,8 @@ class DaskWorkers:
         self.executor = self._client.get_executor(pure=False)
 
     def _check_workers(self) -> None:
+        if not self._client.nthreads():
+            print("no worker is there yet: start one with 'dask worker'", file=sys.stderr, flush=True)
         self._client.wait_for_workers(1, timeout=None)
         for worker, python in self._client.run(platform.python_version).items():
             found = python.rpartition(".")[0]
@@ -214,16 +216,19 @@ def end_with(parent: int) -> None:
 
 @contextlib.contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
-    """Take SIGTERM as Ctrl-C."""
+    """Take SIGTERM as Ctrl-C, once."""
 
     def interrupt(_number: int, _frame: object) -> None:
+        for each in before:  # a second one would end what the first one has begun to tidy up
+            signal.signal(each, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {each: signal.signal(each, interrupt) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 _CORE_FOLDER: Final = Path(__file__).resolve().parents[1]

@@ -24,10 +24,14 @@ def main():
         message = "is version {}, and capturing needs {} or newer\n"
         sys.stderr.write(message.format(platform.python_version(), "{}.{}".format(*LOWEST)))
         return EXIT_UNFIT
-    import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
-    setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010
-    # Only now Python finds the package, as import_package has loaded it.
-    from handfit_core.__main__ import main as run
+    try:
+        import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
+        setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010
+        # Only now Python finds the package, as import_package has loaded it.
+        from handfit_core.__main__ import main as run
+    except ImportError as error:
+        sys.stderr.write(f"cannot capture ({error})\n")
+        return EXIT_UNFIT
 
     return run(sys.argv[1:])
 

@@ -85,7 +85,7 @@ def landmarked(hands: Detections, side: Side, trust: Trust = TRUST) -> Landmarke
     landmarks = Landmarked.of_table(table)
     if hands.overlapped is None:
         return landmarks
-    factor = np.where(hands.overlapped, TRUST.overlapped, 1.0)
+    factor = np.where(hands.overlapped, trust.overlapped, 1.0)
     return replace(
         landmarks,
         pixel_sigma=landmarks.pixel_sigma * factor[..., None],

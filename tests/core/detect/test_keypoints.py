@@ -55,8 +55,6 @@ def test_columns_of_frames() -> None:
     assert hands.spread is hands.overlapped is None
     assert [rows.tolist() for rows in hands.rows_by_frame] == [[0], [1, 2]]
     np.testing.assert_array_equal(hands.extent, [d.extent for d in (detection("left"), shown, shown)])
-    hands.forget_corrections()
-    assert hands.corrected is None
     none = Detections.of([[], []])
     check_arrays(none)
     assert (len(none), none.rows_by_frame) == (0, [])

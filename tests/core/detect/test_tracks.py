@@ -292,8 +292,9 @@ def test_a_crowds_duplicates_are_those_of_pairs() -> None:
         if all(distance(each, other) > LINKING.duplicate_distance for other in kept):
             kept.append(each)
     assert len(kept) < len(found)
-    best = without_duplicates(Detections.of([found]))
-    np.testing.assert_array_equal(best.keypoints, [each.keypoints for each in kept])
+    hands = Detections.of([found])
+    (best,) = without_duplicates(hands)
+    np.testing.assert_array_equal(hands.keypoints[best], [each.keypoints for each in kept])
 
 
 def test_hands_on_one_spot_cost_less_than_their_pairs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -203,7 +203,7 @@ def test_a_batch_ends_with_who_has_started_it(tmp_path: Path) -> None:
     words = ["-m", "tests.core.tasks.fakes", str(shop.inputs), "-o", str(shop.output), "--jobs=2"]
     code = (
         "import os, subprocess, sys, time\n"
-        f"child = subprocess.Popen([sys.executable, *{words!r}, f'--parent={{os.getpid()}}'])\n"
+        f"child = subprocess.Popen([sys.executable, *{words!r}, '--with-parent'])\n"
         "print(child.pid, flush=True)\n"
         "time.sleep(600)\n"
     )
