@@ -51,7 +51,7 @@ def preferences(stage):
         area.tag_redraw()
         return any(name.startswith("preferences.") and name.endswith(".draw") for name in stage.meter.calls)
 
-    yield from stage.until(drawn, 20.0, "the preferences to be drawn")
+    yield from stage.until(drawn, 100.0, "the preferences to be drawn")
     yield from stage.screenshot("preferences")
     area.type = "VIEW_3D"
     addon_utils.addons_fake_modules.pop("blender_manient", None)
