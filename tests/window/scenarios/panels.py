@@ -38,16 +38,18 @@ def preferences(stage):
     addon_utils.modules_refresh()
     if ADDON == "blender_manient":
         addon_utils.addons_fake_modules[ADDON] = _listed()
-    else:  # which its manifest names
-        bpy.ops.preferences.addon_expand(module=ADDON)
     bpy.context.preferences.active_section = "ADDONS"
     bpy.context.window_manager.addon_search = "manient"
     area = stage.area()
     area.type = "PREFERENCES"
 
     def drawn() -> bool:
-        if ADDON == "blender_manient":  # Blender forgets it when it looks through its folders once more.
+        # Blender forgets both when it looks through its folders once more.
+        if ADDON == "blender_manient":
             addon_utils.addons_fake_modules.setdefault(ADDON, _listed())
+        for module in addon_utils.modules(refresh=False):
+            if module.__name__ == ADDON:
+                addon_utils.module_bl_info(module)["show_expanded"] = True
         area.tag_redraw()
         return any(name.startswith("preferences.") and name.endswith(".draw") for name in stage.meter.calls)
 
