@@ -41,8 +41,8 @@ class Exported:
                 self.formats[fmt] = files
 
     def left(self, formats: Sequence[str], *, again: bool, overwrite: bool) -> list[str]:
-        """Those of these formats that have to be made, with `again` all. Raises OutputError where files of
-        other options are there, unless `overwrite`."""
+        """The formats that have to be made, with `again` all of them. Raises OutputError where files of other
+        options are there, unless `overwrite`."""
         if self._of_others and not overwrite:
             raise OutputError(
                 f"{shown(self.folder / self._of_others[0])}: is there already, made with other options; "

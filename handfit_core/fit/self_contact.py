@@ -39,9 +39,9 @@ class ContactSettings:
     """Gap between the skins of the thumb and of what it crosses, along the line of sight, in parts of the
     hand's size, up to which they are in contact, and from which they are not"""
     gap_sigmas: tuple[float, float] = (1.5, 2.0)
-    """That gap in expected errors of both depths, with the same two bounds"""
+    """Gap between these skins in expected errors of both depths, with the two bounds of `gap`"""
     lifted_gap: float = 0.15
-    """That gap to a bent finger, in parts of the hand's size, beyond which the thumb is likely seen
+    """Gap of the thumb to a bent finger, in parts of the hand's size, beyond which the thumb is likely seen
     wrongly"""
     bent_finger: float = math.radians(60.0)
     """radians at a finger's middle joint from which it counts as bent"""

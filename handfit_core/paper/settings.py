@@ -11,14 +11,14 @@ class PaperSettings:
     """Weights, scales and iterations of the paper's experiments."""
 
     max_iterations: int = 500
-    """As in the published code."""
+    """The published code's value"""
     prior_tolerance: float = 1e-5
     """Relative change of the cost at which the variant with a prior stops; scipy's own, which the published
     experiments use, costs more iterations for a thousandth of the cost."""
     shape_frames: int = 8
     """Frames, evenly spread over a clip, that decide the hand's one shape"""
     tip_weight: float = 4.0
-    """As in the published code."""
+    """The published code's value"""
     geman_mcclure_rho: float = 100.0
     """mm; the paper's own results with it and with MSE differ by 0.01 mm, so it must be wide"""
     huber_delta: float = 5.0

@@ -35,7 +35,7 @@ class Settings:
     """What all tasks of a command have in common; it can be pickled."""
 
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Those of the captures, as `CaptureOptions.to_message` gives them"""
+    """The captures' options, as `CaptureOptions.to_message` gives them"""
     sheet: bool = True
     """Whether contact sheets are wanted"""
     timeout: float | None = None

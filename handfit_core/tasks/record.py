@@ -51,7 +51,7 @@ def write_record(
 
 
 def missing_and_changed(folder: Path, record: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Those of a record's files that are gone, and those that somebody has changed since."""
+    """The files of a record that are gone, and the ones that somebody has changed since."""
     missing, changed = [], []
     for name, size in record["files"].items():
         try:
