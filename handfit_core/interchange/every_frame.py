@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -57,9 +55,3 @@ class EveryFrame:
                 hands[side] = HandMotion(side, longest.betas, *(each[held] for each in longest.pose))
                 present[side] = given[held] == numbers
         return cls(numbers, take.fps / step, hands, present)
-
-
-def written(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays as a .npz of that very name, which `np.savez` would add to."""
-    with path.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)

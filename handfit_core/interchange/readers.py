@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from handfit_core.errors import InputError
+from handfit_core.errors import InputError, OptionError
 from handfit_core.files import shown
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, Recording
@@ -47,17 +47,12 @@ READERS: Final = Registry(
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
         "openpose": f"{_HERE}.openpose:READER",
         "mmpose": f"{_HERE}.mmpose:READER",
-        "hawor": f"{_HERE}.hawor:READER",
-        "dyn-hamr": f"{_HERE}.dyn_hamr:READER",
-        "dex-ycb": f"{_HERE}.dex_ycb:READER",
-        "hot3d": f"{_HERE}.hot3d:READER",
-        "grab": f"{_HERE}.grab:READER",
-        "arctic": f"{_HERE}.arctic:READER",
-        "interhand": f"{_HERE}.interhand:READER",
-        "smplx": f"{_HERE}.smplx:READER",
-        "smplx-keywords": f"{_HERE}.smplx_keywords:READER",
-        "hamer": f"{_HERE}.hamer:HAMER",
-        "wilor-mini": f"{_HERE}.hamer:WILOR_MINI",
+        "hawor": f"{_HERE}.mano:HAWOR",
+        "dyn-hamr": f"{_HERE}.mano:DYN_HAMR",
+        "smplx": f"{_HERE}.mano:SMPLX",
+        "smplx-keywords": f"{_HERE}.mano:SMPLX_KEYWORDS",
+        "hamer": f"{_HERE}.mano:HAMER",
+        "wilor-mini": f"{_HERE}.mano:WILOR_MINI",
         "points-table": f"{_HERE}.points_table:READER",
         "freemocap": f"{_HERE}.freemocap:READER",
         "apple-vision": f"{_HERE}.apple_vision:READER",
@@ -68,9 +63,18 @@ READERS: Final = Registry(
 takes whatever has 21 points a hand"""
 
 
+DATA_SETS: Final = ("dex-ycb", "hot3d", "grab", "arctic", "interhand")
+"""Names of readers that were given up"""
+
+
 def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:
     """The reader of a document, and its name. Raises InputError where none recognises it, OptionError for a
     name that there is not."""
+    if name in DATA_SETS:
+        raise OptionError(
+            f"--reader {name}: data sets are evaluated and not read any more; write their hands with smplx's "
+            "names, as docs/interchange.md shows, and read these with --reader smplx-keywords"
+        )
     if name is not None:
         return name, READERS.get(name)
     for known, reader in READERS.all().items():

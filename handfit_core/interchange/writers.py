@@ -37,14 +37,14 @@ WRITERS: Final = Registry(
     "format",
     Writer,
     {
-        "take": f"{_HERE}.take:WRITER",
+        "take": f"{_HERE}.mano_written:TAKE",
         "points": f"{_HERE}.points:WRITER",
         "vrma": f"{_HERE}.vrma:WRITER",
         "bvh": f"{_HERE}.bvh:WRITER",
         "points-table": f"{_HERE}.points_table:WRITER",
         "mediapipe": f"{_HERE}.mediapipe:WRITER",
-        "smplx": f"{_HERE}.smplx:WRITER",
-        "smplx-keywords": f"{_HERE}.smplx_keywords:WRITER",
+        "smplx": f"{_HERE}.mano_written:SMPLX",
+        "smplx-keywords": f"{_HERE}.mano_written:SMPLX_KEYWORDS",
     },
 )
 """The writers by their names on the command line"""

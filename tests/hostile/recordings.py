@@ -23,8 +23,6 @@ from tests.hostile.pickles import harms
 from tests.hostile.records import ODD
 
 DOOR = "core.recording"
-MANO = {"arctic", "interhand", "hot3d", "dex-ycb"}
-"""Readers that need the user's own model"""
 
 
 @dataclass(frozen=True)
@@ -39,15 +37,11 @@ class Good:
     def stem(self) -> str:
         return f"{self.reader}-{self.given.replace('/', '-').replace('.', '-')}"
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        return {"mano": True} if self.reader in MANO else {}
-
     def laid_out(self, place: Place, changed: dict[str, bytes] | None = None) -> dict[str, Any]:
         """All its files, some with other bytes, in the place of a case; the arguments of the door."""
         for name, data in (self.files | (changed or {})).items():
             place.write(name, data)
-        return {"path": str(place.folder / self.given), **self.arguments}
+        return {"path": str(place.folder / self.given)}
 
 
 @cache
@@ -57,9 +51,7 @@ def goods() -> list[Good]:
         folder = Path(name)
         for reader, paths in (keypoint_files(folder) | other_files(folder)).items():
             for path in paths:
-                # DexYCB's sides and cameras are told beside the labels.
-                within = folder / "dex" if reader == "dex-ycb" else path
-                files = [path] if path.is_file() else sorted(filter(Path.is_file, within.rglob("*")))
+                files = [path] if path.is_file() else sorted(filter(Path.is_file, path.rglob("*")))
                 data = {str(file.relative_to(folder)): file.read_bytes() for file in files}
                 found.append(Good(reader, str(path.relative_to(folder)), data))
     return found
@@ -230,9 +222,9 @@ def cases() -> Iterator[Case]:
 
 
 def _of_file(good: Good, data: bytes) -> Iterator[Case]:
-    name, more = Path(good.given).name, good.arguments
-    yield file_case(f"{good.stem}-good", DOOR, name, lambda _: data, known=True, good=True, **more)
-    yield from mutants(good.stem, DOOR, lambda: data, name, 3, **more)
+    name = Path(good.given).name
+    yield file_case(f"{good.stem}-good", DOOR, name, lambda _: data, known=True, good=True)
+    yield from mutants(good.stem, DOOR, lambda: data, name, 3)
     held = _lines(data, name)
     if held is not None:
         for path in _places(held):
@@ -247,7 +239,7 @@ def _of_file(good: Good, data: bytes) -> Iterator[Case]:
                         lines[0] = told(held[0], path[1:], text) if path[1:] else text
                         return "\n".join(lines).encode()
 
-                    yield file_case(case, DOOR, name, lie, **more)
+                    yield file_case(case, DOOR, name, lie)
     elif name.endswith(".csv"):
         rows = [line.split(",") for line in data.decode().splitlines()]
         for column in sorted({0, 1, 2, 3, 4, len(rows[0]) // 2, len(rows[0]) - 1}):
@@ -259,19 +251,19 @@ def _of_file(good: Good, data: bytes) -> Iterator[Case]:
                         row = [*rows[1][:column], text, *rows[1][column + 1 :]]
                         return "\n".join(map(",".join, (rows[0], row, *rows[2:]))).encode("utf-8")
 
-                    yield file_case(case, DOOR, name, cell, **more)
+                    yield file_case(case, DOOR, name, cell)
     elif name.endswith(".npz"):
         with TemporaryDirectory() as folder:
             file = Path(folder, name)
             file.write_bytes(data)
             with np.load(file, allow_pickle=True) as archive:
                 arrays = {key: archive[key] for key in archive.files}
-        for case in lies(good.stem, DOOR, lambda: arrays, name, ours=False, **more):
+        for case in lies(good.stem, DOOR, lambda: arrays, name, ours=False):
             if _some(case.name, 3):
                 yield replace(case, known=False)
     elif name.endswith(".npy") and b"'|O'" not in data[:100]:
         array = np.load(io.BytesIO(data))
-        yield from npy_lies(good.stem, DOOR, lambda: array, name, **more)
+        yield from npy_lies(good.stem, DOOR, lambda: array, name)
 
 
 def _of_folder(good: Good) -> Iterator[Case]:

@@ -18,7 +18,6 @@ from tests.core.interchange import (
     test_hand_tracking,
     test_hawor,
     test_leap,
-    test_mano_datasets,
     test_mediapipe,
     test_mmpose,
     test_openpose,
@@ -104,9 +103,4 @@ def other_files(folder: Path) -> dict[str, list[Path]]:
     found["hawor"] = [test_hawor.clip(folder / "hawor"), folder / "world_space_res.npz"]
     found["dyn-hamr"] = [test_dyn_hamr.results(folder / "a_world_results.npz")]
     found["smplx"] += [test_smplx.amass(folder / f"amass{n}.npz", n, UP_AXES["z"]) for n in (52, 55)]
-    found["dex-ycb"] = [test_mano_datasets.dex_ycb(folder / "dex", "right")]
-    found["hot3d"] = [test_mano_datasets.hot3d(folder / "mano_hand_pose_trajectory.jsonl")]
-    found["grab"] = [test_mano_datasets.grab(folder / "mug_pass_1.npz", full=True)]
-    found["interhand"] = [test_mano_datasets.interhand(folder / "interhand.json")]
-    found["arctic"] = [test_mano_datasets.arctic(folder / "box_grab_01.mano.npy")]
     return found

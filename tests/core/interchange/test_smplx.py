@@ -178,8 +178,8 @@ def test_amass_is_read_with_the_mean_when_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"poses": np.zeros((FRAMES, 72))}, "SMPL's bodies have no fingers"),
-        ({"poses": np.zeros((FRAMES, 100))}, "165 numbers a frame"),
+        ({"poses": np.zeros((FRAMES, 72))}, "without hands it has fewer"),
+        ({"poses": np.zeros((FRAMES, 100))}, "156 or 165 numbers a frame"),
         ({"poses": np.zeros((FRAMES, 165))}, "never move"),
         ({"poses": np.zeros((0, 165))}, "impossible shape"),
         ({"poses": np.full((FRAMES, 165), 90.0)}, "degrees"),
@@ -246,7 +246,7 @@ def test_smpler_x(tmp_path: Path, given: str) -> None:
     with pytest.raises(InputError, match="no person 3: it has 2"):
         read(path, model=str(model), person=3)
     (folder / "00003_0.npz").write_bytes(b"nothing")
-    with pytest.raises(InputError, match=r"00003_0\.npz must hold a body"):
+    with pytest.raises(InputError, match=r"00003_0\.npz must hold hands, or a body"):
         read(path, model=str(model))
 
 

@@ -1,0 +1,184 @@
+"""Trackers that keep MANO's parameters: an entry each, read by `mano_files`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from handfit_core.interchange.mano_files import ManoLayout, mano_reader
+
+_HANDS: Final = {
+    "global_orient": "global_orient",
+    "hand_pose": "hand_pose",
+    "betas": "betas",
+    "right": "right is_right",
+    # Not pred_cam_t, which is HaMeR's for the crop alone, nor focal_length: 5000 pixels of any picture
+    "transl": "pred_cam_t_full cam_t_full cam_t",
+    "frame": "frame frames frame_id frame_ids frame_idx",
+    "focal": "scaled_focal_length",
+    "size": "img_size",
+}
+_HAMER: Final = ManoLayout(
+    source="https://github.com/geopavlakos/hamer/blob/main/demo.py",
+    keys=_HANDS,
+    needs="global_orient hand_pose right",
+    nested="pred_mano_params mano_params wilor_preds",
+    many=True,
+    matrices=True,
+    mirrored="hands",
+    camera="focal",
+    left_assumed="left hands were taken as the right ones of a mirrored crop, as HaMeR's and WiLoR's are",
+    mirrored_by="if they look so, read them with --reader wilor-mini",
+)
+HAMER: Final = mano_reader(
+    "hamer",
+    "HaMeR or WiLoR",
+    "global_orient and hand_pose as matrices with right and pred_cam_t_full, in an .npz, JSON, .npy or "
+    "pickle, or a folder of these with the frame's number in the names",
+    _HAMER,
+)
+WILOR_MINI: Final = mano_reader(
+    "wilor-mini",
+    "WiLoR-mini",
+    "lists of hands with is_right and wilor_preds, axis-angle, in JSON, .npz, .npy or a pickle, or a folder "
+    "of these with the frame's number in the names",
+    replace(
+        _HAMER,
+        source="https://github.com/warmshao/WiLoR-mini",
+        matrices=False,
+        mirrored="no",
+        left_assumed="left hands were taken as left ones already, as WiLoR-mini's are",
+        mirrored_by="if they look so, read them with --reader hamer",
+    ),
+)
+
+HAWOR: Final = mano_reader(
+    "hawor",
+    "HaWoR",
+    "a clip's folder with cam_space/0 (left) and cam_space/1 (right), or world_space_res as an .npz with "
+    "trans, rot, hand_pose, betas and valid",
+    ManoLayout(
+        source="https://github.com/ThunderVVV/HaWoR/blob/main/scripts/scripts_test_video/hawor_video.py",
+        keys={
+            "global_orient": "init_root_orient",
+            "hand_pose": "init_hand_pose",
+            "transl": "init_trans",
+            "betas": "init_betas",
+        },
+        needs="global_orient hand_pose transl betas",
+        folder="cam_space",
+        side_folders=("0", "1"),
+        files=r"(?P<first>\d{1,9})_(?P<last>\d{1,9})",
+        first_frame=1,
+        assumed=("frames count from 1, where HaWoR counts them from 0",),
+        mirrored_by="it may be a right hand's",
+    ),
+    ManoLayout(
+        source="https://github.com/ThunderVVV/HaWoR/blob/main/scripts/scripts_test_video/hawor_slam.py",
+        keys={
+            "global_orient": "rot pred_rot",
+            "hand_pose": "hand_pose pred_hand_pose",
+            "transl": "trans pred_trans",
+            "betas": "betas pred_betas",
+            "present": "valid pred_valid",
+        },
+        needs="global_orient hand_pose transl present",
+        axes="tracks",
+        listed="trans rot hand_pose betas valid",
+        assumed=("its world was taken to have the camera's axes, as in HaWoR's first frame",),
+    ),
+)
+
+DYN_HAMR: Final = mano_reader(
+    "dyn-hamr",
+    "Dyn-HaMR",
+    "an .npz (*_world_results.npz) with trans, root_orient, pose_body and is_right",
+    ManoLayout(
+        source="https://github.com/ZhengdiYu/Dyn-HaMR/blob/main/dyn-hamr/optim/output.py",
+        keys={
+            "global_orient": "root_orient",
+            "hand_pose": "pose_body latent_pose",
+            "transl": "trans",
+            "betas": "betas",
+            "right": "is_right",
+            "cam_R": "cam_R",
+            "cam_t": "cam_t",
+            "intrinsics": "intrins",
+        },
+        needs="global_orient hand_pose transl right",
+        axes="tracks",
+        mirrored="world",
+        camera="centred",
+        mirrored_by="its is_right may be wrong",
+    ),
+)
+
+_RATE: Final = "mocap_frame_rate mocap_framerate fps frame_rate"
+_OF_BODY: Final = {"global_orient": slice(3), "body_pose": slice(3, 66)}
+SMPLX: Final = mano_reader(
+    "smplx",
+    "SMPL-X or SMPL+H",
+    "an .npz with poses of 165 or 156 numbers a frame, trans and mocap_frame_rate (AMASS, BEDLAM, BEAT2)",
+    ManoLayout(
+        source="https://github.com/nghorbani/amass/blob/master/notebooks/01-AMASS_Visualization.ipynb",
+        # `trans` is the body's; fingers alone tell nothing of where a hand is.
+        keys={"body": "trans", "fps": _RATE, "present": "hands_present", "model": "model"},
+        needs="body_pose SIDE_hand_pose body|fps",
+        axes="sides",
+        columns={
+            "poses": {
+                156: {**_OF_BODY, "left_hand_pose": slice(66, 111), "right_hand_pose": slice(111, 156)},
+                165: {**_OF_BODY, "left_hand_pose": slice(75, 120), "right_hand_pose": slice(120, 165)},
+            }
+        },
+        # BEAT2's files are posed with a model that adds the mean; all others' with one that does not.
+        mean_where=("model", "smplx2020"),
+    ),
+    ManoLayout(
+        source="https://amass.is.tue.mpg.de",
+        keys={"global_orient": "root_orient", "body_pose": "pose_body", "fps": _RATE},
+        needs="global_orient body_pose SIDE_hand_pose",
+        axes="sides",
+        columns={"pose_hand": {90: {"left_hand_pose": slice(45), "right_hand_pose": slice(45, 90)}}},
+    ),
+)
+
+_BODY: Final = ManoLayout(
+    source="https://github.com/zc-alexfan/arctic/blob/master/docs/data/data_doc.md",
+    keys={
+        "global_orient": "global_orient",
+        "body_pose": "body_pose",
+        "SIDE_hand_pose": "SIDE_hand_pose",
+        "fps": _RATE,
+    },
+    needs="global_orient body_pose SIDE_hand_pose",
+    axes="sides",
+)
+SMPLX_KEYWORDS: Final = mano_reader(
+    "smplx-keywords",
+    "smplx's parameters",
+    "left_hand_pose and right_hand_pose with global_orient and body_pose (SMPLer-X's folder smplx, ARCTIC's "
+    ".smplx.npy), or hands as this program writes them",
+    ManoLayout(
+        source="https://github.com/vchoutas/smplx/blob/main/smplx/body_models.py",
+        keys={
+            **{f"SIDE_{key}": f"SIDE_{key}" for key in ("global_orient", "hand_pose", "transl", "betas")},
+            "SIDE_present": "SIDE_present",
+            "fps": "fps",
+            "frame": "frame_numbers",
+            "size": "picture_size",
+            "intrinsics": "intrinsics",
+        },
+        needs="SIDE_global_orient SIDE_hand_pose",
+        axes="sides",
+        camera="told",
+    ),
+    _BODY,
+    replace(
+        _BODY,
+        source="https://github.com/caizhongang/SMPLer-X/blob/main/main/inference.py",
+        folder="smplx",
+        files=r"(?P<frame>\d{1,9})_(?P<person>\d{1,9})",
+        counted="mean",
+    ),
+)
