@@ -116,13 +116,8 @@ def _parts(area: bpy.types.Area) -> Viewport | None:
 
 def free_corner(viewport: Viewport) -> tuple[float, float]:
     """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
-    region, others = viewport.region, [r for r in viewport.area.regions if min(r.width, r.height) > 1]
-    top = min([r.y for r in others if r.type in ("HEADER", "TOOL_HEADER")] + [region.y + region.height])
-    if top < region.y + region.height / 2:
-        top = region.y + region.height  # headers may be flipped to the lower edge
-    tools = [r.x + r.width for r in others if r.type == "TOOLS" and r.x < region.x + region.width / 2]
-    scale = ui_scale()
-    return max([region.x, *tools]) - region.x + 18.0 * scale, top - region.y - 70.0 * scale
+    (left, _), (_, top) = viewport.free()
+    return left + 12.0 * ui_scale(), top - 64.0 * ui_scale()
 
 
 class Overlay:
