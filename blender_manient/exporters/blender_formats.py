@@ -7,6 +7,7 @@ import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, BinaryIO, ClassVar
 
 import bpy
@@ -35,7 +36,7 @@ class BlenderFormat:
 
     @contextlib.contextmanager
     def around(self, _path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """Prepare the open scene and clean up behind the operator; yields the arguments that the scene
+        """Prepare the context's scene and clean up behind the operator; yields the arguments that the scene
         decides."""
         yield {}
 
@@ -122,19 +123,32 @@ class GltfExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """Select what is written, mend the rate, and keep what the add-on notes on objects out of the extras,
-        which up to Blender 4.5 take all that add-ons register for custom properties."""
+        """Select what is written, mend the rate, keep the artist's window from showing the scene, and the
+        add-on's notes on objects out of the extras, which up to Blender 4.5 have what is registered."""
         # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
         for obj in (o for hand in hands for o in (hand.armature, *hand.meshes)):
             obj.select_set(True, view_layer=bpy.context.view_layer)
         # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
-        render, left_out = bpy.context.scene.render, gltf_left_out()
-        render.fps_base = 1.0 / render.fps_base
+        context, left_out = bpy.context, gltf_left_out()
+        context.scene.render.fps_base = 1.0 / context.scene.render.fps_base
         left_out.append("manient")
+        bpy.context = _WindowlessContext(context)  # type: ignore
         try:
             yield {}
         finally:
+            bpy.context = context
             left_out.remove("manient")
+
+
+class _WindowlessContext:
+    """Blender's context, with a window that nobody sees."""
+
+    def __init__(self, context: bpy.types.Context) -> None:
+        self._context = context
+        self.window = SimpleNamespace()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
 
 
 class UsdExporter(BlenderFormat, Exporter):
@@ -181,16 +195,15 @@ class BvhExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """The active armature is written."""
-        scene, layer, armature = bpy.context.scene, bpy.context.view_layer, hands[0].armature
-        layer.objects.active = armature
-        armature.select_set(True, view_layer=layer)
-        yield {
-            "frame_start": scene.frame_start,
-            "frame_end": scene.frame_end,
-            # Only a hand's wrist moves; fingers have rotations alone.
-            "root_transform_only": hands[0].side is not None,
-        }
+        """The context's armature is written."""
+        scene = bpy.context.scene
+        with bpy.context.temp_override(object=hands[0].armature):
+            yield {
+                "frame_start": scene.frame_start,
+                "frame_end": scene.frame_end,
+                # Only a hand's wrist moves; fingers have rotations alone.
+                "root_transform_only": hands[0].side is not None,
+            }
 
 
 class AlembicExporter(BlenderFormat, Exporter):
@@ -225,7 +238,7 @@ class AlembicExporter(BlenderFormat, Exporter):
 
 
 def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
-    """Bytes that the open scene with these meshes takes at most as Alembic, rather too many than too few."""
+    """Bytes that the context's scene with these meshes takes at most as Alembic, rather too many."""
     frames = bpy.context.scene.frame_end - bpy.context.scene.frame_start + 1
     graph, size = bpy.context.evaluated_depsgraph_get(), 1 << 16
     for obj in meshes:

@@ -54,7 +54,7 @@ class VrmaExporter(Exporter):
 
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
-    """What the open scene shows of a captured hand, or of a character's hands, over its frame range."""
+    """What the context's scene shows of a captured hand, or of a character's hands, over its frame range."""
     bones, mapped = bones_of(hand.armature), list[tuple[HandMap, SourceHand]]()
     if hand.side is not None:
         rig = rig_of(hand.armature, hand.side)
