@@ -239,26 +239,26 @@ def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHa
     )
     corrected = np.broadcast_to(np.eye(3), (len(names), 3, 3)).copy()
     tips = np.full((len(FINGERS), 3), np.nan)
-    for f, finger in enumerate(FINGERS):
-        chain = [j for j in FINGER_JOINTS[finger] if hand_map.bones[j]]
+    segments: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # theirs and ours, (3,), by joint
+    for f, joints in enumerate(FINGER_JOINTS.values()):
+        chain = [j for j in joints if hand_map.bones[j]]
         if chain:
-            tips[f] = finger_end(bones, [bones.index[hand_map.bones[j]] for j in chain])
+            bones_there = [bones.index[hand_map.bones[j]] for j in chain]
+            tips[f] = finger_end(bones, bones_there)
+            to_next = np.diff([*bones.heads[bones_there], tips[f]], axis=0)
+            ours_to_next = np.diff([*source.joints[chain], source.tips[f]], axis=0)
+            for joint, their, our in zip(chain, to_next, ours_to_next, strict=True):
+                segments[joint] = unit(their), unit(our)
     for k, joints in enumerate(followed):
         if not joints:
             continue
-        theirs_along, ours_along = np.zeros(3), np.zeros(3)
-        for joint in joints:
-            f = next(f for f, finger in enumerate(FINGERS) if joint in FINGER_JOINTS[finger])
-            after = [j for j in FINGER_JOINTS[FINGERS[f]] if j > joint and hand_map.bones[j]]
-            end = bones.heads[bones.index[hand_map.bones[after[0]]]] if after else tips[f]
-            theirs_along += unit(end - bones.heads[at[k]])
-            ours_along += unit((source.joints[after[0]] if after else source.tips[f]) - source.joints[joint])
+        theirs_along, ours_along = np.sum([segments[joint] for joint in joints], axis=0)
         along = unit(aligned @ ours_along)
         if not hand_map.keep_rest:
             corrected[k] = swing(unit(theirs_along), along)
         if joints[0] in FINGER_JOINTS["thumb"] and hand_map.thumb_roll:
             sign = 1.0 if hand_map.side == "right" else -1.0
-            axis = along if not hand_map.keep_rest else unit(theirs_along)
+            axis = unit(theirs_along) if hand_map.keep_rest else along
             corrected[k] = rotvec_to_rotmat(np.radians(sign * hand_map.thumb_roll) * axis) @ corrected[k]
     return TargetHand(
         hand_map,
