@@ -54,7 +54,7 @@ class AlembicExporter(Exporter):
 
 
 def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
-    """Bytes that the open scene with these meshes takes at most as Alembic, rather too many than too few."""
+    """Bytes that the context's scene with these meshes takes at most as Alembic, rather too many."""
     scene = bpy.context.scene
     frames = scene.frame_end - scene.frame_start + 1
     graph = bpy.context.evaluated_depsgraph_get()

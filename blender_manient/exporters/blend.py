@@ -23,7 +23,7 @@ class BlendExporter(Exporter):
     writes = "collection"
 
     def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
-        """Write the open scene with all that it uses; of a character the whole open file."""
+        """Write the context's scene with all that it uses; of a character the whole open file."""
         if any(hand.side is None for hand in hands):
             path.unlink(missing_ok=True)  # Blender would keep what stands there as an older version
             bpy.ops.wm.save_as_mainfile(

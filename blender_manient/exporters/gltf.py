@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import bpy
 
@@ -56,17 +58,31 @@ class GltfExporter(Exporter):
             "export_optimize_animation_size": False,
             "export_morph_normal": False,
         }
-        with _own_settings_left_out():
+        with _left_out_and_alone():
             bpy.ops.export_scene.gltf(**keywords | preset.keywords)
 
 
+class _WindowlessContext:
+    """Blender's context, with a window that nobody sees."""
+
+    def __init__(self, context: bpy.types.Context) -> None:
+        self._context = context
+        self.window = SimpleNamespace()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+
 @contextlib.contextmanager
-def _own_settings_left_out() -> Iterator[None]:
+def _left_out_and_alone() -> Iterator[None]:
     """Keep what the add-on itself notes on objects out of glTF's extras, which up to Blender 4.5 take all
-    that add-ons register for custom properties."""
-    left_out = gltf_left_out()
+    that add-ons register for custom properties; and the exporter from opening the scene that it writes in the
+    artist's window."""
+    left_out, context = gltf_left_out(), bpy.context
     left_out.append("manient")
+    bpy.context = _WindowlessContext(context)  # type: ignore
     try:
         yield
     finally:
+        bpy.context = context
         left_out.remove("manient")

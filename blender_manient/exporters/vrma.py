@@ -53,7 +53,7 @@ class VrmaExporter(Exporter):
 
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
-    """What the open scene shows of a captured hand, or of a character's hands, over its frame range."""
+    """What the context's scene shows of a captured hand, or of a character's hands, over its frame range."""
     bones = bones_of(hand.armature)
     sources: list[tuple[HandMap, SourceHand]] = []
     if hand.side is not None:
