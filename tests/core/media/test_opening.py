@@ -259,7 +259,7 @@ def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: s
     whole = cv2.imencode(".jp2", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(whole[:-cut])
-    with pytest.raises(InputError, match=r"JPEG 2000|neither a picture"):
+    with pytest.raises(InputError, match=r"not a picture|neither a picture"):
         open_media(path)
 
 
