@@ -16,7 +16,7 @@ from handfit_core.arrays import arrays_of, declared
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandModelError
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import path_of, read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import LIMITS, HandModel
 from handfit_core.skeleton import SIDES, Side, other_side
@@ -47,18 +47,16 @@ def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
         raise HandModelError(f"a hand's side must be left or right, not {side!r}")
     if model is None or str(model) == OPEN_HAND:
         return _open_hand(side)
+    path = path_of(model)
     try:
-        path = Path(model).expanduser()
         if not path.exists():
             raise HandModelError(
                 f"{shown(path)}: there is no such hand model; give a MANO .pkl or .npz, a folder with both "
                 f"sides, or '{OPEN_HAND}'"
             )
         path = file_of_side(path, side)
-    except RuntimeError as error:  # the home folder of a user who does not exist
-        raise HandModelError(f"{shown(model)}: there is no such hand model ({error})") from error
     except (OSError, ValueError) as error:
-        raise HandModelError(f"{shown(model)}: this hand model cannot be read ({why(error)})") from error
+        raise HandModelError(f"{shown(path)}: this hand model cannot be read ({why(error)})") from error
     found = read_model(path)
     if found.side != side:
         raise HandModelError(
@@ -75,8 +73,8 @@ def kept_model(model: str, side: Side) -> HandModel:
     Raises HandModelError.
     """
     try:
-        found = file_of_side(Path(model).expanduser(), side).stat()
-    except (OSError, ValueError, RuntimeError, HandModelError):
+        found = file_of_side(path_of(model), side).stat()
+    except (OSError, ValueError, HandModelError):
         return load_model(model, side)  # the open hand, or it says what is wrong
     return _kept(model, side, (found.st_mtime_ns, found.st_size, found.st_ino))
 
