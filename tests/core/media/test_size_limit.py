@@ -179,9 +179,8 @@ def test_a_stream_that_is_larger_than_its_container_says(tmp_path: Path) -> None
     assert peak_megabytes(code, path) < 150
 
 
-@pytest.mark.parametrize("count", [1 << 26, (1 << 31) - 1])
-def test_frames_are_counted_and_not_listed(tmp_path: Path, count: int) -> None:
-    (tmp_path / "a.mp4").write_bytes(with_frame_count(clip(tmp_path / "a.mp4"), count))
+def test_frames_are_counted_and_not_listed(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(with_frame_count(clip(tmp_path / "a.mp4"), (1 << 31) - 1))
     code = """
         import sys
         from handfit_core.media.frame_range import FrameRange
