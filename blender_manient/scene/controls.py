@@ -13,6 +13,7 @@ from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 from ..blender_versions import channels, used_actions
 from ..rigs import controls
 from ..rigs.rig import PosedBones, Rig
+from .actions import own_action
 from .corrections import end_corrections
 from .keys import (
     SAME_FRAME,
@@ -20,7 +21,6 @@ from .keys import (
     align_signs,
     check_unlocked,
     displayed_pose,
-    own_action,
     pose_at,
     read_pose_keys,
     set_pose,
