@@ -435,6 +435,25 @@ _SELECTED = ("select_control_point", "select_left_handle", "select_right_handle"
 _EVERYTHING = _PLACES + _KINDS + _AMOUNTS + _SELECTED
 
 
+def new_curve(
+    holder: Any, bone: str, attribute: str, index: int, frames: np.ndarray, values: np.ndarray
+) -> None:
+    """A new curve of a bone, in its group, or, without a name, of the object: straight lines between keys
+    (N,)."""
+    curve = holder.fcurves.new(f"{bone_path(bone)}.{attribute}" if bone else attribute, index=index)
+    if bone:
+        curve.group = holder.groups.get(bone) or holder.groups.new(bone)
+    count = len(frames)
+    # Sensible handles, for users who switch a curve to Bezier.
+    kinds = {
+        "interpolation": "LINEAR",
+        "handle_left_type": "AUTO_CLAMPED",
+        "handle_right_type": "AUTO_CLAMPED",
+    }
+    data = {name: np.full(count, _kind(name, kind), dtype=np.int32) for name, kind in kinds.items()}
+    _rebuild(curve, {"co": np.stack([frames, values], axis=-1), **data})
+
+
 def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Attributes of the curve's key points as arrays: places (N, 2), others (N,)."""
     points = curve.keyframe_points
@@ -449,8 +468,8 @@ def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
 
 def change_places(curve: Any, scale: Sequence[float], shift: Sequence[float]) -> None:
     """Scale, then shift, where keys and their handles lie: frame and value."""
-    data = _read(curve, _PLACES)
-    _rebuild(curve, {name: places * np.float32(scale) + np.float32(shift) for name, places in data.items()})
+    scaled, shifted = np.array(scale, dtype=np.float32), np.array(shift, dtype=np.float32)
+    _rebuild(curve, {name: places * scaled + shifted for name, places in _read(curve, _PLACES).items()})
 
 
 def _rebuild(curve: Any, data: dict[str, np.ndarray]) -> None:

@@ -70,9 +70,8 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
         )
     layer, motion, slot, layer_slot = data.action, strip.action, action_slot(strip), action_slot(data)
     bones = _changed_bones(armature, strip) if merge else []
-    found = [
-        _merged(armature, bone, *(channels_of(user, make=True) for user in (strip, data))) for bone in bones
-    ]
+    below, on_top = (channels_of(user, make=True) for user in (strip, data))
+    found = [_merged(armature, bone, below, on_top) for bone in bones]
     for rig, keys, _ in found:
         check_unlocked(
             rig, joints=[0] if keys.rotation_keyed.any() else [], location=bool(keys.location_keyed.any())

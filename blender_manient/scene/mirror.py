@@ -21,7 +21,6 @@ from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig
 from ..wording import hand_part, named_after
 from .actions import channels_of, curves_in
-from .animation import describe
 from .editable import check_unlayered
 from .keys import change_places, displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import adding_correctives, build_mesh
@@ -201,6 +200,5 @@ def _keep(
         # A hand of that side that an older model was fitted to keeps its own.
         model_digests={model.side: model.digest, **hand.take.model_digests},
     )
-    describe(armature, take, mirrored)
     keep_take(hand.collection, take)
     describe_hand(armature, hand.collection, take, len(take.hands) - 1, hand.armature.manient.wrist)

@@ -77,7 +77,7 @@ def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> No
     for action, slot in all_actions(armature):
         for curve in curves_in(channels(action, slot)) if action not in added else ():
             if curve.data_path == f'pose.bones["{wrist}"].location':
-                change_places(curve, [1.0, 1.0], [0.0, -along[curve.array_index]])
+                change_places(curve, [1.0, 1.0], [0.0, -float(along[curve.array_index])])
         action.update_tag()
 
 

@@ -19,6 +19,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, TakeError
+from handfit_core.files import storable
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
@@ -294,14 +295,23 @@ def describe_capture(
 def describe_hand(
     armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int, wrist: Wrist
 ) -> None:
-    """Note on an armature which hand of which take it is; its mesh is there already and ends in `wrist`."""
+    """Note on an armature which hand of which take it is; its mesh is there already and ends in `wrist`.
+
+    Custom properties say where the hand comes from, and are exported with it.
+    """
+    track = take.hands[index]
+    armature["side"] = track.side
+    armature["betas"] = [float(b) for b in track.betas]
+    armature["model"] = storable(take.model)
+    armature["solver"] = take.solver
+    armature["source"] = storable(take.source.files[0])
     if has_properties():
         hand = armature.manient
         # The shape first: as long as this is no captured hand, its change rebuilds nothing.
-        hand.betas = [float(b) for b in take.hands[index].betas]
+        hand.betas = armature["betas"]
         hand.wrist = wrist
         hand.forearm = wrist == "forearm"
-        hand.side = take.hands[index].side
+        hand.side = track.side
         hand.capture = collection
         hand.mesh = next(iter(_deformed_by(armature)), None)
         hand.track = index
