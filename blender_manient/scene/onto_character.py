@@ -42,7 +42,6 @@ from ..wording import counted
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
 from .animation import computing_keys
 from .characters import why_not_reachable
-from .controls import sampled_pose
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
@@ -56,8 +55,7 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .own_scene import object_mode, shown_in_pose, unseen_scene
-from .sampling import rotations_of, sample
+from .sampling import rotations_of, sample_unseen, sampled_pose
 from .store import CapturedHand
 from .timing import Timing, check_range, frame_rate
 
@@ -202,7 +200,7 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
     keys = run_to_completion(computing_keys(track, shaped, rest, take.frame_numbers))
     frames = frames_between(keys.frames)
-    curves = np.column_stack([keys.quats.reshape(len(keys.frames), -1), keys.locations]).astype(np.float32)
+    curves = np.column_stack([keys.quats.reshape(len(keys.frames), -1), keys.locations])
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves.T], axis=-1)
     quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
     source, skins = SourceHand.of(shaped, track.side, hand.name), Fingertips.of(hand, track.betas)
@@ -498,9 +496,7 @@ def adjusting(
 
 def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
-    with object_mode(), unseen_scene("character") as scene, shown_in_pose([armature]):
-        scene.collection.objects.link(armature)
-        sampled = sample(armature, frames, scene, names)
+    sampled = sample_unseen(armature, frames, names)
     return sampled.pose[:, [sampled.names.index(name) for name in names]]
 
 

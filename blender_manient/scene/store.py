@@ -18,11 +18,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from handfit_core.batch import scatter
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.files import storable
 from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.settings import MEDIA
 from handfit_core.skeleton import Side
 from handfit_core.slices import run_to_completion
@@ -86,6 +89,27 @@ class CapturedHand:
     def model(self) -> HandModel:
         """The model that it was captured with. Raises HandModelError."""
         return kept_model(self.take.model, self.side)
+
+    def to_bones(self, motion: HandMotion, wrist: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Any hand's motion about this one's bones: quaternions (T, 16, 4) and wrist locations (T, 3) in
+        metres, NaN in frames without a hand; mirrored at x = 0 where it is of the other side.
+
+        Fingers get its rotations, the wrist its place. `wrist` (3,) metres in the model frame is where that
+        lies before it is moved; None: where this hand's model has it in the motion's shape. Raises
+        HandModelError.
+        """
+        there, shaped = motion.present, self.shaped()
+        if wrist is None:
+            own = kept_model(self.take.model, motion.side).shaped(motion.betas)
+            wrist = np.asarray(own.joints[0])
+        orient, pose, transl = (np.asarray(rows[there], dtype=np.float64) for rows in motion.pose)
+        place = wrist + transl
+        if motion.side != self.side:
+            orient, pose = mirrored_pose(orient, pose)
+            place = place @ MIRROR_X
+        bones = self.rig.to_bones(shaped, orient, pose, place - shaped.joints[0])
+        quats, locations = (scatter(rows, there, len(there)) for rows in bones)
+        return quats, locations
 
     def is_of_other_model(self) -> bool:
         """Whether the model's joints lie elsewhere now; no where it cannot be read."""
