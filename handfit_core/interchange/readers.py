@@ -30,6 +30,8 @@ class Reader:
     read: Callable[[Document, Asked], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
     for an option without which it cannot be read"""
+    unseen: bool = False
+    """Whether it was written without a file of that program at hand"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -80,6 +82,15 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
         f"{shown(document.path)}: these are no hands or keypoints of a program that is known "
         f"({document.found}). Known are {formats}"
     )
+
+
+UNSEEN: Final = "on files made by this project's tests, and on none of that program: look whether it is right"
+"""What is said of readers that are `unseen`"""
+
+
+def unseen(recording: Recording) -> bool:
+    """Whether its reader was written without a file of that program at hand."""
+    return recording.format in READERS.built_in() and READERS.get(recording.format).unseen
 
 
 def program_of(recording: Recording) -> str:

@@ -90,6 +90,7 @@ TABLES: dict[str, Callable[[], bytes]] = {
     "columns-9999": lambda: b",".join(b"left_hand_%d_x" % n for n in range(9999)) + b"\n" + b"1," * 9998 + b"1\n",
     "rows-30-million": lambda: b"frame,x\n" + b"1,2\n" * 30_000_000,
     "cells-60-million": lambda: b"frame,x\n" + b"," * 60_000_000,
+    "cell-of-130000": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,%s,0,1,2\n" % (n, b"x" * (130_000 if n == 9 else 1)) for n in range(20_000)),
     "empty-lines": lambda: b"frame,x\n" + b"\n" * 100_000_000,
     "one-cell": lambda: b'frame,x\n"' + b"x" * 100_000_000,
     "quotes": lambda: b"frame,x\n" + b'"' * 50_000_000,
@@ -115,6 +116,9 @@ JSONS: dict[str, Callable[[], bytes]] = {
     "escapes": lambda: b'["' + rb"\ud83d\ude00" * 8_000_000 + b'"]', "wide": lambda: b'["' + b"x" * 100_000_000 + "\U0001f590".encode() + b'"]',
     "people": lambda: b'{"people":[' + b'{"pose_keypoints_2d":[]},' * 1_000_000 + b"{}]}",
     "points": lambda: b'{"format":"handfit-points","version":1,"frames":[' + b"1," * 1_000_000 + b'2],"hands":[]}',
+    "300000-frames": lambda: b'{"frames":[' + b'{"a":1},' * 300_000 + b"{}]}", "300000-people": lambda: b'{"people":[' + b'{"a":1},' * 300_000 + b"{}]}",
+    "digits-4300": lambda: b'{"format":"handfit-points","version":' + b"9" * 4300 + b"}", "deep-900": lambda: b"[" * 900 + b"]" * 900,
+    "keys-of-terminals": lambda: json.dumps({"a\x1b[2J\x07\r": 1, "\u202e": 2}).encode(), "long-key": lambda: b'{"' + b"x" * 1_000_000 + b'":[]}',
     "lines": lambda: b"{}\n" * 40_000_000, "too-large": lambda: b"[" + b" " * 500_000_000 + b"]", "zeros": lambda: bytes(1000),
 }  # fmt: skip
 
