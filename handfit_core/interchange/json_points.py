@@ -156,11 +156,7 @@ def _in_order(
     assumed: tuple[str, ...] = (),
 ) -> JsonFrames:
     """Frames by their numbers. Raises InputError where one comes twice, or there are too many."""
-    if len(contents) > LIMITS.frames:
-        raise InputError(
-            f"{shown(document.path)}: it has {len(contents)} frames, and at most {LIMITS.frames} are read; "
-            "cut it into parts"
-        )
+    LIMITS.check(document.path, len(contents))
     numbers = np.array([*told], dtype=np.int64)
     order = np.argsort(numbers, kind="stable")
     numbers = numbers[order]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -90,13 +91,15 @@ class PointLayout:
     """Whether this project writes it: several hands of a side stay apart, and what is not told is an error"""
     assumed: tuple[str, ...] = ()
     """What is always assumed"""
+    unseen: bool = False
+    """Whether no real file of it has ever been read here"""
     hint: str = ""
     """What to do where there are no hands"""
 
     @property
     def reader(self) -> Reader:
         """What reads it."""
-        return Reader(self.title, self.files, self._recognises, self._read)
+        return Reader(self.title, self.files, self._recognises, self._read, self.unseen)
 
     def _recognises(self, document: Document) -> bool:
         marks = [set(mark.split()) for mark in self.marks]
@@ -115,7 +118,7 @@ class PointLayout:
             if isinstance(told, Told):
                 pass
             elif told is None and not document.is_folder and document.table is not None:
-                told = HandTable(document.table).hands(
+                told = HandTable(document.table, document.path).hands(
                     first=self.first, in_space=self.units is not None, ours=self.ours
                 )
             else:
@@ -145,6 +148,7 @@ class PointLayout:
                         for hand in hands_in(human, columns):
                             mirrored.add(hand.mirrored)
                             told += ((row, number, *part) for part in self._parts(hand))
+                            LIMITS.check(document.path, 1, len(told))
             except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
                 said = f"it lacks {error}" if isinstance(error, LookupError) else str(error)
                 raise InputError(
@@ -297,4 +301,4 @@ def tables(fits: Callable[[Table], bool]) -> Callable[[Document], bool]:
 
 def is_hand_table(table: Table) -> bool:
     """Whether a table holds points of hands."""
-    return columns_of(table) is not None or HandTable(table).is_long
+    return columns_of(table) is not None or HandTable(table, Path()).is_long

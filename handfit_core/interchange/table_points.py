@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -44,8 +45,8 @@ def columns_of(table: Table) -> list[PointColumn] | None:
 class HandTable:
     """A table with what its columns hold."""
 
-    def __init__(self, table: Table) -> None:
-        self.table = table
+    def __init__(self, table: Table, path: Path) -> None:
+        self.table, self.path = table, path
         self._named = {plain(name): name for name in reversed(table.columns)}
         self._count = len(table.rows)
 
@@ -141,7 +142,7 @@ class HandTable:
     def _wide(self, columns: list[PointColumn]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         """What `ToldHands.of` takes of the hands beside their rows, and which row of the table each is."""
         groups = sorted({(column.side or "", column.hand) for column in columns})
-        check_count(self._count, len(groups))
+        LIMITS.check(self.path, self._count, len(groups))
         told = np.full((self._count, len(groups), NUM_KEYPOINTS, 7), np.nan)
         numbers = self.table.numbers([self.table.columns[column.index] for column in columns])
         for i, column in enumerate(columns):
@@ -192,7 +193,7 @@ class HandTable:
         _, start, group = np.unique(
             np.column_stack([frames, sides, hand])[used], axis=0, return_index=True, return_inverse=True
         )
-        check_count(len(start), 1)
+        LIMITS.check(self.path, 1, len(start))
         group, place = group.reshape(-1), place[used]
         where = np.bincount(group * NUM_KEYPOINTS + place)
         if where.max() > 1:
@@ -209,12 +210,6 @@ class HandTable:
 
 
 _IN_PLANE: Final = ("{}", "{}norm", "normalized{}", "{}px")
-
-
-def check_count(frames: int, hands: int) -> None:
-    """Raise ValueError for more hands than are read of one file."""
-    if hands > LIMITS.hands or frames * hands > 10 * LIMITS.frames:
-        raise ValueError(f"it has {frames * hands} hands, and at most {10 * LIMITS.frames} are read; cut it")
 
 
 def _place(text: str) -> int | None:

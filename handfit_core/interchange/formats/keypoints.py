@@ -17,7 +17,8 @@ from handfit_core.interchange.json_points import JsonFrames, hands_in, keyed, ob
 from handfit_core.interchange.point_hands import Told, ToldHands
 from handfit_core.interchange.point_names import is_apple
 from handfit_core.interchange.point_reader import PointLayout, is_hand_table, tables
-from handfit_core.interchange.table_points import check_count, columns_of
+from handfit_core.interchange.settings import LIMITS
+from handfit_core.interchange.table_points import columns_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 # OpenPose
@@ -49,6 +50,7 @@ OPENPOSE: Final = PointLayout(
     least=0.2,  # --hand_render_threshold: OpenPose does not draw less sure hands
     halved=_from_minus_one,
     hint=" (written with --hand)",
+    unseen=True,
 )
 
 MMPOSE: Final = PointLayout(
@@ -63,6 +65,7 @@ MMPOSE: Final = PointLayout(
     parts={133: {"left": 91, "right": 112}, 136: {"left": 94, "right": 115}, NUM_KEYPOINTS: {None: 0}},
     persons="told",
     least=0.3,  # --kpt-thr: the demos draw no less sure point
+    unseen=True,
 )
 
 APPLE_VISION: Final = PointLayout(
@@ -73,6 +76,7 @@ APPLE_VISION: Final = PointLayout(
     recognises=lambda document: _names_apples(document),
     columns="xy xyc xyzc",
     from_below=True,
+    unseen=True,
 )
 
 
@@ -150,7 +154,8 @@ def _of_arrays(document: Document) -> Told | None:
         if points is None or points.ndim != 3 or points.shape[1:] != (NUM_KEYPOINTS, 3):
             found = "no array" if points is None else f"an array of the shape {points.shape}"
             raise ValueError(f"{shown(file.name)} is {found}; expected (frames, 21, 3)")
-        told.append(points.astype(np.float64))
+        LIMITS.check(file, len(points))
+        told.append(points)
     if not told:
         return None
     count = len(told[0])
@@ -194,6 +199,7 @@ FREEMOCAP: Final = PointLayout(
     up="z",
     first=0,
     assumed=("Z is up, and Y leads away from who looks",),
+    unseen=True,
 )
 
 
@@ -264,7 +270,7 @@ def _own_points(document: Document) -> Told | JsonFrames | None:
         said = header["intrinsics"]
         camera = Intrinsics(*(number(name, said[name]) for name in ("fx", "fy", "cx", "cy")))
     in_space = bool(hands) and all("keypoints_3d" in hand for _, hand in hands)
-    check_count(len(numbers), len(hands))
+    LIMITS.check(document.path, len(numbers), len(hands))
     kind, width = ("keypoints_3d", 3) if in_space else ("keypoints_2d", 2)
     nothing = [None] * width
     points = np.full((len(hands), len(numbers), NUM_KEYPOINTS, 3), np.nan)
