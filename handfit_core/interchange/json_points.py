@@ -208,8 +208,9 @@ def _number_in(content: Any) -> int | None:
     for value in (of[key] for key in _FRAME if key in of):
         if isinstance(value, str) and (match := _last_number(value)):
             return int(match[0])
-        real = isinstance(value, int | float) and not isinstance(value, bool)
-        if real and abs(value) <= LARGEST_WHOLE and value == int(value):
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            continue
+        if abs(value) <= LARGEST_WHOLE and value == int(value):
             return int(value)
     return None
 

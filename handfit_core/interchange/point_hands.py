@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -128,7 +129,7 @@ def hands_in_space(
 
 
 def metres_of(
-    hands: tuple[PointsHand, ...], units: dict[str, float], usual: str
+    hands: tuple[PointsHand, ...], units: Mapping[str, float], usual: str
 ) -> tuple[float, tuple[str, ...]]:
     """Metres of one of the file's units, by the palm's length, and what is said where it is not the first.
     Raises ValueError where none of the units makes a hand of it."""

@@ -233,7 +233,7 @@ class PointLayout:
             return replace(made, points=points, assumed=(*told.assumed, said, *swapped, *sides, *several))
         hands, hidden = without_hidden(hands, self.least)
         check_some(hands, what)
-        shapes = np.where(known(hands.world).all(axis=1)[:, None, None], hands.world, hands.points)
+        shapes = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, hands.points)
         hands, swapped = own_sides(hands, shapes, told.mirrored)
         hands, sides = with_sides(hands, asked.hands, shapes)
         hands, relative, scale = self._scaled(hands, told, asked)

@@ -84,8 +84,8 @@ def _read(document: Document, asked: Asked) -> Recording:
     path = shown(document.path)
     frames = frames_of(document, lambda _: False)
     count = len(frames.numbers)
-    told = {side: np.full((count, len(JOINTS), 7), np.nan) for side in SIDES}
-    seen = {side: np.zeros(count, dtype=int) for side in SIDES}
+    told: dict[Side, np.ndarray] = {side: np.full((count, len(JOINTS), 7), np.nan) for side in SIDES}
+    seen: dict[Side, np.ndarray] = {side: np.zeros(count, dtype=int) for side in SIDES}
     for row, frame in enumerate(frames.contents):
         for side, joints in _hands(frame):
             seen[side][row] += 1
