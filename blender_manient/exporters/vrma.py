@@ -55,12 +55,7 @@ class VrmaExporter(Exporter):
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
     """What the context's scene shows of a captured hand, or of a character's hands, over its frame range."""
-<<<<<<< HEAD
     bones, mapped = bones_of(hand.armature), list[tuple[HandMap, SourceHand]]()
-=======
-    bones = bones_of(hand.armature)
-    sources: list[tuple[HandMap, SourceHand]] = []
->>>>>>> a
     if hand.side is not None:
         rig = rig_of(hand.armature, hand.side)
         mapped.append((HandMap(hand.side, tuple(rig.bones)), _at_rest(rig, bones)))
