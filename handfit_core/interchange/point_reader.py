@@ -14,6 +14,7 @@ from handfit_core.files import shown
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import (
     JsonFrames,
+    JsonHand,
     frames_of,
     hands_in,
     is_hand,
@@ -189,21 +190,16 @@ class PointLayout:
             raise ValueError(f"it has no list of {self.people}")
         return people
 
-    def _parts(self, hand: Any) -> Iterator[tuple[Any, ...]]:
+    def _parts(self, hand: JsonHand) -> Iterator[tuple[Any, ...]]:
         """Side, score, points (21, 4) and world (21, 3) of each hand that a list of points has."""
-        nothing = np.full((NUM_KEYPOINTS, 4), np.nan)
-        points = nothing if hand.points is None else hand.points
-        world = nothing[:, :3] if hand.world is None else hand.world
-        if len(points) not in self.parts or len(world) != NUM_KEYPOINTS:
-            expected = ", ".join(map(str, self.parts))
-            raise ValueError(f"a hand of {len(points)} points; expected {expected}")
-        if not np.isnan(points[:, 3]).all():
-            points = np.concatenate([points[:, :3], np.nan_to_num(points[:, 3:])], axis=1)
-        for side, first in self.parts[len(points)].items():
-            name = side or hand.side
-            code = UNKNOWN if name is None else SIDES.index(name)
-            score = np.nan if hand.score is None else hand.score
-            yield code, score, points[first : first + NUM_KEYPOINTS], world
+        if len(hand.points) not in self.parts or len(hand.world) != NUM_KEYPOINTS:
+            raise ValueError(
+                f"a hand of {len(hand.points)} points; expected {', '.join(map(str, self.parts))}"
+            )
+        for side, first in self.parts[len(hand.points)].items():
+            named = side or hand.side
+            code = UNKNOWN if named is None else SIDES.index(named)
+            yield code, hand.score, hand.points[first : first + NUM_KEYPOINTS], hand.world
 
     def _recording(self, told: Told, document: Document, asked: Asked) -> Recording:
         """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""

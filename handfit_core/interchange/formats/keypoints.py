@@ -97,17 +97,12 @@ def _names_apples(document: Document) -> bool:
 
 
 def _has_hand(document: Document) -> bool:
-    """Whether JSON is a hand, a frame with one, or has such a frame in it."""
+    """Whether a table is one of hands, or JSON has a hand somewhere."""
     if not document.is_folder and document.table is not None:
         return is_hand_table(document.table)
-    for content in some_contents(document):
-        within = [content, *content.values()] if isinstance(content, dict) else [content]
-        frames = [content]
-        for each in within:
-            frames += each.values() if isinstance(each, dict) else each if isinstance(each, list) else ()
-        if any(_first_hand(frame) for frame in frames):
-            return True
-    return False
+    return any(
+        _first_hand(each) for content in some_contents(document) for each in (content, *objects_in(content))
+    )
 
 
 def _first_hand(frame: Any) -> bool:
