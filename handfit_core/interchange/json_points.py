@@ -171,20 +171,18 @@ def _frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str,
     what was assumed. Where most have one, the others are left out; where most have none, all are counted from
     1. Raises InputError for files of several sequences."""
     files = document.files(".json")
-    numbered = [(match, file) for file in files if (match := _last_number(file.stem))]
-    assumed: tuple[str, ...] = ()
-    if others := [file for file in files if not _last_number(file.stem)]:
-        which = f"{shown(others[0].name)} has no number in its name"
-        if len(others) > 1:
-            which = f"{shown(others[0].name)} and {len(others) - 1} more have no number in their names"
-        if len(others) >= len(numbered):
-            said = f"{which}: frames are counted from 1, by the names"
-            return list(enumerate(files, 1)), (said,) if len(files) > 1 else ()
-        assumed = (f"{which}: left out",)
+    found = [(_last_number(file.stem), file) for file in files]
+    numbered = [(match, file) for match, file in found if match]
+    others = [shown(file.name) for match, file in found if not match]
+    more = f" and {len(others) - 1} more have no number in their names"
+    which = f"{others[0]}{more if len(others) > 1 else ' has no number in its name'}" if others else ""
+    if others and len(others) >= len(numbered):
+        said = f"{which}: frames are counted from 1, by the names"
+        return list(enumerate(files, 1)), (said,) if len(files) > 1 else ()
     around = {(file.stem[: match.start()], file.stem[match.end() :]) for match, file in numbered}
     if len(around) > 1:
         raise InputError(f"{shown(document.path)}: {several_clips(around)}; give each its own folder")
-    return [(int(match[0]), file) for match, file in numbered], assumed
+    return [(int(match[0]), file) for match, file in numbered], (f"{which}: left out",) if others else ()
 
 
 def several_clips(around: Collection[tuple[str, ...]]) -> str:
