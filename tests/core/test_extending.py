@@ -112,9 +112,7 @@ def test_a_trackers_points(tmp_path: Path) -> None:
     install("A tracker's points", tmp_path)
     (hand,) = Take.load(ROOT / "samples" / "rendered_hand" / "truth.take.npz").hands
     joints = 100.0 * hand.joints_3d * [1.0, -1.0, -1.0]
-    frames = [
-        {"hands": [{"glove_id": 7, "side": hand.side, "joints": points}]} for points in joints.tolist()
-    ]
+    frames = [{"hands": [{"glove_id": 7, "side": hand.side, "joints": points}]} for points in joints.tolist()]
     (tmp_path / "a.json").write_text(json.dumps({"frames": frames}))
     said = run(tmp_path, "info", tmp_path / "a.json").stdout
     assert "format   glove" in said
