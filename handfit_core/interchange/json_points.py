@@ -101,7 +101,7 @@ def rate_of(frames: np.ndarray, times: np.ndarray) -> float:
         return 0.0
     step = float(np.median(spent[moved] / steps[moved]))
     unit = next((unit for unit in (1.0, 1e-3, 1e-6, 1e-9) if step * unit <= 1.0), 0.0)
-    rate = 1.0 / (step * unit) if step * unit >= 1e-3 else 0.0
+    rate = 1.0 / (step * unit) if step * unit > 1e-4 else 0.0
     # Milliseconds are often whole numbers.
     nearest = round(rate)
     return float(nearest) if unit == 1e-3 and abs(rate - nearest) < 0.02 * nearest else rate
