@@ -28,7 +28,8 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 def _from_minus_one(frames: JsonFrames) -> bool:
     """Whether what is told of anybody lies between -1 and 1 (--keypoint_scale 4), where a missing point is at
     (-1, -1), with the others at (0, 0)."""
-    people = [keyed(human) for content in frames.contents for human in content["people"]]
+    contents = (content for content in frames.contents if isinstance(content, Mapping))
+    people = [keyed(human) for content in contents for human in content["people"]]
     lists = [value for human in people for key, value in human.items() if "keypoints" in key and value]
     if not lists:
         return False
@@ -143,8 +144,8 @@ def _of_arrays(document: Document) -> Told | None:
         if points is None or points.ndim != 3 or points.shape[1:] != (NUM_KEYPOINTS, 3):
             found = "no array" if points is None else f"an array of the shape {points.shape}"
             raise ValueError(f"{shown(file.name)} is {found}; expected (frames, 21, 3)")
-        LIMITS.check(file, len(points))
         told.append(points)
+        LIMITS.check(file, len(points), len(told))
     if not told:
         return None
     count = len(told[0])
