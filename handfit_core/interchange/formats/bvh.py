@@ -127,6 +127,8 @@ def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
         raise _Wrong("does not say Frames and Frame Time after MOTION")
     count, width = int(said[1]), sum(map(len, skeleton.channels))
     LIMITS.check(document.path, count, points=max(len(skeleton.names), width // 3))
+    if len(text) - said.end() > 64 * (count * width + 100):
+        raise _Wrong(f"says {count} frames of {width} channels, and has far more numbers")
     try:
         seconds = float(said[2])
         with warnings.catch_warnings():
