@@ -18,7 +18,6 @@ import bpy
 import numpy as np
 
 from handfit_core.edit.corrections import CorrectionField
-from handfit_core.errors import TakeError
 from handfit_core.fit_quality import (
     IN_PICTURE,
     Scale,
@@ -30,7 +29,7 @@ from handfit_core.fit_quality import (
 from handfit_core.skeleton import JOINTS_BY_FINGER, KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
-from .corrections import corrections_of
+from .corrections import readable_corrections
 from .store import CapturedHand, captured_hands, hand_of, rows_at
 
 _CORRECTED: Final = 0.5
@@ -69,13 +68,7 @@ class Errors:
 
 def errors_of(hand: CapturedHand) -> Errors:
     """The errors of a captured hand, kept once they were computed."""
-    field = _NO_CORRECTIONS
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        field = corrections_of(hand.armature)
-    return _errors(hand.take, hand.track, field)
-
-
-_NO_CORRECTIONS: Final = CorrectionField()
+    return _errors(hand.take, hand.track, readable_corrections(hand.armature))
 
 
 @lru_cache(maxsize=8)  # takes and corrections are kept as they are read, and every redraw asks

@@ -13,7 +13,7 @@ been changed then.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -141,6 +141,21 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
         for part, values in zip(curves.location(names[0], make=True), keys.locations[rows].T, strict=True):
             _write(part, keys.frames[rows], values)
     curves.tag()
+
+
+def writing_pose_keys(
+    find: Callable[[], PosedBones], keys: PoseKeys, *, holder: Any = None
+) -> Iterator[float]:
+    """`write_pose_keys`, a bone per step, for a window that stays free; yields how much is done, 0..1. `find`
+    gives the bones, and raises where they have gone between two steps."""
+    joints = np.flatnonzero(keys.rotation_keyed.any(axis=0))
+    if not len(joints) and keys.location_keyed.any():
+        joints = np.zeros(1, dtype=int)
+    for done, joint in enumerate(joints, start=1):
+        rotated = keys.rotation_keyed & (np.arange(keys.rotation_keyed.shape[1]) == joint)
+        located = keys.location_keyed & (joint == joints[0])
+        write_pose_keys(find(), replace(keys, rotation_keyed=rotated, location_keyed=located), holder=holder)
+        yield done / len(joints)
 
 
 def remove_pose_keys(

@@ -19,10 +19,9 @@ from handfit_core.edit.corrections import (
     correction_between,
     kept_frame,
 )
-from handfit_core.skeleton import NUM_JOINTS
 
 from .corrections import check_writable, corrections_of, keep_field
-from .keys import PoseKeys, pose_at, write_pose_keys
+from .keys import PoseKeys, pose_at, writing_pose_keys
 from .own_keys import keyed_by_hand, note_fitted
 from .store import CapturedHand, scene_frames
 
@@ -128,15 +127,7 @@ def writing(find: Callable[[], CapturedHand], smoothed: Smoothed) -> Iterator[fl
     """Write the keys bone by bone, and keep the corrections; yields how much is done, 0..1. `find` gives the
     hand, which may have gone between two steps. Raises what it raises, and `corrections.check_writable`."""
     check_writable(find().armature)
-    keys = smoothed.keys
-    for joint in range(NUM_JOINTS):
-        hand = find()
-        rotated = keys.rotation_keyed.copy()
-        rotated[:, np.arange(NUM_JOINTS) != joint] = False
-        located = keys.location_keyed & (joint == 0)
-        write_pose_keys(hand.rig, replace(keys, rotation_keyed=rotated, location_keyed=located))
-        if joint == 0:
-            keep_field(hand.armature, smoothed.field)
-        yield (joint + 1) / NUM_JOINTS
+    keep_field(find().armature, smoothed.field)
+    yield from writing_pose_keys(lambda: find().rig, smoothed.keys)
     # For whoever asks next they are no keys by hand.
     note_fitted(find().armature, smoothed.numbers, smoothed.quats, smoothed.locations)

@@ -231,7 +231,7 @@ def test_a_frame_costs_as_much_in_a_long_take_as_in_a_short_one(make_take):
         """Processor time of colouring two hands, and of Blender's own frame without that."""
         bpy.ops.wm.read_homefile(use_empty=True)
         made = make_take(frame_numbers=np.arange(1, frames + 1))
-        for hand in build_take(made.take, scene=bpy.context.scene).hands:
+        for hand in build_take(made.take).hands:
             hand.armature.manient.show_confidence = True
         bpy.app.handlers.frame_change_pre.remove(confidence._on_frame)
         scene, spent, whole = bpy.context.scene, [], []

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from blender_manient.scene.build import build_take
-from blender_manient.scene.preview import turned_rows
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from scripts import side_view
+from scripts.side_view import turned_rows
 
 from .conftest import HEIGHT, WIDTH
 
