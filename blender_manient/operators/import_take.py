@@ -11,8 +11,7 @@ from .. import screen
 from ..properties import MATCHING, POSE_CORRECTIVES
 from ..scene.build import build_take
 from ..scene.captures import comes_in_front
-from ..scene.matching import Footage, matches, scene_sentence
-from ..scene.surroundings import clear_view
+from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..section import sentence
 from .mixins import PollMixin, errors_reported
 

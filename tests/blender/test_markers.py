@@ -10,7 +10,7 @@ import pytest
 
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
-from blender_manient.scene.markers import doubtful_ranges, is_marked, mark_doubtful, next_doubtful
+from blender_manient.scene.confidence import doubtful_ranges, is_marked, mark_doubtful, next_doubtful
 
 from .conftest import FRAMES, UNSEEN
 

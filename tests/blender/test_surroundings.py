@@ -6,7 +6,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from blender_manient.scene.surroundings import clear_view  # noqa: E402
+from blender_manient.scene.matching import clear_view  # noqa: E402
 
 
 @pytest.fixture
