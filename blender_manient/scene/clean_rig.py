@@ -53,11 +53,11 @@ def clean_rig(
     units: float = 1.0,
     turn: np.ndarray | None = None,
 ) -> Iterator[CleanHand]:
-    """A copy of the hand in the open scene, with an armature object called `name` (empty: as the hand's).
+    """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
 
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
     the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
-    in the open scene, which has the copy instead afterwards; its names are lent to the copy. When the context
+    in that scene, which has the copy instead afterwards; its names are lent to the copy. When this context
     ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy;
     one that no bone of the copy moves has keys of its own, and no parent, where it moves.
     """
@@ -204,19 +204,19 @@ def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) ->
 
 
 def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
-    """Leave an armature of the open scene the bones of a tree, as `deforming_tree` gives it."""
-    layer = bpy.context.view_layer
-    layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    bones = armature.data.edit_bones
-    bones_left_out = [bone for bone in bones if bone.name not in tree]
-    for bone in bones:
-        bone.use_connect = False
-    for bone in bones_left_out:
-        bones.remove(bone)
-    for name, parent in tree.items():
-        bones[name].parent = bones[parent] if parent else None
-    bpy.ops.object.mode_set(mode="OBJECT")
+    """Leave an armature of the context's scene the bones of a tree, as `deforming_tree` gives it."""
+    bpy.context.view_layer.objects.active = armature
+    with bpy.context.temp_override(active_object=armature, object=armature):
+        bpy.ops.object.mode_set(mode="EDIT")
+        bones = armature.data.edit_bones
+        bones_left_out = [bone for bone in bones if bone.name not in tree]
+        for bone in bones:
+            bone.use_connect = False
+        for bone in bones_left_out:
+            bones.remove(bone)
+        for name, parent in tree.items():
+            bones[name].parent = bones[parent] if parent else None
+        bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def _retarget(

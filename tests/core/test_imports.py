@@ -121,10 +121,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
             assert module.split(".")[0] not in (*HEAVY, *THREADED), name
 
 
-ASSEMBLIES = (
-    *("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take"),
-    "scene.smoothing",
-)
+ASSEMBLIES = ("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take")
 PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.commands")
 """Modules of the add-on that work without Blender"""
 
@@ -164,7 +161,7 @@ def test_rooms_know_only_what_comes_before_them(room: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("bpy.ops.export_", "exporters")]
+    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("export_scene.", "exporters")]
 )
 def test_bones_and_formats_are_known_in_one_place(word: str, room: str) -> None:
     """Everything else asks a rig, or a format, whatever else is added to the two folders."""
