@@ -29,9 +29,9 @@ from handfit_core.take import HandTrack, Take
 from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, hand_part, named_after, shortened_name
 from . import captures
-from .animation import CURVES, animating, computing_keys
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
+from .keys import CURVES, animating, computing_keys
 from .matching import Footage, note_matched
 from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate

@@ -40,7 +40,6 @@ from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from ..wording import counted
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
-from .animation import computing_keys
 from .characters import why_not_reachable
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
@@ -48,6 +47,7 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    computing_keys,
     frames_between,
     nearest,
     pose_at,

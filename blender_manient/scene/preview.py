@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -43,35 +43,26 @@ def render_preview(
     `frame` is a source frame number, `max_megapixels` as in `build_take`. The longer side of each half is at
     most `LONGEST_SIDE` pixels. Raises OutputError.
     """
-    rows = preview_rows(built, take, [frame], max_megapixels=max_megapixels)[0]
-    return write_png(rows, path)
+    return write_png(preview_rows(built, take, frame, max_megapixels=max_megapixels), path)
 
 
 def preview_rows(
-    built: BuiltTake,
-    take: Take,
-    frames: Sequence[int],
-    *,
-    max_megapixels: float | None = None,
-) -> list[np.ndarray]:
-    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
+    built: BuiltTake, take: Take, frame: int, *, max_megapixels: float | None = None
+) -> np.ndarray:
+    """The preview of a frame as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
     plate, _ = load_plate(take, max_megapixels=max_megapixels)
-    previews = []
     try:
-        for frame in frames:
-            hands = render_hands(built, take, frame, scale)
-            height, width = hands.shape[:2]
-            if plate is None:
-                picture = np.broadcast_to(np.array(MISSING), (height, width, 3))
-            else:
-                picture = render_plate(plate, take, frame, scale)[..., :3]
-            alpha = hands[..., 3:]
-            previews.append(np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1))
+        hands = render_hands(built, take, frame, scale)
+        if plate is None:
+            picture = np.broadcast_to(np.array(MISSING), (*hands.shape[:2], 3))
+        else:
+            picture = render_plate(plate, take, frame, scale)[..., :3]
     finally:
         if plate is not None:
             bpy.data.images.remove(plate.image)
-    return previews
+    alpha = hands[..., 3:]
+    return np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1)
 
 
 def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarray:

@@ -22,7 +22,7 @@ def test_hands_cover_exactly_where_the_model_projects(make_take):
     made = make_take()
     built = build_take(made.take)
     row, frame = made.seen[2]
-    both = preview_rows(built, made.take, [frame])[0]
+    both = preview_rows(built, made.take, frame)
     assert both.shape == (HEIGHT, 2 * WIDTH, 3)
     left, right = both[:, :WIDTH], both[:, WIDTH:]
     ramp = np.linspace(0, 1, WIDTH)
@@ -43,7 +43,7 @@ def test_hands_cover_exactly_where_the_model_projects(make_take):
 
 def test_frames_without_a_hand_show_the_picture_only(make_take):
     made = make_take()
-    both = preview_rows(build_take(made.take), made.take, [int(FRAMES[UNSEEN])])[0]
+    both = preview_rows(build_take(made.take), made.take, int(FRAMES[UNSEEN]))
     np.testing.assert_allclose(both[:, :WIDTH], both[:, WIDTH:], atol=1e-6)
 
 
@@ -66,7 +66,7 @@ def _contents() -> dict[str, list[str]]:
 
 def test_large_pictures_are_made_smaller(make_take):
     made = make_take(width=4800, height=2400, sides=("left",))
-    both = preview_rows(build_take(made.take), made.take, [3])[0]
+    both = preview_rows(build_take(made.take), made.take, 3)
     assert both.shape == (600, 2400, 3)
 
 

@@ -11,8 +11,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene.animation import CURVES
 from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import CURVES
 from blender_manient.scene.store import is_of_other_model
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
