@@ -67,7 +67,6 @@ class MANIENT_OT_import_take(PollMixin, bpy.types.Operator, ImportHelper):
         in_front = comes_in_front(context.scene, self.matching, matched)
         built = build_take(
             take,
-            scene=context.scene,
             pose_correctives=self.pose_correctives,
             picture=self.picture,
             match_scene=matched,

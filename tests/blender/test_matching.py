@@ -296,6 +296,6 @@ def test_what_stands_elsewhere_or_is_seen_through_is_left_alone(capture):
     cube("Hidden").hide_set(True)
     cube("Flat", scale=(1.0, 1.0, 0.0))
     own = cube("Own")
-    bpy.context.scene.collection.objects.unlink(own)
+    own.users_collection[0].objects.unlink(own)
     capture[1].objects.link(own)
     assert said_of(capture) == []
