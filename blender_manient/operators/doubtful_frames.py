@@ -7,8 +7,14 @@ import numpy as np
 
 from handfit_core.errors import OptionError
 
-from ..scene.confidence import errors_of
-from ..scene.markers import doubtful_ranges, filled_ranges, is_marked, mark_doubtful, next_doubtful
+from ..scene.confidence import (
+    doubtful_ranges,
+    errors_of,
+    filled_ranges,
+    is_marked,
+    mark_doubtful,
+    next_doubtful,
+)
 from ..scene.store import scene_frames
 from .mixins import PollMixin, errors_reported, named_hand
 

@@ -11,8 +11,7 @@ from .. import screen
 from ..properties import MATCHING, POSE_CORRECTIVES
 from ..scene.build import build_take
 from ..scene.captures import comes_in_front
-from ..scene.matching import Footage, matches, scene_sentence
-from ..scene.surroundings import clear_view
+from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..section import sentence
 from .mixins import PollMixin, errors_reported
 
@@ -68,7 +67,6 @@ class MANIENT_OT_import_take(PollMixin, bpy.types.Operator, ImportHelper):
         in_front = comes_in_front(context.scene, self.matching, matched)
         built = build_take(
             take,
-            scene=context.scene,
             pose_correctives=self.pose_correctives,
             picture=self.picture,
             match_scene=matched,

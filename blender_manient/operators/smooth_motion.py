@@ -12,8 +12,7 @@ from handfit_core.errors import HandfitError, OptionError
 
 from .. import properties
 from ..refiner import Refiner, smoothing_of, why_not_smoothable
-from ..scene.own_keys import captured_poses
-from ..scene.smoothing import smoothed, writing
+from ..scene.own_keys import captured_poses, smoothed, writing
 from ..scene.store import active_hand
 from ..wording import capitalised, counted
 from .mixins import polled_hand

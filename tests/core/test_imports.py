@@ -121,10 +121,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
             assert module.split(".")[0] not in (*HEAVY, *THREADED), name
 
 
-ASSEMBLIES = (
-    *("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take"),
-    "scene.smoothing",
-)
+ASSEMBLIES = ("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take")
 PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.commands")
 """Modules of the add-on that work without Blender"""
 
