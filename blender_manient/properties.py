@@ -586,20 +586,8 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
 
 
-_OWNERS: Any = {
-    bpy.types.Scene: ManientSettings,
-    bpy.types.Object: ManientHand,
-    bpy.types.Collection: ManientCapture,
+PROPERTIES = {
+    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=_OVERRIDABLE),
+    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=_OVERRIDABLE),
+    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=_OVERRIDABLE),
 }
-
-
-def register() -> None:
-    """Add the groups to scenes, objects and collections."""
-    for owner, group in _OWNERS.items():
-        owner.manient = PointerProperty(type=group, override=_OVERRIDABLE)
-
-
-def unregister() -> None:
-    """Take them away again."""
-    for owner in _OWNERS:
-        del owner.manient

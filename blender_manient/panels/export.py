@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..exporters import EXPORTERS
-from ..operators.export_hand import format_buttons
+from ..operators.export import format_buttons
 from ..scene.characters import active_character, why_not_written
 from ..scene.store import active_hand, hand_of
 from ..section import Section, fitted, sentence, split

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import key_preview
-from ..operators.simplify_keys import armature_of
+from ..operators.keys import armature_of
 from ..scene.editable import strip_below, why_not_keyable
 from ..scene.simplify import PARTS, Thinned, kept_action
 from ..scene.store import active_hand
