@@ -26,7 +26,7 @@ class ManientOperator:
     """The base of all operators: the class' name is the operator's, its docstring the tooltip, `lacks` the
     poll, and `run` does the work."""
 
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    bl_options = {"REGISTER", "UNDO"}
     layout: Any
     properties: Any
     report: Any
@@ -79,7 +79,7 @@ class ManientOperator:
 class InternalOperator(ManientOperator):
     """The base of operators that change nothing in the file: no undo, and not in Blender's search."""
 
-    bl_options = {"INTERNAL"}  # noqa: RUF012
+    bl_options = {"INTERNAL"}
 
 
 class SceneOperator(ManientOperator):
@@ -140,7 +140,7 @@ keeps it, and hangs when Python ends."""
 class ModalOperator(ManientOperator):
     """The base of operators that go on while the window stays free, one of a kind at a time."""
 
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
     bl_idname: str
     running = _running
     tick = 0.02
@@ -214,7 +214,7 @@ class Waiting(str):
 class StepsOperator(ModalOperator):
     """The base of operators that work in steps: in slices beside the window's work, at once for scripts."""
 
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    bl_options = {"REGISTER", "UNDO"}
     tick = 1 / 60
     title: str
     """of what they do, as a sentence begins with it"""

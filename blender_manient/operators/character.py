@@ -120,7 +120,7 @@ class MANIENT_OT_save_hand_preset(CharacterOperator, bpy.types.Operator, ExportH
     """Write which bones are this character's hands to a file, for others of its kind."""
 
     bl_label = "Save Preset"
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
 
     filename_ext = ".json"
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore

@@ -59,7 +59,7 @@ def format_buttons(
 class _ExportOperator(ManientOperator):
     """The base of operators that ask for a file and write it; of what, each of them says."""
 
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
     filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore

@@ -168,7 +168,7 @@ class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
     """Capture the hands that are chosen in the picture, and no others."""
 
     bl_label = "Capture Chosen Hands"
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
 
     @classmethod
     def lacks(cls, context):

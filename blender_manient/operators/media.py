@@ -104,7 +104,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     """Capture the hands in the dropped pictures or video."""
 
     bl_label = "Capture Hands"
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
     files: bpy.props.CollectionProperty(  # type: ignore

@@ -15,7 +15,7 @@ class MANIENT_PT_export(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_export"
     bl_label = "Export"
     bl_order = 9
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """What is exported, format, preset, button."""

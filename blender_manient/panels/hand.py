@@ -13,7 +13,7 @@ class MANIENT_PT_hand(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_hand"
     bl_label = "Hand"
     bl_order = 2
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """Hands, model and size."""

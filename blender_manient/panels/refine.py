@@ -18,7 +18,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_refine"
     bl_label = "Refine"
     bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """Editing, range and locks."""

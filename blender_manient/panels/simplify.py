@@ -16,7 +16,7 @@ class MANIENT_PT_keys(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_keys"
     bl_label = "Keys"
     bl_parent_id = "MANIENT_PT_shape"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -13,8 +13,8 @@ from blender_manient import jobs, source_info, steady
 from blender_manient.find_mode import mode as find_mode
 from blender_manient.find_mode.drawing import row_of
 from blender_manient.operators import add_hand
-from blender_manient.operators.capture import new_job
 from blender_manient.operators.base import Work
+from blender_manient.operators.capture import new_job
 from blender_manient.operators.refit_range import MANIENT_OT_refit_range
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
