@@ -9,7 +9,8 @@ from handfit_core.errors import OptionError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
 from .. import shared_worker
-from ..keypoint_mode import mode, view
+from ..modes import keypoints as mode
+from ..modes import view
 from ..refiner import Refiner, why_not
 from ..scene.store import active_hand, hand_of
 from .base import ManientOperator, ModalOperator, show_frame_again

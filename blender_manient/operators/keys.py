@@ -5,7 +5,8 @@ from __future__ import annotations
 import bpy
 
 from .. import key_preview
-from ..scene.editable import strip_below, why_not_editable, why_not_keyable
+from ..scene.actions import strip_below
+from ..scene.editable import why_not_editable, why_not_keyable
 from ..scene.layer import add_layer, end_layer
 from ..scene.simplify import hands_to_simplify, kept_action, restore, write
 from .base import ManientOperator
