@@ -45,7 +45,7 @@ class AddonModule:
     * PROPERTIES: (Blender's type, name) -> function that makes the property which all of its data-blocks get:
       properties that live on when Python ends make Blender hang or crash then
     * HANDLERS: Blender's name of an event -> function
-    * LISTENERS: name of a notifier in properties.py -> function
+    * LISTENERS: name of a notifier in preferences.py -> function
     * MENUS: (name of Blender's menu, "append" or "prepend") -> function that draws an entry
     * TIMERS: functions that the module gives to Blender's timers
 
@@ -76,7 +76,7 @@ class AddonModule:
             setattr(owner, name, make())
         for event, handler in self._handlers:
             event.append(handler)
-        properties.listeners |= self._declared("LISTENERS")
+        preferences.listeners |= self._declared("LISTENERS")
         for (menu, place), draw in self._declared("MENUS").items():
             getattr(getattr(bpy.types, menu), place)(draw)
         getattr(self._module, "register", _do_nothing)()
@@ -94,7 +94,7 @@ class AddonModule:
             for (menu, _), draw in self._declared("MENUS").items():
                 getattr(bpy.types, menu).remove(draw)
             for name in self._declared("LISTENERS"):
-                properties.listeners.pop(name, None)
+                preferences.listeners.pop(name, None)
             for event, handler in self._handlers:
                 if handler in event:
                     event.remove(handler)
