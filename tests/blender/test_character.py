@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from blender_manient import rigs
-from blender_manient.operators.character_hands import opposite
+from blender_manient.operators.character import opposite
 from blender_manient.panels.character import MANIENT_PT_character, MANIENT_PT_character_bones
 from blender_manient.rigs.character import Character
 from blender_manient.scene import characters

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import properties
+from blender_manient import preferences
 from blender_manient.blender_versions import channels
 from blender_manient.panels.shape import MANIENT_PT_shape
 from blender_manient.rigs import rig_of
@@ -113,7 +113,7 @@ def test_an_undo_step_between_slider_and_hand_is_made_whole(make_take, monkeypat
     name = built.hands[0].armature.name
     bpy.ops.ed.undo_push(message="captured")
     with monkeypatch.context() as later:
-        later.delitem(properties.listeners, "shape")
+        later.delitem(preferences.listeners, "shape")
         bpy.data.objects[name].manient.betas = BETAS
     bpy.ops.ed.undo_push(message="slider")
     assert not reshape.is_current(bpy.data.objects[name])
