@@ -22,14 +22,13 @@ class BvhExporter(Exporter):
 
     def write(self, path: Path, hands: Sequence[HandObjects], _preset: Preset, _final: Path, /) -> None:
         """Write the one hand's bones."""
-        scene, armature = bpy.context.scene, hands[0].armature
-        with bpy.context.temp_override(object=armature):
-            bpy.ops.export_anim.bvh(
-                filepath=str(path),
-                check_existing=False,
-                frame_start=scene.frame_start,
-                frame_end=scene.frame_end,
-                rotate_mode="NATIVE",
-                root_transform_only=hands[0].side
-                is not None,  # only a hand's wrist moves; fingers have rotations alone
-            )
+        scene = bpy.context.scene
+        bpy.ops.export_anim.bvh(
+            filepath=str(path),
+            check_existing=False,
+            frame_start=scene.frame_start,
+            frame_end=scene.frame_end,
+            rotate_mode="NATIVE",
+            root_transform_only=hands[0].side
+            is not None,  # only a hand's wrist moves; fingers have rotations alone
+        )
