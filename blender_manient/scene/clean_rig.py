@@ -23,8 +23,8 @@ from ..blender_versions import assign_action
 from ..exporters.exporter import HandObjects
 from ..rigs import rig_of
 from ..rigs.controls import control_bones
-from .animation import new_curve
 from .deform_bones import deforming_tree
+from .keys import new_curve
 from .sampling import Sampled, rotations_of, sample, stepped
 
 
@@ -101,7 +101,14 @@ def clean_rig(
                 placed, motion = _from_largest(turned @ in_metres @ places[mesh])
                 if np.abs(motion - np.eye(4)).max() > _STILL * size:
                     copied.parent = None  # Blender's FBX importer ignores keys of what an armature carries.
-                    actions.append(_key(copied, np.linalg.inv(turned) @ motion, frames))
+                    motion = np.linalg.inv(turned) @ motion
+                    turns = unflip_quats(rotmat_to_quat(rotations_of(motion)))
+                    parts = [
+                        ("", "location", motion[:, :3, 3]),
+                        ("", "rotation_quaternion", turns),
+                        ("", "scale", np.linalg.norm(motion[:, :3, :3], axis=-2)),
+                    ]
+                    actions.append(_key(copied, parts, frames))
             else:
                 placed = grow @ _at_rest(hand.armature, mesh, carrier)
             copied.data.transform(Matrix(placed), shape_keys=True)
@@ -253,33 +260,25 @@ def _bake(
         rest = np.array(armature.data.bones[sampled.names[bone]].matrix_local)
         placed = world @ sampled.pose[:, bone] @ np.diag([1 / size, 1 / size, 1 / size, 1.0])
         basis[:, bone] = np.linalg.inv(rest) @ placed
-    action = bpy.data.actions.new(armature.name)
-    assign_action(armature, action)
     turns = unflip_quats(rotmat_to_quat(rotations_of(basis)))
     scales = np.linalg.norm(basis[..., :3, :3], axis=-2)
+    parts = []
     for bone, name in enumerate(sampled.names):
-        channels = [("rotation_quaternion", turns[:, bone])]
+        parts.append((name, "rotation_quaternion", turns[:, bone]))
         if np.abs(basis[:, bone, :3, 3]).max() > _STILL * size or sampled.parents[bone] < 0:
-            channels.append(("location", basis[:, bone, :3, 3]))
+            parts.append((name, "location", basis[:, bone, :3, 3]))
         if np.abs(scales[:, bone] - 1.0).max() > 1e-5:
-            channels.append(("scale", scales[:, bone]))
-        for attribute, values in channels:
-            for index in range(values.shape[1]):
-                path = f'pose.bones["{name}"].{attribute}'
-                new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
-    return action
+            parts.append((name, "scale", scales[:, bone]))
+    return _key(armature, parts, frames)
 
 
-def _key(obj: bpy.types.Object, motion: np.ndarray, frames: Sequence[int]) -> bpy.types.Action:
-    """Key an object's motion (N, 4, 4) in the world."""
+def _key(
+    obj: bpy.types.Object, parts: Sequence[tuple[str, str, np.ndarray]], frames: Sequence[int]
+) -> bpy.types.Action:
+    """Key bones, or without a name the object itself: attributes with their values (N, C)."""
     action = bpy.data.actions.new(obj.name)
-    assign_action(obj, action)
-    channels = {
-        "location": motion[:, :3, 3],
-        "rotation_quaternion": unflip_quats(rotmat_to_quat(rotations_of(motion))),
-        "scale": np.linalg.norm(motion[:, :3, :3], axis=-2),
-    }
-    for path, values in channels.items():
+    holder = assign_action(obj, action)
+    for bone, attribute, values in parts:
         for index in range(values.shape[1]):
-            new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
+            new_curve(holder, bone, attribute, index, np.asarray(frames), values[:, index])
     return action

@@ -157,6 +157,19 @@ def cases() -> Iterator[Case]:
                 return {"argv": [*verb, text]}
 
             yield Case(f"command-{verb[0]}-{name}", "core.command", of_others, refused=True)
+    for name, option in (("long", "--output=--"), ("short", "-o--")):
+        yield Case(
+            f"command-output-{name}-dashes",
+            "core.command",
+            lambda _, option=option: {"argv": ["capture", "kept.npz", option]},
+        )
+    for reader in ("hawor", "points-table", "freemocap", "bvh", "smplx", "hot3d"):
+
+        def other(place: Place, reader=reader) -> dict[str, Any]:
+            place.write("a.npz" if reader == "hawor" else "a.points.json", _points())
+            return {"argv": ["info", "a.npz" if reader == "hawor" else "a.points.json", "--reader", reader]}
+
+        yield Case(f"command-info-as-{reader}", "core.command", other, refused=True)
     for name, file, made in (
         ("bomb", "a.npz", lambda: bomb({}, "header", 3 << 29)),
         ("runs", "MANO_RIGHT.pkl", pickles.system_call),

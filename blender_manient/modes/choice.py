@@ -1,8 +1,8 @@
-"""Which hands of a picture are chosen, and where the picture lies in the view; nothing here draws."""
+"""Which hands of a picture are chosen; nothing here draws."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -17,8 +17,6 @@ SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
 HOVER_DISTANCE: Final = 0.3
 """A hand is pointed at within this part of its size from one of its points"""
-MAX_ZOOM: Final = 64.0
-"""pixels of the region for one of the picture"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,12 +115,9 @@ class Choice:
         """The hand with the point nearest to a place (2,) in the picture, if it is near enough: `reach`
         pixels of the region, or more where the hand is large. `scale`: pixels of the region for one of the
         picture."""
-        near: list[tuple[float, FoundHand]] = []
-        for hand in self.hands:
-            away = float(np.linalg.norm(hand.points - place, axis=-1).min())
-            if away <= max(reach / scale, HOVER_DISTANCE * hand.extent):
-                near.append((away, hand))
-        return min(near, key=lambda each: each[0])[1] if near else None
+        away = {hand: float(np.linalg.norm(hand.points - place, axis=-1).min()) for hand in self.hands}
+        near = [hand for hand in self.hands if away[hand] <= max(reach / scale, HOVER_DISTANCE * hand.extent)]
+        return min(near, key=away.__getitem__, default=None)
 
     def _change(self, hand: FoundHand, **fields: Any) -> None:
         self._set_hands(tuple(replace(other, **fields) if other is hand else other for other in self.hands))
@@ -130,44 +125,3 @@ class Choice:
     def _set_hands(self, hands: tuple[FoundHand, ...]) -> None:
         self._undo_steps.append(self.hands)
         self.hands = hands
-
-
-class PictureView:
-    """Pan and zoom of a picture in a view."""
-
-    def __init__(self, size: tuple[int, int]) -> None:
-        self.size = np.array(size, dtype=np.float64)
-        """(2,) pixels of the picture"""
-        self.show_all()
-
-    def show_all(self) -> None:
-        """Show the whole picture."""
-        self._zoom, self._centre = 1.0, self.size / 2.0
-
-    def scale(self, free: Sequence[float]) -> float:
-        """Pixels of the region for one of the picture, which fits into `free`: left, bottom, right, top."""
-        room = np.maximum([free[2] - free[0], free[3] - free[1]], 1.0)
-        return float((room / self.size).min()) * self._zoom
-
-    def matrix(self, free: Sequence[float]) -> np.ndarray:
-        """(3, 3) from pixels of the picture to those of the region, whose y grows upwards."""
-        scale, middle = self.scale(free), np.array([free[0] + free[2], free[1] + free[3]]) / 2.0
-        x, y = middle - self._centre * [scale, -scale]
-        return np.array([[scale, 0.0, x], [0.0, -scale, y], [0.0, 0.0, 1.0]])
-
-    def zoom(self, factor: float, place: np.ndarray, free: Sequence[float]) -> None:
-        """Enlarge by a factor about a place (2,) in the picture."""
-        before = self._zoom
-        most = MAX_ZOOM * self._zoom / self.scale(free)
-        self._zoom = float(np.clip(before * factor, min(1.0, most), most))
-        self._centre = place + (self._centre - place) * before / self._zoom
-        self._keep()
-
-    def move(self, by: np.ndarray, free: Sequence[float]) -> None:
-        """Push the picture by (2,) pixels of the region."""
-        self._centre = self._centre - by * [1.0, -1.0] / self.scale(free)
-        self._keep()
-
-    def _keep(self) -> None:
-        """Keep the middle of the view in the picture."""
-        self._centre = np.clip(self._centre, 0.0, self.size)

@@ -1,7 +1,9 @@
-"""The 21 points over the picture: a skeleton in the fingers' colours, and handles."""
+"""What modes draw in a region: lines of text, boxes, and the 21 points of a hand with its skeleton."""
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -78,16 +80,31 @@ def draw(picture: Picture) -> None:
     """Draw in the current region, in pixels."""
     scale = ui_scale()
     sizes = handle_sizes(picture, scale)
-    gpu.state.blend_set("ALPHA")
-    try:
-        _draw_skeleton(picture, sizes, scale)
+    ends = picture.places[LINES]  # (20, 2, 2)
+    there = np.isfinite(ends).all(axis=(1, 2))
+    with blended():
+        if there.any():
+            width = max(_LINE * float(np.nanmedian(sizes)), 1.0) * scale
+            draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(LINE_COLORS[there], 2, axis=0), width)
         _draw_handles(picture, sizes, scale)
-    finally:
-        gpu.state.blend_set("NONE")
-    _draw_name(picture, scale)
+    named = picture.dragged if picture.dragged is not None else picture.hovered
+    if named is not None and np.isfinite(picture.places[named]).all():
+        pinned = "  (pinned)" if named in picture.pinned and picture.dragged is None else ""
+        x, y = picture.places[named] + (RADIUS + 8.0) * scale
+        write(title(named) + pinned, x, y, PIN_COLOR, scale)
     if picture.text:
         shade = DOUBT_COLOR if picture.warning else WRIST_COLOR
         write(picture.text, *picture.corner, shade, scale)
+
+
+@contextlib.contextmanager
+def blended() -> Iterator[None]:
+    """Mix colours with what is there by their alpha."""
+    gpu.state.blend_set("ALPHA")
+    try:
+        yield
+    finally:
+        gpu.state.blend_set("NONE")
 
 
 def half_gaps(places: np.ndarray) -> np.ndarray:
@@ -109,48 +126,23 @@ def handle_sizes(picture: Picture, scale: float) -> np.ndarray:
     return np.clip(half_gaps(picture.places) / (outer * scale), _LEAST_RADIUS / RADIUS, 1.0)
 
 
-def _draw_skeleton(picture: Picture, sizes: np.ndarray, scale: float) -> None:
-    ends = picture.places[LINES]  # (20, 2, 2)
-    there = np.isfinite(ends).all(axis=(1, 2))
-    if not there.any():
-        return
-    width = max(_LINE * float(np.nanmedian(sizes)), 1.0) * scale
-    draw_shape("LINES", ends[there].reshape(-1, 2), np.repeat(LINE_COLORS[there], 2, axis=0), width)
-
-
 def _draw_handles(picture: Picture, sizes: np.ndarray, scale: float) -> None:
+    """Discs, and for pins diamonds in a white frame."""
     corners: list[np.ndarray] = []
     colors: list[np.ndarray] = []
-
-    def shape(fan: np.ndarray, place: np.ndarray, radius: float, shade: tuple[float, ...]) -> None:
-        corners.append(place + radius * fan)
-        colors.append(np.broadcast_to(np.array(shade, dtype=np.float32), (len(fan), 4)))
-
-    for keypoint in range(NUM_KEYPOINTS):
-        place = picture.places[keypoint]
-        if np.isnan(place).any():
-            continue
+    for keypoint in np.flatnonzero(np.isfinite(picture.places).all(axis=1)).tolist():
         active, size = keypoint in (picture.hovered, picture.dragged), sizes[keypoint] * scale
-        radius = RADIUS * size * (_ACTIVE if active else 1.0)
+        radius, own = RADIUS * size * (_ACTIVE if active else 1.0), (*color(keypoint), 1.0)
         if keypoint in picture.pinned:
-            # A pin: a diamond in a white frame.
-            shape(_DIAMOND, place, radius * _PINNED, (*DARK, 0.9))
-            shape(_DIAMOND, place, radius * 1.8, (*PIN_COLOR, 1.0))
-            shape(_DIAMOND, place, radius * 1.1, (*color(keypoint), 1.0))
+            rings = [(radius * _PINNED, (*DARK, 0.9)), (radius * 1.8, (*PIN_COLOR, 1.0)), (radius * 1.1, own)]
         else:
-            shape(_DISC, place, radius + _RIM * size, (*DARK, 0.8))
-            shape(_DISC, place, radius, (*(PIN_COLOR if active else color(keypoint)), 1.0))
+            rings = [(radius + _RIM * size, (*DARK, 0.8)), (radius, (*PIN_COLOR, 1.0) if active else own)]
+        fan = _DIAMOND if keypoint in picture.pinned else _DISC
+        for extent, shade in rings:
+            corners.append(picture.places[keypoint] + extent * fan)
+            colors.append(np.tile(shade, (len(fan), 1)))
     if corners:
         draw_shape("TRIS", np.concatenate(corners), np.concatenate(colors))
-
-
-def _draw_name(picture: Picture, scale: float) -> None:
-    keypoint = picture.dragged if picture.dragged is not None else picture.hovered
-    if keypoint is None or np.isnan(picture.places[keypoint]).any():
-        return
-    x, y = picture.places[keypoint] + (RADIUS + 8.0) * scale
-    pinned = keypoint in picture.pinned and picture.dragged is None
-    write(title(keypoint) + ("  (pinned)" if pinned else ""), x, y, PIN_COLOR, scale)
 
 
 def write(text: str, x: float, y: float, shade: tuple[float, ...], scale: float) -> None:
@@ -182,19 +174,17 @@ def draw_tag(text: str, box: Box, fill: tuple[float, ...], shade: tuple[float, .
 
 def fill_box(box: Box, fill: tuple[float, ...]) -> None:
     """Fill a box of the region with a colour and its alpha."""
-    corners = _corners(box)[[0, 1, 2, 0, 2, 3]]
-    draw_shape("TRIS", corners, np.tile(fill, (6, 1)))
+    draw_shape("TRIS", _corners(box, 0, 1, 2, 0, 2, 3), np.tile(fill, (6, 1)))
 
 
 def frame_box(box: Box, shade: tuple[float, ...], width: float) -> None:
     """Draw the edges of a box of the region."""
-    corners = _corners(box)[[0, 1, 1, 2, 2, 3, 3, 0]]
-    draw_shape("LINES", corners, np.tile(shade, (8, 1)), width)
+    draw_shape("LINES", _corners(box, 0, 1, 1, 2, 2, 3, 3, 0), np.tile(shade, (8, 1)), width)
 
 
-def _corners(box: Box) -> np.ndarray:
+def _corners(box: Box, *order: int) -> np.ndarray:
     left, bottom, right, top = box
-    return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])
+    return np.array([(left, bottom), (right, bottom), (right, top), (left, top)])[list(order)]
 
 
 def _fan(sides: int) -> np.ndarray:

@@ -19,10 +19,9 @@ import pytest
 from handfit_core.__main__ import main
 from handfit_core.errors import OptionError, OutputError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
+from handfit_core.interchange import send
 from handfit_core.interchange.humanoid import BODY, hands_of
-from handfit_core.interchange.vmc import VmcMotion, osc_message
-from handfit_core.network import commands
-from handfit_core.network.commands import host_and_port
+from handfit_core.interchange.send import VmcMotion, host_and_port, osc_message
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS
 from tests.core.interchange.humanoids import UNSEEN, apart, clip, directions, wanted
 
@@ -173,9 +172,9 @@ def test_it_plays_in_a_loop_until_it_is_stopped(listener, tmp_path):
 def test_moments_that_are_late_are_left_out(listener, monkeypatch):
     now = iter([0.0, 0.0, 0.05, 9.0, 9.0, 9.0])
     clock = SimpleNamespace(perf_counter=lambda: next(now), sleep=lambda _: None)
-    monkeypatch.setattr(commands, "time", clock)
+    monkeypatch.setattr(send, "time", clock)
     motion = VmcMotion.of(hands_of(clip(("right",))))
-    assert commands.play(motion, "127.0.0.1", listener.port, 0.05) == (2, 3)
+    assert send.play(motion, "127.0.0.1", listener.port, 0.05) == (2, 3)
     listener.end()
     assert len(listener.moments) == 2
 
@@ -209,7 +208,7 @@ def test_networks_that_are_not_there(listener, monkeypatch):
     motion = VmcMotion.of(hands_of(clip(("right",))))
     monkeypatch.setattr(VmcMotion, "datagrams", lambda *_: [b"\0" * 70_000])  # more than a datagram holds
     with pytest.raises(OutputError, match="nothing can be sent to 127"):
-        commands.play(motion, "127.0.0.1", listener.port, 0.05)
+        send.play(motion, "127.0.0.1", listener.port, 0.05)
     listener.end()
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, NamedTuple
 
 import bpy
 import numpy as np
@@ -47,25 +47,26 @@ _FRAME_SIZES: Final = 2.0
 
 latencies: deque[float] = deque(maxlen=2000)
 """seconds from a movement of the mouse to the hand that followed it, newest last"""
-
-
-@dataclass(frozen=True, eq=False)
-class _SavedView:
-    """The camera view in which the artist last saw a hand."""
-
-    zoom: float
-    offset: tuple[float, float]
-    places: np.ndarray
-    """(21, 2) pixels of the picture: where the hand was then"""
-
-
-_saved_views: dict[int, _SavedView] = {}
-"""By the armatures' session_uid, which a rename and an undo leave and which no other file's hand gets"""
+_saved_views: dict[int, tuple[float, tuple[float, ...], np.ndarray]] = {}
+"""The camera view, its zoom and offset, in which the artist last saw a hand, and where that was then, (21, 2)
+pixels of the picture; by the armatures' session_uid, which a rename and an undo leave and which no other
+file's hand gets"""
 
 
 def forget_views() -> None:
     """Forget all saved views: another file is opened."""
     _saved_views.clear()
+
+
+class _Request(NamedTuple):
+    """What the worker was asked of a drag."""
+
+    number: int
+    place: np.ndarray | None
+    moved_at: float
+    pins: Pins
+    final: bool
+    """Whether the result is to be kept, and no draft"""
 
 
 @dataclass(eq=False)
@@ -82,43 +83,40 @@ class _Drag:
     """What the pins are measured against"""
     poses_before: BonePoses
     """What the bones are put back to when it is cancelled"""
-    mouse: tuple[int, int]
-    grip: np.ndarray
-    """(2,) pixels of the region from the mouse to the handle"""
+    mouse: np.ndarray | None = None
+    """(2,) pixels of the region: where it was pressed; None: nowhere, the pin goes"""
+    grip: np.ndarray | float = 0.0
+    """(2,) pixels from there to the handle"""
     place: np.ndarray | None = None
     """(2,) pixels of the picture: where the pin is to be; None: it goes"""
     moved_at: float = 0.0
     moved: bool = False
     released: bool = False
-    request: int = 0
-    sent: np.ndarray | None = None
-    sent_at: float = 0.0
-    is_sent: bool = False
-    is_final: bool = False
-    """Whether the last request was one for the result to be kept, and not a draft"""
-    requested_pins: Pins = field(default_factory=dict)
-    """The pins of the request"""
-    answer: BonePoses | None = None
-    answered_pins: Pins = field(default_factory=dict)
-    """The pins that `answer` was fitted to"""
+    asked: _Request | None = None
+    """The last request"""
+    waiting: bool = False
+    """Whether it is with the worker"""
+    answer: tuple[Pins, BonePoses] | None = None
+    """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
     """Whether the view was asked to show the newest place"""
 
     @property
     def pins(self) -> Pins:
         """The frame's pins with this one where it is to be."""
-        others = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
-        if self.place is None:
-            return others
-        return {**others, self.keypoint: (float(self.place[0]), float(self.place[1]))}
+        pins = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
+        if self.place is not None:
+            pins[self.keypoint] = float(self.place[0]), float(self.place[1])
+        return pins
 
     @property
     def needs_request(self) -> bool:
         """Whether no request has the newest place yet."""
-        return not self.is_sent or self.sent is not self.place or (self.released and not self.is_final)
+        asked = self.asked
+        return asked is None or asked.place is not self.place or (self.released and not asked.final)
 
 
-class KeypointMode:
+class KeypointMode(view.Overlay):
     """The state of the mode, from its start to `end`. Data-blocks are named, never held."""
 
     def __init__(self, context: bpy.types.Context, refiner: Refiner, viewport: view.Viewport) -> None:
@@ -140,30 +138,25 @@ class KeypointMode:
         self.view = view.CaptureView(viewport, camera, context)
         self.solid = False
         """Whether the hand hides the picture, whatever its opacity is otherwise"""
-        see_through.begin(camera.data, self._opacity)
+        see_through.begin(camera.data, lambda: 1.0 if self.solid else preferences.get().hand_opacity)
         self._frame = context.scene.frame_current_final
         self._places = self.picture_places()
         """(21, 2) pixels of the picture: the hand on that frame, or on the last one before that had one"""
         self._restore_view(viewport)
-        self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
-        viewport.area.tag_redraw()
+        super().__init__(viewport)
 
     # Beginning and end
 
     def end(self, context: bpy.types.Context) -> None:
         """Leave nothing behind. May be called twice."""
-        if self._handler is None:
+        if not self.remove():
             return
-        if self.drag is not None:
-            self.cancel_drag(context)
-        bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
-        self._handler = None
+        self.cancel_drag(context)
         if self._warming:
             shared_worker.abandon(self._warming)
         see_through.end()
-        self._save_view(context)
+        self._save_view()
         self.view.leave(context)
-        screen.redraw("VIEW_3D")
 
     def trouble(self, context: bpy.types.Context) -> str | None:
         """Why the mode cannot go on, in a sentence."""
@@ -171,7 +164,7 @@ class KeypointMode:
             return self.ended
         if jobs.busy():
             return "Keypoints: a capture has begun"
-        if view.viewport_at(context, self.view.address) is None:
+        if self.viewport() is None:
             return "Keypoints: the viewport is gone"
         armature = self.refiner.armature_or_none
         if armature is None or armature.name not in context.view_layer.objects:
@@ -191,12 +184,10 @@ class KeypointMode:
         """Frame the hand with half its size on each side; the whole picture on a frame without it."""
         self.show_picture(viewport)
         places = self.region_places(viewport)
-        if np.isnan(places).all():
-            return
-        low, high = np.nanmin(places, axis=0), np.nanmax(places, axis=0)
-        free = viewport.free()
-        factor = ((free[1] - free[0]) / np.maximum(_FRAME_SIZES * (high - low), 1.0)).min()
-        viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
+        if not np.isnan(places).all():
+            low, high, free = np.nanmin(places, axis=0), np.nanmax(places, axis=0), viewport.free()
+            factor = ((free[1] - free[0]) / np.maximum(_FRAME_SIZES * (high - low), 1.0)).min()
+            viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
 
     def show_picture(self, viewport: view.Viewport) -> None:
         """Frame the whole picture."""
@@ -208,32 +199,26 @@ class KeypointMode:
     def _restore_view(self, viewport: view.Viewport) -> None:
         """Restore the saved view of the hand; without one, or where no point would be seen, frame the
         hand."""
-        armature = self.refiner.armature_or_none
-        saved = _saved_views.get(armature.session_uid) if armature is not None else None
-        if saved is None:
-            self.show_hand(viewport)
-            return
-        viewport.set_zoom(saved.zoom, saved.offset)
-        if not self._keep_visible(viewport, saved.places):
+        saved = _saved_views.get(self.refiner.armature.session_uid)
+        if saved is not None:
+            viewport.set_zoom(*saved[:2])
+        if saved is None or not self._keep_visible(viewport, saved[2]):
             self.show_hand(viewport)
 
-    def _save_view(self, context: bpy.types.Context) -> None:
-        viewport, armature = view.viewport_at(context, self.view.address), self.refiner.armature_or_none
+    def _save_view(self) -> None:
+        viewport, armature = self.viewport(), self.refiner.armature_or_none
         if viewport is not None and armature is not None and self.view.shows(viewport):
-            seen = viewport.view
-            offset = tuple(seen.view_camera_offset)
-            _saved_views[armature.session_uid] = _SavedView(seen.view_camera_zoom, offset, self._places)
+            zoom, offset = viewport.view.view_camera_zoom, tuple(viewport.view.view_camera_offset)
+            _saved_views[armature.session_uid] = zoom, offset, self._places
 
     def _follow_hand(self, context: bpy.types.Context) -> None:
         """Move the view with the hand where another frame is shown now."""
         if context.scene.frame_current_final == self._frame:
             return
-        self._frame, before = context.scene.frame_current_final, self._places
-        now = self.picture_places()
+        self._frame, before, now = context.scene.frame_current_final, self._places, self.picture_places()
         if np.isnan(now).all():
             return
-        self._places = now
-        viewport = view.viewport_at(context, self.view.address)
+        self._places, viewport = now, self.viewport()
         if viewport is not None:
             self._keep_visible(viewport, before)
 
@@ -245,8 +230,7 @@ class KeypointMode:
         matrix = self.matrix(viewport)
         if matrix is None:
             return False
-        low, high = viewport.free()
-        places = mapped(matrix, before)
+        (low, high), places = viewport.free(), mapped(matrix, before)
         seen = ((places >= low) & (places <= high)).all(axis=1)
         places = mapped(matrix, self._places)[seen]
         places = places[np.isfinite(places).all(axis=1)]
@@ -255,16 +239,11 @@ class KeypointMode:
             viewport.enlarge(1.0, middle, (low + high) / 2.0)
         return len(places) > 0
 
-    # The hand over the picture
-
     def toggle_solid(self) -> None:
         """Make the hand solid, or see-through again."""
         self.solid = not self.solid
         see_through.follow()
         screen.redraw("VIEW_3D")
-
-    def _opacity(self) -> float:
-        return 1.0 if self.solid else preferences.get().hand_opacity
 
     # Places of the handles
 
@@ -273,20 +252,24 @@ class KeypointMode:
         scene = bpy.context.scene
         return None if scene is None else self.refiner.row_at(scene.frame_current_final)
 
+    def pins(self) -> Pins:
+        """The pins of the frame that the scene shows, with the dragged one where it is to be."""
+        row = self.row()
+        if row is None:
+            return {}
+        return self.drag.pins if self.drag is not None else self.refiner.pins(row)
+
     def picture_places(self) -> np.ndarray:
         """(21, 2) pixels of the picture: pins, else the fitted hand's points where the frame was re-fitted,
         else what was detected, else the points of the animated hand."""
-        row = self.row()
+        row, track = self.row(), self.refiner.track
         if row is None:
             return np.full((NUM_KEYPOINTS, 2), np.nan)
-        pins: Pins = self.refiner.pins(row)
-        if self.drag is not None:
-            pins = self.drag.pins
-        if self.drag is not None or self.refiner.is_corrected(row) or not self.refiner.track.detected[row]:
+        if self.drag is not None or self.refiner.is_corrected(row) or not track.detected[row]:
             places = self.refiner.shown_landmarks()
         else:
-            places = np.array(self.refiner.track.keypoints_2d[row], dtype=np.float64)
-        for keypoint, place in pins.items():
+            places = np.array(track.keypoints_2d[row], dtype=np.float64)
+        for keypoint, place in self.pins().items():
             places[keypoint] = place
         return places
 
@@ -306,12 +289,11 @@ class KeypointMode:
 
     def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
         """The handle nearest to a place in window pixels, within reach."""
-        mouse = np.array([x - viewport.region.x, y - viewport.region.y])
-        places = self.region_places(viewport)
-        away = np.linalg.norm(places - mouse, axis=-1)
+        places, scale = self.region_places(viewport), screen.ui_scale()
+        away = np.linalg.norm(places - [x - viewport.region.x, y - viewport.region.y], axis=-1)
         if np.isnan(away).all():
             return None
-        nearest, scale = int(np.nanargmin(away)), screen.ui_scale()
+        nearest = int(np.nanargmin(away))
         reach = np.clip(drawing.half_gaps(places)[nearest], _MIN_REACH * scale, REACH * scale)
         return nearest if away[nearest] <= reach else None
 
@@ -324,32 +306,28 @@ class KeypointMode:
             return False
         if context.screen is not None and context.screen.is_animation_playing:
             bpy.ops.screen.animation_cancel(restore_frame=False)
-        places = self.region_places(viewport)
-        grip = places[keypoint] - [x - viewport.region.x, y - viewport.region.y]
-        self.drag = self._new_drag(keypoint, row, (x, y), grip)
+        mouse = np.array([x - viewport.region.x, y - viewport.region.y])
+        self.drag = self._new_drag(keypoint, row)
+        self.drag.mouse, self.drag.grip = mouse, self.region_places(viewport)[keypoint] - mouse
         self.message = ""
         return True
 
     def move(self, viewport: view.Viewport, x: int, y: int) -> None:
         """The mouse drags the handle there."""
         drag, matrix = self.drag, self.matrix(viewport)
-        if drag is None or matrix is None or drag.released:
+        if drag is None or drag.mouse is None or matrix is None or drag.released:
             return
-        drag.moved |= max(abs(x - drag.mouse[0]), abs(y - drag.mouse[1])) >= _CLICK_PIXELS
-        if not drag.moved:
-            return
-        region = np.array([x - viewport.region.x, y - viewport.region.y]) + drag.grip
-        size = self.refiner.take.width, self.refiner.take.height
-        # A hand may well reach out of the picture, but not for miles.
-        drag.place = np.clip(mapped(np.linalg.inv(matrix), region), -np.array(size), 2 * np.array(size))
-        drag.moved_at = time.perf_counter()
-        drag.drawn = False
+        mouse = np.array([x - viewport.region.x, y - viewport.region.y])
+        drag.moved |= bool(np.abs(mouse - drag.mouse).max() >= _CLICK_PIXELS)
+        if drag.moved:
+            size = np.array([self.refiner.take.width, self.refiner.take.height])
+            # A hand may well reach out of the picture, but not for miles.
+            drag.place = np.clip(mapped(np.linalg.inv(matrix), mouse + drag.grip), -size, 2 * size)
+            drag.moved_at, drag.drawn = time.perf_counter(), False
 
     def release(self) -> None:
         """End a drag; its last request is still waited for."""
-        if self.drag is None:
-            return
-        if self.drag.moved:
+        if self.drag is not None and self.drag.moved:
             self.drag.released = True
         else:
             self.drag = None
@@ -359,19 +337,24 @@ class KeypointMode:
         row = self.row()
         if row is None or self.drag is not None or keypoint not in self.refiner.pins(row):
             return False
-        self.drag = self._new_drag(keypoint, row, (0, 0), np.zeros(2))
+        self.drag = self._new_drag(keypoint, row)
         self.drag.moved = self.drag.released = True
         self.drag.moved_at = time.perf_counter()
         return True
+
+    def _new_drag(self, keypoint: int, row: int) -> _Drag:
+        frame, refiner = bpy.context.scene.frame_current_final, self.refiner
+        start, before = refiner.start_poses([row]), refiner.keyed_poses([row])
+        return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
 
     def cancel_drag(self, context: bpy.types.Context) -> None:
         """Put the hand back to before the drag."""
         drag, self.drag = self.drag, None
         if drag is None:
             return
-        if drag.request:
-            shared_worker.worker().cancel(drag.request)
-            shared_worker.abandon(drag.request)
+        if drag.asked is not None and drag.waiting:
+            shared_worker.worker().cancel(drag.asked.number)
+            shared_worker.abandon(drag.asked.number)
         armature = self.refiner.armature_or_none
         if armature is not None and armature.manient.is_hand:
             set_pose(rig_of(armature), drag.poses_before.quats[0], drag.poses_before.locations[0])
@@ -382,84 +365,72 @@ class KeypointMode:
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers, and ask for what has not been asked for."""
         self._follow_hand(context)
-        drag = self.drag
         try:
             if self._warming and shared_worker.answer(self._warming) is not None:
                 self._warming = 0
                 screen.redraw("VIEW_3D")
-            if drag is None:
+            if self.drag is None:
                 return
-            if context.scene.frame_current_final != drag.frame:
+            if context.scene.frame_current_final != self.drag.frame:
                 self.cancel_drag(context)
                 return
-            if drag.request:
-                done = shared_worker.answer(drag.request)
-                if done is not None:
-                    drag.request = 0
-                    self._solved_in = float(done.get("seconds", 0.0))
-                    self._show(context, drag, self.refiner.poses(done))
-            if not drag.request and drag.moved and drag.needs_request:
-                if drag.place is None and not self._is_constrained(drag):
-                    self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
-                else:
-                    self._send(drag)
-            elif not drag.request and drag.released:
-                self._finish(context, drag)
-            if not drag.drawn and time.perf_counter() - drag.moved_at > _REDRAW_AFTER_SECONDS:
-                drag.drawn = True
-                self._redraw(context)
+            self._tick_drag(context, self.drag)
         except HandfitError as error:
-            self._fail(context, error)
+            self._warming, self.message = 0, str(error)
+            if self.drag is not None:
+                self.drag.waiting = False
+            details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
+            self.cancel_drag(context)
+            refresh(context.scene)
+
+    def _tick_drag(self, context: bpy.types.Context, drag: _Drag) -> None:
+        if drag.asked is not None and drag.waiting:
+            done = shared_worker.answer(drag.asked.number)
+            if done is not None:
+                drag.waiting, self._solved_in = False, float(done.get("seconds", 0.0))
+                self._show(context, drag, drag.asked, self.refiner.poses(done))
+        if not drag.waiting and drag.moved and drag.needs_request:
+            if drag.place is None and not self._is_constrained(drag):
+                self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
+            else:
+                mode = "each" if drag.released else "draft"
+                fields = self.refiner.request([drag.row], [drag.pins], drag.start, mode)()
+                number = shared_worker.worker().submit("refit", **fields)
+                drag.asked = _Request(number, drag.place, drag.moved_at, drag.pins, drag.released)
+                drag.waiting = True
+        elif not drag.waiting and drag.released:
+            self._finish(context, drag)
+        if not drag.drawn and time.perf_counter() - drag.moved_at > _REDRAW_AFTER_SECONDS:
+            drag.drawn = True
+            self._redraw()
 
     def follow(self, context: bpy.types.Context) -> None:
         """`tick`, and a moment's patience with the answer."""
-        waited_before = self.drag is not None and self.drag.request
+        waited_before = self.drag is not None and self.drag.waiting
         self.tick(context)
         # A drawing of a crowded scene takes longer than the answer, which would then be late by one.
-        until = time.perf_counter() + (
-            0.0 if waited_before or self._solved_in > _ANSWER_WAIT_SECONDS else _ANSWER_WAIT_SECONDS
-        )
-        while self.drag is not None and self.drag.request and time.perf_counter() < until:
+        patient = not waited_before and self._solved_in <= _ANSWER_WAIT_SECONDS
+        until = time.perf_counter() + (_ANSWER_WAIT_SECONDS if patient else 0.0)
+        while self.drag is not None and self.drag.waiting and time.perf_counter() < until:
             time.sleep(0.001)
             self.tick(context)
 
-    def _redraw(self, context: bpy.types.Context) -> None:
+    def _redraw(self) -> None:
         """The picture and what is over it; not the headers and the sidebar beside it."""
-        viewport = view.viewport_at(context, self.view.address)
+        viewport = self.viewport()
         if viewport is not None:
             viewport.region.tag_redraw()
 
-    def _new_drag(self, keypoint: int, row: int, mouse: tuple[int, int], grip: np.ndarray) -> _Drag:
-        refiner = self.refiner
-        return _Drag(
-            keypoint,
-            row,
-            bpy.context.scene.frame_current_final,
-            refiner.pins(row),
-            refiner.start_poses([row]),
-            refiner.keyed_poses([row]),
-            mouse,
-            grip,
-        )
-
-    def _send(self, drag: _Drag) -> None:
-        drag.sent, drag.sent_at, drag.is_sent = drag.place, drag.moved_at, True
-        drag.requested_pins = drag.pins
-        drag.is_final = drag.released
-        mode = "each" if drag.released else "draft"
-        fields = self.refiner.request([drag.row], [drag.requested_pins], drag.start, mode)()
-        drag.request = shared_worker.worker().submit("refit", **fields)
-
-    def _show(self, context: bpy.types.Context, drag: _Drag, poses: BonePoses) -> None:
+    def _show(self, context: bpy.types.Context, drag: _Drag, asked: _Request, poses: BonePoses) -> None:
         if not poses.present[0]:
             self.message = "No hand can be fitted to these points"
             return
-        drag.answer, drag.answered_pins = poses, drag.requested_pins
+        drag.answer = asked.pins, poses
         set_pose(self.refiner.hand.rig, poses.quats[0], poses.locations[0])
         context.view_layer.update()
-        latencies.append(time.perf_counter() - drag.sent_at)
-        drag.drawn = drag.sent is drag.place
-        self._redraw(context)
+        latencies.append(time.perf_counter() - asked.moved_at)
+        drag.drawn = asked.place is drag.place
+        self._redraw()
 
     def _is_constrained(self, drag: _Drag) -> bool:
         """Whether the frame's hand has pins, or points that touch."""
@@ -474,25 +445,16 @@ class KeypointMode:
             set_pose(self.refiner.hand.rig, drag.poses_before.quats[0], drag.poses_before.locations[0])
             return
         else:
-            self.refiner.correct(drag.row, drag.answered_pins, drag.answer, context.scene.manient.spread)
+            self.refiner.correct(drag.row, *drag.answer, context.scene.manient.spread)
         refresh(context.scene)
         self.done, self.undone = self.done + 1, 0
         bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
         screen.redraw("VIEW_3D")
 
-    def _fail(self, context: bpy.types.Context, error: HandfitError) -> None:
-        self._warming, self.message = 0, str(error)
-        if self.drag is not None:
-            self.drag.request = 0
-        details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
-        self.cancel_drag(context)
-        refresh(context.scene)
-
     def step(self, scene: bpy.types.Scene, direction: int) -> None:
         """Go to the next frame (1) or the one before (-1); the source's where the scene has others."""
         frames = self.refiner.scene_frames()
-        here = scene.frame_current_final
-        ahead = (frames - here) * direction
+        ahead = (frames - scene.frame_current_final) * direction
         if np.all(np.abs(frames - np.round(frames)) < 1e-3) or not np.any(ahead > 1e-3):
             scene.frame_set(scene.frame_current + direction)
             return
@@ -503,8 +465,7 @@ class KeypointMode:
 
     def undo(self, context: bpy.types.Context, *, redo: bool) -> None:
         """Take the last drag of this mode back, or do it again."""
-        if self.drag is not None:
-            self.cancel_drag(context)
+        self.cancel_drag(context)
         if (self.undone if redo else self.done) == 0:
             self.message = "Nothing to do again here" if redo else "Nothing to undo here"
             return
@@ -523,33 +484,13 @@ class KeypointMode:
 
     # Drawing
 
-    def _draw(self) -> None:
-        context = bpy.context
-        if context.area is None or context.area.as_pointer() != self.view.address:
-            return
-        if self.trouble(context) is not None:
-            return
-        viewport = view.viewport_at(context, self.view.address)
-        if viewport is None or context.region != viewport.region:
-            return
-        text, warning = self.status_line(viewport)
-        drawing.draw(
-            drawing.Picture(
-                places=self.region_places(viewport),
-                pinned=frozenset(self._pinned()),
-                hovered=self.hovered,
-                dragged=self.drag.keypoint if self.drag is not None else None,
-                text=text,
-                warning=warning,
-                corner=free_corner(viewport),
-            )
-        )
-
-    def _pinned(self) -> Pins:
-        row = self.row()
-        if row is None:
-            return {}
-        return self.drag.pins if self.drag is not None else self.refiner.pins(row)
+    def draw(self, viewport: view.Viewport) -> None:
+        """Draw the points, and the line about them."""
+        if self.trouble(bpy.context) is None:
+            dragged = self.drag.keypoint if self.drag is not None else None
+            places, pinned = self.region_places(viewport), frozenset(self.pins())
+            line, corner = self.status_line(viewport), view.free_corner(viewport)
+            drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
 
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
         """The line over the picture about this frame, and whether it is a warning."""
@@ -562,13 +503,12 @@ class KeypointMode:
             return "This frame was not captured: go to another one", True
         if self._warming:
             return "Starting the solver ...", False
-        track = self.refiner.track
+        track, placed = self.refiner.track, len(self.pins())
         if track.added:
-            placed = len(self._pinned())
             enough = ": three to six are enough, fingertips first" if placed < _SENSIBLE_POINTS else ""
             return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
         if self.refiner.is_corrected(row):
-            return f"{len(self._pinned())} pinned in this frame", False
+            return f"{placed} pinned in this frame", False
         if not track.detected[row]:
             return "No hand was found in this frame: drag points to where they belong", True
         if track.doubtful is not None and track.doubtful[row]:
@@ -579,14 +519,3 @@ class KeypointMode:
 def refresh(scene: bpy.types.Scene) -> None:
     """Show what the keys of the present frame say now."""
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-
-
-def free_corner(viewport: view.Viewport) -> tuple[float, float]:
-    """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
-    region, others = viewport.region, [r for r in viewport.area.regions if min(r.width, r.height) > 1]
-    top = min([r.y for r in others if r.type in ("HEADER", "TOOL_HEADER")] + [region.y + region.height])
-    if top < region.y + region.height / 2:
-        top = region.y + region.height  # headers may be flipped to the lower edge
-    tools = [r.x + r.width for r in others if r.type == "TOOLS" and r.x < region.x + region.width / 2]
-    scale = screen.ui_scale()
-    return max([region.x, *tools]) - region.x + 18.0 * scale, top - region.y - 70.0 * scale
