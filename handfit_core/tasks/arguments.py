@@ -85,13 +85,15 @@ def add_batch_arguments(
         "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
     )
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
-    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
+    parser.add_argument(
+        "--progress", type=_style, choices=STYLES, default="text", help="how to tell (default: text)"
+    )
     for name, said in _GONE_OPTIONS.items():
         parser.add_argument(name, action=_Gone, nargs="?", help=argparse.SUPPRESS, said=said)
 
 
 WITH_PARENT: Final = "--with-parent"
-"""Has a batch end itself once the process that has started it has ended"""
+"""Has a batch end itself once its stdin ends, as it does with the process that has started it"""
 
 
 class _Gone(argparse.Action):
@@ -105,6 +107,16 @@ class _Gone(argparse.Action):
         self, parser: argparse.ArgumentParser, _namespace: object, _values: object, option: str | None = None
     ) -> NoReturn:
         parser.error(f"there is no option {option} any more; {self._said}")
+
+
+def _style(text: str) -> str:
+    """How to tell what becomes of inputs."""
+    if text == "openjd":
+        raise argparse.ArgumentTypeError(
+            "there is no style openjd any more; leave it out: docs/scale.md has a job file for Open Job "
+            "Description, in which each input is a task of its own, and a farm counts these"
+        )
+    return text
 
 
 def _seconds(text: str) -> float:

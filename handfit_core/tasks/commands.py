@@ -20,18 +20,20 @@ from handfit_core.pipeline import check_options
 from handfit_core.tasks.arguments import WITH_PARENT, add_batch_arguments
 from handfit_core.tasks.capture import Settings
 from handfit_core.tasks.progress import Progress
-from handfit_core.tasks.report import REPORT, Result, read_results
+from handfit_core.tasks.record import Result
+from handfit_core.tasks.report import REPORT, read_results
 from handfit_core.tasks.run import run_tasks
 from handfit_core.tasks.task import Task, make_tasks
 from handfit_core.tasks.workers import (
     DaskWorkers,
-    InThisProcess,
     LocalProcesses,
     Workers,
-    end_with,
+    end_after,
     terminated_as_interrupted,
 )
 
+_MOST_A_CORE: Final = 4
+"""Processes for each core that --jobs may ask for: more would only wait for each other"""
 EXIT_SOME_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 
@@ -47,7 +49,7 @@ def add_batch_command(commands: Any) -> None:
 def _batch(args: argparse.Namespace) -> int:
     with terminated_as_interrupted():
         if args.with_parent:
-            end_with(os.getppid())  # which may be a script around this Python
+            end_after(lambda: os.read(0, 1))
         try:
             return _run(args)
         except OptionError as error:
@@ -72,7 +74,7 @@ def _run(args: argparse.Namespace) -> int:
         check_options(options)
     found = list(zip(tasks, read_results(output, tasks), strict=True))
     left = [task for task, result in found if _is_left(result, args)]
-    jobs = min(args.jobs or usable_jobs(), max(1, len(left)))
+    jobs = min(args.jobs or usable_jobs(), _MOST_A_CORE * usable_cores(), max(1, len(left)))
     if args.dry_run:
         return _tell(found, jobs, args)
     try:
@@ -118,11 +120,11 @@ def _is_left(result: Result, args: argparse.Namespace) -> bool:
 def _workers(args: argparse.Namespace, jobs: int) -> Workers:
     """Who does the tasks. Raises OptionError."""
     if args.scheduler is not None:
-        return DaskWorkers(args.scheduler, args.jobs or jobs)
+        return DaskWorkers(args.scheduler, jobs)
     # A process that dies or takes too long must not be this one, unless somebody wants it so.
     chosen = args.jobs == 1 or (args.jobs is None and importlib.util.find_spec("loky") is None)
     if chosen and args.timeout is None:
-        return InThisProcess()
+        return Workers()
     return LocalProcesses(jobs)
 
 

@@ -38,18 +38,6 @@ class WorkerError(HandfitError):
         self.details = details
 
 
-class WorkerDied(WorkerError):
-    """The process that captures worked, and then died: another one may do better."""
-
-
-class MemoryRanOut(WorkerDied):
-    """There was not enough memory: alone on its machine, it may be enough."""
-
-
-_WORKER_ERRORS: Final = {"WorkerDied": WorkerDied, "MemoryRanOut": MemoryRanOut, "MemoryError": MemoryRanOut}
-"""the errors of `error` events that are defined here, not in errors.py"""
-
-
 @contextlib.contextmanager
 def log_warnings_to(say: Callable[[str], None]) -> Iterator[None]:
     """Within, `say` gets each warning that the core logs, as one line of text."""
@@ -88,7 +76,7 @@ def as_error(event: Event) -> HandfitError:
     if isinstance(of_core, type) and issubclass(of_core, HandfitError):
         error = of_core(message)
     else:
-        error = _WORKER_ERRORS.get(kind, WorkerError)(message, details)
+        error = WorkerError(message, details)
     if details:
         error.add_note(details)
     return error

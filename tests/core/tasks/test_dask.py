@@ -113,7 +113,7 @@ def test_no_scheduler(photo: Path, address: str, capsys: pytest.CaptureFixture[s
     ("name", "value", "said"),
     [
         ("__version__", "0.0.0", "use the same version on all machines"),
-        ("_PYTHON", "2.7", "use one everywhere"),
+        ("_PYTHON", "2.7.1", "use one everywhere"),
     ],
 )
 def test_workers_of_another_version(

@@ -47,7 +47,7 @@ def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
     def make(code: str, **options: Any) -> Worker:
         def command(python: str) -> list[str]:
-            return [python, "-c", f"{code}\nfrom handfit_core.__main__ import main\nmain()", "worker"]
+            return [python, "-u", "-c", f"{code}\nfrom handfit_core.__main__ import main\nmain()", "worker"]
 
         monkeypatch.setattr(client, "worker_command", command)
         made.append(Worker(**options))
@@ -238,7 +238,7 @@ def test_prints_of_libraries_do_not_damage_the_messages(start: Any) -> None:
         "    print('printed')\n"
         "    os.write(1, b'written')\n"
         "    os.system('echo a child')\n"
-        "    assert os.read(0, 10) == b''\n"
+        "    assert os.read(0, 10) == b'', 'nothing is to be read'\n"
         "    return {'report': ''}\n"
         "checking.check = noisy\n"
         "print('loading')\n",
