@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from handfit_core.errors import Cancelled
 from handfit_core.version import __version__
-from handfit_core.worker.events import Event, WorkerError, as_error
+from handfit_core.worker.events import Event, WorkerError, as_error, encode
 from handfit_core.worker.interpreter import (
     EXIT_UNFIT,
     find_python,
@@ -26,7 +26,6 @@ from handfit_core.worker.interpreter import (
     worker_environment,
 )
 from handfit_core.worker.process import ChildProcess, out_of_memory_kills
-from handfit_core.worker.protocol import encode
 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""

@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import selectors
-import signal
 import socket
 import subprocess
 import sys
@@ -95,12 +94,7 @@ class ChildProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; -N where signal N ended it. What it has started ends with it."""
-        if self._process.returncode is None and hasattr(os, "waitid"):
-            with contextlib.suppress(OSError):
-                # Until we ask for its end, nobody else's group can have its number.
-                if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
-                    os.killpg(self.pid, signal.SIGKILL)
+        """None while it runs; -N where signal N ended it."""
         return self._process.poll()
 
     def send(self, line: bytes) -> None:
@@ -170,22 +164,12 @@ class ChildProcess:
         self.kill()
 
     def kill(self) -> None:
-        """End it at once, with whatever it started; what it said last is read."""
+        """End it at once; what it said last is read."""
         self.exchange()
         self._to_send.clear()
         self._socket.close()
         self._closed = True
-        if self.exit_code is not None:
-            return
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":
-                subprocess.run(
-                    ["taskkill", "/T", "/F", "/PID", str(self.pid)], capture_output=True, check=False
-                )
-            elif os.getpgid(self.pid) == self.pid:
-                os.killpg(self.pid, signal.SIGKILL)
-            else:
-                self._process.kill()
+        self._process.kill()
         try:
             self._process.wait(_KILL_WAIT_SECONDS)
         except subprocess.TimeoutExpired:

@@ -25,9 +25,8 @@ from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
-from handfit_core.worker.events import THREAD_VARIABLES, OnProgress, error_fields, log_warnings_to
+from handfit_core.worker.events import THREAD_VARIABLES, OnProgress, encode, error_fields, log_warnings_to
 from handfit_core.worker.process import own_streams
-from handfit_core.worker.protocol import encode
 
 PROGRESS_SECONDS: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
