@@ -8,8 +8,11 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from handfit_core.files import path_of
+from handfit_core.machine import usable_cores
 from handfit_core.options import add_options
 
+_MOST_A_CORE: Final = 4
+"""Processes that --jobs may ask for: more would only fill the memory and wait for each other"""
 STYLES: Final = ("text", "json", "none")
 
 _SHARE: Final = "give each machine a batch of its share of the inputs (docs/scale.md)"
@@ -71,7 +74,7 @@ def add_batch_arguments(
         "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
     )
     parser.add_argument(
-        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
+        "--jobs", type=_jobs, metavar="N", help="inputs at a time (default: by cores and memory)"
     )
     parser.add_argument(
         "--scheduler",
@@ -127,9 +130,9 @@ def _seconds(text: str) -> float:
     return number
 
 
-def _count(text: str) -> int:
-    """A number of at least 1."""
+def _jobs(text: str) -> int:
+    """A number of at least 1; more than `_MOST_A_CORE` for each core are as many as these."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError("at least 1 is needed")
-    return number
+    return min(number, _MOST_A_CORE * usable_cores())

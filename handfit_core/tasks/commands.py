@@ -32,8 +32,6 @@ from handfit_core.tasks.workers import (
     terminated_as_interrupted,
 )
 
-_MOST_A_CORE: Final = 4
-"""Processes for each core that --jobs may ask for: more would only wait for each other"""
 EXIT_SOME_FAILED: Final = 1
 EXIT_USAGE: Final = 2
 
@@ -74,7 +72,7 @@ def _run(args: argparse.Namespace) -> int:
         check_options(options)
     found = list(zip(tasks, read_results(output, tasks), strict=True))
     left = [task for task, result in found if _is_left(result, args)]
-    jobs = min(args.jobs or usable_jobs(), _MOST_A_CORE * usable_cores(), max(1, len(left)))
+    jobs = min(args.jobs or usable_jobs(), max(1, len(left)))
     if args.dry_run:
         return _tell(found, jobs, args)
     try:
