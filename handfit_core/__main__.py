@@ -16,6 +16,7 @@ import importlib.util
 import json
 import logging
 import math
+import re
 import sys
 import time
 import traceback
@@ -23,7 +24,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.files import path_of
+from handfit_core.files import path_of, printable
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
@@ -41,6 +42,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. User errors are one line on stderr."""
     parser, words = _parser(), sys.argv[1:] if argv is None else argv
     check_command(parser, words)
+    for word in words:
+        if re.fullmatch(r"(-\w|--[\w-]+=)--", word):  # of which argparse makes an empty list
+            parser.error(f"argument {word[:-2].rstrip('=')}: expected one argument")
     args = parser.parse_args(words)
     output = _JsonOutput() if getattr(args, "progress", None) == "json" else _TextOutput()
     args.reporter = output
@@ -95,8 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     add_interchange_commands(commands)
     add_batch_command(commands)
     add_model_commands(commands)
-    if importlib.util.find_spec("handfit_core.network"):  # as with the next one
-        from handfit_core.network.commands import add_send_command
+    if importlib.util.find_spec("handfit_core.interchange.send"):  # as with the next one
+        from handfit_core.interchange.send import add_send_command
 
         add_send_command(commands)
     if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has
@@ -217,7 +221,7 @@ class _TextOutput:
         if self._dirty:
             print(file=sys.stderr)
             self._dirty = False
-        print(text, file=sys.stderr, flush=True)
+        print(printable(text), file=sys.stderr, flush=True)
 
     def done(self, summary: dict[str, Any]) -> None:
         hands = (

@@ -142,6 +142,11 @@ def shown(path: str | os.PathLike[str]) -> str:
 _LONGEST_SHOWN = 300
 
 
+def printable(text: str) -> str:
+    """A text for a terminal, with what it would obey instead of showing it escaped."""
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
+
+
 def storable(text: str) -> str:
     """A text with a question mark for what is no UTF-8, such as in the names of some files on Linux."""
     return text.encode("utf-8", "replace").decode("utf-8")

@@ -16,8 +16,8 @@ from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.take import Take
 
 from .. import jobs, screen, shared_worker, source_info
-from ..keypoint_mode import drawing, view
-from ..keypoint_mode.mode import free_corner
+from ..modes import drawing, view
+from ..modes.view import free_corner
 from ..properties import SIDE_ITEMS
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at

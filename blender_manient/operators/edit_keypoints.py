@@ -6,7 +6,8 @@ import bpy
 
 from handfit_core.errors import OptionError
 
-from ..keypoint_mode import mode, view
+from ..modes import keypoints as mode
+from ..modes import view
 from ..refiner import Refiner, why_not
 from ..scene.store import active_hand
 from .mixins import PollMixin, TimerMixin, errors_reported

@@ -10,8 +10,8 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 
 from .. import jobs, shared_worker, source_info
-from ..find_mode import mode
-from ..keypoint_mode import view
+from ..modes import find_hands as mode
+from ..modes import view
 from .capture import new_job
 from .mixins import PollMixin, TimerMixin, errors_reported
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene.editable import strip_below, why_not_editable
+from ..scene.actions import strip_below
+from ..scene.editable import why_not_editable
 from ..scene.layer import add_layer, end_layer
 from .mixins import errors_reported
 from .simplify_keys import KeysOperator, armature_of

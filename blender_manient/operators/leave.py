@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import screen
-from ..find_mode import mode as find_mode
+from ..modes import find_hands as find_mode
 from . import add_hand, find_hands
 from .mixins import PollMixin
 from .refit_range import RangeFitOperator

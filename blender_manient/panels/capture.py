@@ -7,7 +7,7 @@ import bpy
 from handfit_core.options import OPTIONS
 
 from .. import jobs, shared_worker, source_info
-from ..find_mode import mode as find_mode
+from ..modes import find_hands as find_mode
 from ..operators import add_hand
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand

@@ -6,7 +6,8 @@ import bpy
 
 from .. import key_preview
 from ..operators.simplify_keys import armature_of
-from ..scene.editable import strip_below, why_not_keyable
+from ..scene.actions import strip_below
+from ..scene.editable import why_not_keyable
 from ..scene.simplify import PARTS, Thinned, kept_action
 from ..scene.store import active_hand
 from ..section import Section, sentence, split

@@ -29,7 +29,7 @@ from handfit_core.take import HandTrack, Take
 from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, hand_part, named_after, shortened_name
 from . import captures
-from .animation import CURVES, animating, computing_keys, describe
+from .animation import CURVES, animating, computing_keys
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
 from .matching import Footage, note_matched
@@ -275,7 +275,6 @@ def _hand(
     armature.scale = (units, units, units)
     if camera is not None:
         put_before(armature, camera)
-    describe(armature, work.take, track)
     rest = rig.rest
     yield work.done(1)
     mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
@@ -286,7 +285,9 @@ def _hand(
         yield None
         for _ in adding_correctives(mesh, rig, offsets):
             yield work.done(0.3)
-    keys = yield from work.counting(computing_keys(work.take, track, shaped, rest, timing))
+    keys = yield from work.counting(
+        computing_keys(track, shaped, rest, timing.scene_frames(work.take.frame_numbers))
+    )
     action = None
     for action in animating(rig, keys):
         if action not in made:

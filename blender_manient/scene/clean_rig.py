@@ -23,8 +23,8 @@ from ..blender_versions import assign_action
 from ..exporters.exporter import HandObjects
 from ..rigs import rig_of
 from ..rigs.controls import control_bones
-from .animation import new_curve
 from .deform_bones import deforming_tree
+from .keys import new_curve
 from .sampling import Sampled, rotations_of, sample, stepped
 
 
@@ -52,11 +52,11 @@ def clean_rig(
     units: float = 1.0,
     turn: np.ndarray | None = None,
 ) -> Iterator[CleanHand]:
-    """A copy of the hand in the open scene, with an armature object called `name` (empty: as the hand's).
+    """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
 
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
     the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
-    in the open scene, which has the copy instead afterwards; its names are lent to the copy. When the context
+    in that scene, which has the copy instead afterwards; its names are lent to the copy. When this context
     ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy;
     one that no bone of the copy moves has keys of its own, and no parent, where it moves.
     """
@@ -101,7 +101,14 @@ def clean_rig(
                 placed, motion = _from_largest(turned @ in_metres @ places[mesh])
                 if np.abs(motion - np.eye(4)).max() > _STILL * size:
                     copied.parent = None  # Blender's FBX importer ignores keys of what an armature carries.
-                    actions.append(_key(copied, np.linalg.inv(turned) @ motion, frames))
+                    motion = np.linalg.inv(turned) @ motion
+                    turns = unflip_quats(rotmat_to_quat(rotations_of(motion)))
+                    parts = [
+                        ("", "location", motion[:, :3, 3]),
+                        ("", "rotation_quaternion", turns),
+                        ("", "scale", np.linalg.norm(motion[:, :3, :3], axis=-2)),
+                    ]
+                    actions.append(_key(copied, parts, frames))
             else:
                 placed = grow @ _at_rest(hand.armature, mesh, carrier)
             copied.data.transform(Matrix(placed), shape_keys=True)
@@ -196,19 +203,19 @@ def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) ->
 
 
 def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
-    """Leave an armature of the open scene the bones of a tree, as `deforming_tree` gives it."""
-    layer = bpy.context.view_layer
-    layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    bones = armature.data.edit_bones
-    bones_left_out = [bone for bone in bones if bone.name not in tree]
-    for bone in bones:
-        bone.use_connect = False
-    for bone in bones_left_out:
-        bones.remove(bone)
-    for name, parent in tree.items():
-        bones[name].parent = bones[parent] if parent else None
-    bpy.ops.object.mode_set(mode="OBJECT")
+    """Leave an armature of the context's scene the bones of a tree, as `deforming_tree` gives it."""
+    bpy.context.view_layer.objects.active = armature
+    with bpy.context.temp_override(active_object=armature, object=armature):
+        bpy.ops.object.mode_set(mode="EDIT")
+        bones = armature.data.edit_bones
+        bones_left_out = [bone for bone in bones if bone.name not in tree]
+        for bone in bones:
+            bone.use_connect = False
+        for bone in bones_left_out:
+            bones.remove(bone)
+        for name, parent in tree.items():
+            bones[name].parent = bones[parent] if parent else None
+        bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def _retarget(
@@ -253,33 +260,25 @@ def _bake(
         rest = np.array(armature.data.bones[sampled.names[bone]].matrix_local)
         placed = world @ sampled.pose[:, bone] @ np.diag([1 / size, 1 / size, 1 / size, 1.0])
         basis[:, bone] = np.linalg.inv(rest) @ placed
-    action = bpy.data.actions.new(armature.name)
-    assign_action(armature, action)
     turns = unflip_quats(rotmat_to_quat(rotations_of(basis)))
     scales = np.linalg.norm(basis[..., :3, :3], axis=-2)
+    parts = []
     for bone, name in enumerate(sampled.names):
-        channels = [("rotation_quaternion", turns[:, bone])]
+        parts.append((name, "rotation_quaternion", turns[:, bone]))
         if np.abs(basis[:, bone, :3, 3]).max() > _STILL * size or sampled.parents[bone] < 0:
-            channels.append(("location", basis[:, bone, :3, 3]))
+            parts.append((name, "location", basis[:, bone, :3, 3]))
         if np.abs(scales[:, bone] - 1.0).max() > 1e-5:
-            channels.append(("scale", scales[:, bone]))
-        for attribute, values in channels:
-            for index in range(values.shape[1]):
-                path = f'pose.bones["{name}"].{attribute}'
-                new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
-    return action
+            parts.append((name, "scale", scales[:, bone]))
+    return _key(armature, parts, frames)
 
 
-def _key(obj: bpy.types.Object, motion: np.ndarray, frames: Sequence[int]) -> bpy.types.Action:
-    """Key an object's motion (N, 4, 4) in the world."""
+def _key(
+    obj: bpy.types.Object, parts: Sequence[tuple[str, str, np.ndarray]], frames: Sequence[int]
+) -> bpy.types.Action:
+    """Key bones, or without a name the object itself: attributes with their values (N, C)."""
     action = bpy.data.actions.new(obj.name)
-    assign_action(obj, action)
-    channels = {
-        "location": motion[:, :3, 3],
-        "rotation_quaternion": unflip_quats(rotmat_to_quat(rotations_of(motion))),
-        "scale": np.linalg.norm(motion[:, :3, :3], axis=-2),
-    }
-    for path, values in channels.items():
+    holder = assign_action(obj, action)
+    for bone, attribute, values in parts:
         for index in range(values.shape[1]):
-            new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
+            new_curve(holder, bone, attribute, index, np.asarray(frames), values[:, index])
     return action

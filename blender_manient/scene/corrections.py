@@ -36,13 +36,13 @@ from ..blender_versions import action_slot, property_group
 from ..block_reference import BlockReference
 from ..rigs import rig_of
 from . import store
-from .editable import check_keyable
+from .actions import own_action
+from .editable import check, check_keyable
 from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
     is_smooth,
-    own_action,
     pose_at,
     read_pose_keys,
     remove_pose_keys,
@@ -136,9 +136,7 @@ def check_writable(armature: bpy.types.Object) -> None:
     """Raises OptionError where corrections cannot be put into the hand's keys, HandModelError where it
     lacks bones."""
     check_keyable(armature)
-    why = why_elsewhere(armature)
-    if why is not None:
-        raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
+    check(armature, why_elsewhere(armature))
     check_unlocked(rig_of(armature))
 
 

@@ -210,9 +210,9 @@ def _opened(
     preset: Preset,
     whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
 ) -> Iterator[Sequence[HandObjects]]:
-    """Open a scene of its own with what the format writes, and yield the hands in it.
+    """Make a scene with what the format writes the context's, and yield the hands in it.
 
-    Blender's exporters write what the open scene holds, at its frame rate and over its range.
+    Blender's exporters write what the context's scene holds, at its frame rate and over its range.
     """
     if chosen.writes == "captured" or (chosen.writes == "collection" and _is_character(hands)):
         yield hands

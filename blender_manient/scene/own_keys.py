@@ -14,8 +14,9 @@ import bpy
 import numpy as np
 
 from handfit_core.edit.corrections import correction_between
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_JOINTS
+from handfit_core.take import at_rows
 
 from .corrections import without_field
 from .keys import PoseKeys, nearest, read_pose_keys
@@ -40,9 +41,7 @@ def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
     keys = without_field(hand.armature, read_pose_keys(hand.rig, float(frames[0]), float(frames[-1])))
     at, on = nearest(frames, keys.frames)
     keyed = np.column_stack([keys.rotation_keyed, keys.location_keyed])
-    captured = _captured(hand, rows)
-    fitted = _fitted(hand.armature, np.asarray(hand.take.frame_numbers)[rows])
-    own = keyed & ~_holds(hand, keys, captured[at]) & ~_holds(hand, keys, fitted[at])
+    own = keyed & ~_holds(keys, *captured_poses(hand, rows[at])) & ~_holds(keys, *_fitted(hand, rows[at]))
     found[at[on]] = own[on]
     return found
 
@@ -50,7 +49,7 @@ def keyed_by_hand(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
 def captured_poses(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What the capture found in the take's `rows` (N,): quaternions (N, 16, 4) and wrist locations (N, 3)
     about the bones as they are now; NaN where there is no hand. Raises HandModelError."""
-    return _of_bones(hand, _captured(hand, rows))
+    return hand.to_bones(at_rows(hand.track, rows))
 
 
 def note_fitted(
@@ -70,43 +69,22 @@ def note_fitted(
     armature.manient.fitted = base64.b64encode(table.tobytes()).decode("ascii")
 
 
-def _fitted(armature: bpy.types.Object, numbers: np.ndarray) -> np.ndarray:
-    """(N, 51) the noted poses of source frames (N,); NaN for those that were not fitted again."""
-    noted, found = _noted(armature), np.full((len(numbers), _POSE), np.nan)
+def _fitted(hand: CapturedHand, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The noted poses of the take's `rows` (N,), as `captured_poses`; NaN for those that were not fitted
+    again."""
+    noted, poses = _noted(hand.armature), np.full((len(rows), _POSE), np.nan)
     if len(noted):
-        at, on = nearest(noted[:, 0], np.asarray(numbers, dtype=np.float64))
-        found[on] = noted[at[on], 1:]
-    return found
+        at, on = nearest(noted[:, 0], np.asarray(hand.take.frame_numbers, dtype=np.float64)[rows])
+        poses[on] = noted[at[on], 1:]
+    pose = poses[:, :3], poses[:, 3:48], poses[:, 48:] - hand.shaped().joints[0]
+    return hand.to_bones(HandMotion(hand.side, hand.betas, *pose))
 
 
-def _holds(hand: CapturedHand, keys: PoseKeys, poses: np.ndarray) -> np.ndarray:
-    """(N, 17) bool: whether keys (N) hold these poses (N, 51); never where a pose is NaN."""
-    same = np.zeros((len(keys.frames), NUM_JOINTS + 1), dtype=bool)
-    quats, locations = _of_bones(hand, poses)
-    known = np.isfinite(locations).all(axis=-1)
-    turned = np.linalg.norm(correction_between(keys.quats[known], quats[known]), axis=-1)
-    moved = np.linalg.norm(keys.locations[known] - locations[known], axis=-1)
-    same[known] = np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
-    return same
-
-
-def _captured(hand: CapturedHand, rows: np.ndarray) -> np.ndarray:
-    """(N, 51) what the capture found; NaN where there is no hand."""
-    track = hand.track
-    rest = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
-    places = rest + track.transl[rows]
-    return np.column_stack([track.global_orient[rows], track.hand_pose[rows], places])
-
-
-def _of_bones(hand: CapturedHand, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (N, 51) -> quaternions (N, 16, 4) and the wrist's locations (N, 3); NaN where a pose is."""
-    quats = np.full((len(poses), NUM_JOINTS, 4), np.nan)
-    locations = np.full((len(poses), 3), np.nan)
-    known = np.isfinite(poses).all(axis=-1)
-    shaped, poses = hand.shaped(), poses[known]
-    transl = poses[:, 48:] - shaped.joints[0]
-    quats[known], locations[known] = hand.rig.to_bones(shaped, poses[:, :3], poses[:, 3:48], transl)
-    return quats, locations
+def _holds(keys: PoseKeys, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
+    """(N, 17) bool: whether keys (N) hold these poses, (N, 16, 4) and (N, 3); never where one is NaN."""
+    turned = np.linalg.norm(correction_between(keys.quats, quats), axis=-1)
+    moved = np.linalg.norm(keys.locations - locations, axis=-1)
+    return np.column_stack([turned < _SAME_TURN, moved < _SAME_PLACE])
 
 
 def _noted(armature: bpy.types.Object) -> np.ndarray:

@@ -24,7 +24,7 @@ from handfit_core.take import Take
 from ..blender_versions import use_nodes
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
-from .own_scene import own_scene
+from .own_scene import unseen_scene
 from .plate import Plate, load_plate, rows_of
 from .proof import is_whole_png, prove_whole
 from .render_setup import SUNS, picture_card, sun
@@ -207,8 +207,14 @@ def _render_hands(
 
 @contextlib.contextmanager
 def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
-    """A scene of the take's picture size that shows colours as they are, removed afterwards."""
-    with own_scene("preview") as scene:
+    """A scene of the take's picture size that shows colours as they are, removed afterwards.
+
+    It is the open one meanwhile, since movies and image sequences follow that one's frame whichever scene is
+    rendered. Blender has no window here that an artist looks at.
+    """
+    window = bpy.context.window
+    before = window.scene
+    with unseen_scene("preview") as scene:
         frame_scene(scene, take, scale)
         scene.render.engine = "CYCLES"
         scene.render.use_sequencer = False
@@ -222,7 +228,11 @@ def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
         scene.cycles.device = "CPU"
         scene.cycles.use_denoising = False
         scene.cycles.use_adaptive_sampling = False
-        yield scene
+        window.scene = scene
+        try:
+            yield scene
+        finally:
+            window.scene = before
 
 
 def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:

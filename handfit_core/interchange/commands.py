@@ -12,10 +12,10 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.errors import InputError, NoHandFoundError, OptionError
-from handfit_core.files import check_writable, output_path, path_of, shown, written_whole
+from handfit_core.files import check_writable, output_path, path_of, printable, shown, written_whole
 from handfit_core.fit_quality import error_is_known
 from handfit_core.interchange.opening import is_recording, read_recording
-from handfit_core.interchange.readers import READERS
+from handfit_core.interchange.readers import READERS, UNSEEN, unseen
 from handfit_core.interchange.writers import WRITERS, Writer, writer_for
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.pipeline import capture, hand_summaries
@@ -156,6 +156,7 @@ def _info(args: argparse.Namespace) -> int:
             ("picture", size if recording.size != (1, 1) else "not known: points are parts of its size"),
             ("hands", recording.summary),
             *(("assumed", phrase) for phrase in recording.assumed),
+            *([("tested", UNSEEN)] if unseen(recording) else []),
         ]
     else:
         raise OptionError(
@@ -163,7 +164,7 @@ def _info(args: argparse.Namespace) -> int:
             "describes takes and the formats of docs/interchange.md"
         )
     for name, value in lines:
-        print(f"{name:<8} {value}")
+        print(f"{name:<8} {printable(value)}")
     return 0
 
 

@@ -10,11 +10,12 @@ import io
 import json
 import math
 import os
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from handfit_core.files import path_of, read_file, shown, why
 from handfit_core.interchange.settings import LIMITS
 
 _NPY: Final = b"\x93NUMPY"
+_LONG_NUMBER: Final = re.compile(rb"\d{%d}" % LIMITS.digits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +46,8 @@ class Table:
 
     def numbers(self, columns: Sequence[str]) -> np.ndarray:
         """(R, len(columns)) floats, NaN where a cell is empty or no number. Raises KeyError."""
-        return (
-            np.array([[_number(cell) for cell in self.texts(name)] for name in columns])
-            .reshape(len(columns), -1)
-            .T
-        )
+        numbers = np.array([[_number(cell) for cell in self.texts(name)] for name in columns])
+        return numbers.reshape(len(columns), -1).T
 
 
 def _number(cell: str) -> float:
@@ -61,11 +60,14 @@ def _number(cell: str) -> float:
 
 class Document:
     """A file or folder. What it cannot be read as is None, whatever is wrong with it; a file that cannot be
-    read at all raises InputError."""
+    read at all, or holds more than `LIMITS` allow, raises InputError."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = path_of(path)
         self.is_folder = os.path.isdir(self.path)  # noqa: PTH112  (raises for no name, however long)
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise InputError(f"{shown(self.path)}: {what}")
 
     @property
     def suffix(self) -> str:
@@ -91,24 +93,45 @@ class Document:
             return None
 
     def _check_room(self, parsed: int) -> None:
-        """Raise InputError for a text that would take too much memory. `parsed`: bytes that what is in it
-        takes."""
+        """Raise InputError for a text that would take too much memory, of which what is in it takes `parsed`
+        bytes, or that has a number too long to be one."""
         # All letters of a text are stored as wide as its widest, in up to 4 bytes, and its parts once more.
         taken = len(self.bytes) * (2 if self.bytes.isascii() else 9) + parsed
         if len(self.bytes) > LIMITS.text_bytes or taken > LIMITS.parsed_bytes:
-            raise InputError(f"{shown(self.path)}: it is too large to be read at once; cut it into parts")
+            self._refuse("it is too large to be read at once; cut it into parts")
+        if _LONG_NUMBER.search(self.bytes):
+            self._refuse(f"it has a number of {LIMITS.digits} digits or more, which no program writes")
+
+    def _checked(self, content: Any) -> Any:
+        """What a JSON text holds. Raises InputError beyond the limits."""
+        level = [content]
+        for _ in range(LIMITS.depth):
+            below: list[Any] = []
+            for part in level:
+                if isinstance(part, dict) and any(len(key) > LIMITS.letters for key in part):
+                    self._refuse(f"it has a key of more than {LIMITS.letters} letters")
+                within = part.values() if isinstance(part, dict) else part
+                inner = [each for each in within if isinstance(each, dict | list)]
+                if max(len(inner), len(part) if isinstance(part, dict) else 0) > LIMITS.entries:
+                    self._refuse(
+                        f"it has a list of {len(part)} parts, and at most {LIMITS.entries} are read; cut it "
+                        "into parts"
+                    )
+                below += inner
+            if not below:
+                return content
+            level = below
+        self._refuse(f"its lists and objects lie more than {LIMITS.depth} deep in one another")
 
     @cached_property
     def json(self) -> Any:
-        """What a JSON file holds."""
+        """The list or object that a JSON file holds."""
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         if start not in (b"{", b"["):
             return None
         self._check_room(_memory_of_json(self.bytes))
-        if self.text is None:
-            return None
         try:
-            return json.loads(self.text)
+            return None if self.text is None else self._checked(json.loads(self.text))
         except (ValueError, RecursionError):
             return None
 
@@ -120,7 +143,7 @@ class Document:
         self._check_room(_memory_of_json(self.bytes))
         try:
             with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8") as text:
-                return [json.loads(line) for line in text if line.strip()]
+                return self._checked([json.loads(line) for line in text if line.strip()])
         except (ValueError, RecursionError):
             return None
 
@@ -129,83 +152,80 @@ class Document:
         """What a CSV file with a line of names holds; None also where lines differ in length."""
         if self.suffix not in (".csv", ".tsv", ".txt"):
             return None
-        self._check_room(_memory_of_table(self.bytes))
+        lines, cells = (sum(map(self.bytes.count, signs)) for signs in ((b"\n", b"\r"), (b",", b"\t")))
+        self._check_room(64 * lines + 58 * cells)
         with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8-sig", newline="") as text:
             try:
-                cells = csv.reader(text, delimiter="\t" if self.suffix == ".tsv" else ",")
-                lines = [line for line in cells if line]
+                read = csv.reader(text, delimiter="\t" if self.suffix == ".tsv" else ",")
+                rows = [line for line in read if line]
             except (csv.Error, UnicodeDecodeError):
                 return None
-        if len(lines) < 2 or not 1 < len(lines[0]) <= LIMITS.columns:
+        if len(rows) < 2 or not 1 < len(rows[0]) <= LIMITS.columns:
             return None
-        if any(len(line) != len(lines[0]) for line in lines):
+        if any(len(row) != len(rows[0]) for row in rows):
             return None
-        return Table(tuple(name.strip() for name in lines[0]), lines[1:])
+        if any(len(cell) > LIMITS.letters for row in rows for cell in row):
+            self._refuse(f"it has a cell of more than {LIMITS.letters} letters")
+        return Table(tuple(name.strip() for name in rows[0]), rows[1:])
 
     @cached_property
     def npz(self) -> NpzArchive | None:
         """The arrays of a .npz."""
-        if self.bytes[:2] != b"PK":
-            return None
         try:
-            return NpzArchive(self.bytes, max(LIMITS.memory_bytes, LIMITS.packed * len(self.bytes)))
+            return NpzArchive(self.bytes, LIMITS.array_bytes) if self.bytes[:2] == b"PK" else None
         except NotNpz:
             return None
 
     @cached_property
     def npy(self) -> np.ndarray | None:
         """The numbers of a .npy, floats as float64."""
-        if self.bytes[:6] != _NPY:
-            return None
         try:
-            return npy_array(self.bytes, "fiub", max(LIMITS.memory_bytes, LIMITS.packed * len(self.bytes)))
+            is_npy = self.bytes[:6] == _NPY
+            return npy_array(self.bytes, "fiub", LIMITS.array_bytes) if is_npy else None
         except NotNpz:
             return None
 
     @cached_property
+    def _unpickled(self) -> tuple[Any, str]:
+        """What Python objects a .npy or a pickle holds, and why they cannot be had; both empty of others."""
+        pickled = self.bytes[:1] == b"\x80"
+        if not pickled and self.bytes[:6] != _NPY:
+            return None, ""
+        try:
+            return _plain_of(self.bytes if pickled else npy_pickle(self.bytes)), ""
+        except (NotNpz, safe_pickle.Refused) as error:
+            return None, str(error)
+
+    @property
     def objects(self) -> Any:
         """What Python objects a .npy or a pickle holds: dictionaries, lists, texts, numbers and arrays. The
         pickle is read without running anything of it."""
-        pickled = self.bytes[:1] == b"\x80"
-        try:
-            if not pickled and self.bytes[:6] != _NPY:
-                return None
-            return _unpickled(self.bytes if pickled else npy_pickle(self.bytes))
-        except (NotNpz, safe_pickle.Refused):
-            return None
+        return self._unpickled[0]
 
-    @cached_property
-    def refused(self) -> str:
-        """Why `objects` of a pickle cannot be had, as in `asks to run os.system`; empty where they can."""
-        if self.objects is not None:
-            return ""
-        try:
-            _unpickled(self.bytes if self.bytes[:1] == b"\x80" else npy_pickle(self.bytes))
-        except (NotNpz, safe_pickle.Refused) as error:
-            return str(error)
-        return ""
+    @property
+    def held(self) -> Any:
+        """What a JSON file, a .npy or a pickle holds as objects."""
+        return self.json if self.json is not None else self.objects
 
     @property
     def names(self) -> list[str]:
         """Of the arrays of a .npz, or the keys of a dictionary in JSON, a .npy or a pickle."""
         if self.npz is not None:
             return self.npz.names
-        held = self.json if self.json is not None else self.objects
-        return list(held) if isinstance(held, dict) else []
+        return list(self.held) if isinstance(self.held, dict) else []
 
     def value(self, name: str) -> Any:
         """What stands under one of the `names`: an array, a text, or a dictionary or list of such; None where
         there is none. Raises InputError for what cannot be read."""
         if self.npz is None:
-            held = self.json if self.json is not None else self.objects
-            return held.get(name) if isinstance(held, dict) else None
+            return self.held.get(name) if isinstance(self.held, dict) else None
         if name not in self.npz:
             return None
         try:
             return self.npz.array(name, "fiubU")
         except NotNpz as error:
             try:
-                return _unpickled(self.npz.pickle(name))
+                return _plain_of(self.npz.pickle(name))
             except NotNpz:
                 raise InputError(f"{shown(self.path)}: this file {error}") from error
             except safe_pickle.Refused as reason:
@@ -214,7 +234,7 @@ class Document:
     def array(self, name: str, kinds: str = "fiub") -> np.ndarray:
         """One array of a .npz, floats as float64. Raises InputError where it is missing or damaged."""
         if self.npz is None:
-            raise InputError(f"{shown(self.path)}: not an .npz, or a damaged one")
+            self._refuse("not an .npz, or a damaged one")
         try:
             return self.npz.array(name, kinds)
         except KeyError:
@@ -232,9 +252,7 @@ class Document:
         except OSError as error:
             raise InputError(f"{shown(self.path)}: cannot be read ({why(error)})") from error
         if len(found) > LIMITS.file_count:
-            raise InputError(
-                f"{shown(self.path)}: it has more than {LIMITS.file_count} files; give a folder of fewer"
-            )
+            self._refuse(f"it has more than {LIMITS.file_count} files; give a folder of fewer")
         return [self.path / name for name in sorted(found) if not name.startswith(".")]
 
     @property
@@ -244,21 +262,21 @@ class Document:
             return f"a folder with {len(self.files('.json'))} .json and {len(self.files('.npz'))} .npz files"
         if self.npz is not None:
             return f"an .npz with {_some(self.npz.names)}"
-        if isinstance(self.json, dict):
-            return f"JSON with {_some(list(self.json))}"
-        if isinstance(self.json, list):
-            return f"JSON with a list of {len(self.json)}"
+        if self.json is not None:
+            few = _some(self.json) if isinstance(self.json, dict) else f"a list of {len(self.json)}"
+            return f"JSON with {few}"
         if self.npy is not None:
             return f"an .npy of the shape {'x'.join(map(str, self.npy.shape)) or 'of one number'}"
-        if isinstance(self.objects, dict):
-            return f"a pickle with {_some(list(self.objects))}"
-        if self.refused:
+        held, refused = self._unpickled
+        if isinstance(held, dict):
+            return f"a pickle with {_some(held)}"
+        if refused:
             return (
-                f"a pickle that {self.refused}; such files are not read, as they can run programs: write "
-                "what is in it as .npz or JSON"
+                f"a pickle that {refused}; such files are not read, as they can run programs: write what is "
+                "in it as .npz or JSON"
             )
         if self.table is not None:
-            return f"a table with the columns {_some(list(self.table.columns))}"
+            return f"a table with the columns {_some(self.table.columns)}"
         return f"a file of {len(self.bytes)} bytes that is no JSON, .npz or table"
 
 
@@ -270,14 +288,8 @@ def _memory_of_json(data: bytes) -> int:
     return 56 * lists + 180 * objects + 32 * items + 10 * quotes + 20 * names + 200 * own
 
 
-def _memory_of_table(data: bytes) -> int:
-    """The same of a table, whose lines are lists of texts."""
-    lines, cells = data.count(b"\n") + data.count(b"\r"), data.count(b",") + data.count(b"\t")
-    return 64 * lines + 58 * cells
-
-
-def _unpickled(data: bytes) -> Any:
-    """Raises Refused, also for a pickle that is damaged."""
+def _plain_of(data: bytes) -> Any:
+    """What a pickle holds. Raises Refused, also for one that is damaged."""
     try:
         return safe_pickle.plain(safe_pickle.load(data, most_steps=LIMITS.pickle_steps, numbered=True))
     except (safe_pickle.Refused, MemoryError):
@@ -286,7 +298,8 @@ def _unpickled(data: bytes) -> Any:
         raise safe_pickle.Refused(f"is a damaged pickle ({str(error)[:100]})") from error
 
 
-def _some(names: Sequence[str]) -> str:
+def _some(names: Iterable[Any]) -> str:
     """The first of the names, and how many more there are."""
-    listed = ", ".join(name[:40] for name in names[:8]) or "nothing"
+    names = [shown(str(name)[:40]) for name in names]
+    listed = ", ".join(names[:8]) or "nothing"
     return listed + (f" and {len(names) - 8} more" if len(names) > 8 else "")

@@ -136,7 +136,15 @@ def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Rec
             recording = replace(recording, size=recording.size or options.picture_size)
             recording = _with_rate(recording, options.fps)
             recording.check()
-    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
+    except (
+        ArithmeticError,
+        AssertionError,
+        AttributeError,
+        LookupError,
+        RecursionError,
+        TypeError,
+        ValueError,
+    ) as error:
         raise InputError(
             f"{shown(path)}: this is meant to be {reader.title} ({reader.layout}), and is damaged or of a "
             f"version that is not known ({' '.join(str(error).split())[:200] or type(error).__name__})"

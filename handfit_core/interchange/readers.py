@@ -30,6 +30,8 @@ class Reader:
     read: Callable[[Document, Asked], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
     for an option without which it cannot be read"""
+    unseen: bool = False
+    """Whether it was written without a file of that program at hand"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -38,13 +40,13 @@ READERS: Final = Registry(
     "format",
     Reader,
     {
-        "points": f"{_HERE}.points:READER",
+        "points": f"{_HERE}.keypoints:POINTS.reader",
         "bvh": f"{_HERE}.bvh:READER",
         "hand-tracking": f"{_HERE}.hand_tracking:READER",
-        "leap": f"{_HERE}.leap:READER",
+        "leap": f"{_HERE}.keypoints:LEAP.reader",
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
-        "openpose": f"{_HERE}.openpose:READER",
-        "mmpose": f"{_HERE}.mmpose:READER",
+        "openpose": f"{_HERE}.keypoints:OPENPOSE.reader",
+        "mmpose": f"{_HERE}.keypoints:MMPOSE.reader",
         "hawor": f"{_HERE}.hawor:READER",
         "dyn-hamr": f"{_HERE}.dyn_hamr:READER",
         "dex-ycb": f"{_HERE}.dex_ycb:READER",
@@ -56,10 +58,10 @@ READERS: Final = Registry(
         "smplx-keywords": f"{_HERE}.smplx_keywords:READER",
         "hamer": f"{_HERE}.hamer:HAMER",
         "wilor-mini": f"{_HERE}.hamer:WILOR_MINI",
-        "points-table": f"{_HERE}.points_table:READER",
-        "freemocap": f"{_HERE}.freemocap:READER",
-        "apple-vision": f"{_HERE}.apple_vision:READER",
-        "mediapipe": f"{_HERE}.mediapipe:READER",
+        "points-table": f"{_HERE}.keypoints:POINTS_TABLE.reader",
+        "freemocap": f"{_HERE}.keypoints:FREEMOCAP.reader",
+        "apple-vision": f"{_HERE}.keypoints:APPLE_VISION.reader",
+        "mediapipe": f"{_HERE}.keypoints:MEDIAPIPE.reader",
     },
 )
 """The readers by their names on the command line, the more particular ones first. MediaPipe's comes last: it
@@ -80,6 +82,15 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
         f"{shown(document.path)}: these are no hands or keypoints of a program that is known "
         f"({document.found}). Known are {formats}"
     )
+
+
+UNSEEN: Final = "on files made by this project's tests, and on none of that program: look whether it is right"
+"""What is said of readers that are `unseen`"""
+
+
+def unseen(recording: Recording) -> bool:
+    """Whether its reader was written without a file of that program at hand."""
+    return recording.format in READERS.built_in() and READERS.get(recording.format).unseen
 
 
 def program_of(recording: Recording) -> str:

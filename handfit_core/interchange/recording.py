@@ -14,6 +14,7 @@ from handfit_core.doors.values import one_of
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.hand_model.motion import HandMotion
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS
 
@@ -147,13 +148,20 @@ class Recording:
         if self.seen is None and not self.points and not self.posed:
             raise ValueError("it has no hand")
         count = len(numbers)
+        hands = (*self.points, *self.posed)
+        LIMITS.check(self.files[0], count, len(hands))
         if self.seen is not None:
             check_arrays(self.seen, ValueError, "its array ")
+            if np.any(np.abs(self.seen.keypoints) > LIMITS.coordinate):
+                raise ValueError(f"a point lies beyond {LIMITS.coordinate:g} pixels")
             if np.any(np.diff(self.seen.row) < 0) or np.any((self.seen.row < 0) | (self.seen.row >= count)):
                 raise ValueError("its hands are in frames that it does not have")
             check_crowd(numbers[self.seen.row])
-        for hand in (*self.points, *self.posed):
+        for hand in hands:
             check_arrays(hand, ValueError, "its array ", T=count)
+            place = hand.transl if isinstance(hand, HandMotion) else hand.points
+            if np.any(np.abs(place) > LIMITS.away):
+                raise ValueError(f"a hand lies more than {LIMITS.away:g} m away: are its numbers metres?")
 
     @property
     def summary(self) -> str:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from typing import Final
+
+from handfit_core.errors import InputError
+from handfit_core.files import shown
 
 
 @dataclass(frozen=True)
 class FileLimits:
-    """The most that is read of other programs' files, or looked at."""
+    """The most that is read of other programs' files: every reader's bound."""
 
     file_bytes: int = 1 << 29
     """of one file"""
@@ -16,22 +20,33 @@ class FileLimits:
     """bytes of one JSON text or table"""
     parsed_bytes: int = 900_000_000
     """bytes of memory that what is in one may take, together with the text"""
-    file_count: int = 1_000_000
-    """of a folder"""
-    memory_bytes: int = 1 << 28
-    """bytes of the arrays of a small file"""
-    packed: int = 50
-    """times the size of a larger file that its arrays may have"""
-    columns: int = 10_000
-    """of a table"""
+    array_bytes: int = 1 << 28
+    """bytes of all arrays of one file, with 8 bytes for each float"""
     pickle_steps: int = 2_000_000
     """instructions of a pickle, each of which may take a hundred bytes"""
+    file_count: int = 1_000_000
+    """of a folder"""
     frames: int = 100_000
-    """of a file whose frames may be next to empty, and take a kilobyte each; of full ones a JSON holds
-    fewer"""
+    points: int = 4_200_000
+    """frames times hands times points: two whole hands in each frame"""
+    depth: int = 64
+    """of JSON's lists and objects in one another"""
+    entries: int = 200_000
+    """lists and objects in one list of JSON, and keys of one of its objects"""
+    columns: int = 10_000
+    """of a table"""
+    letters: int = 1000
+    """of a table's cell or a JSON key"""
+    digits: int = 400
+    """of a number in JSON or a table; floats have 309 before their point"""
+    coordinate: float = 1e6
+    """pixels of a point"""
+    away: float = 1000.0
+    """metres of a hand from the origin"""
     looked_at: int = 200
     """Files of a folder that are looked at before it is said of what they are"""
     number_digits: int = 15
+    """of a frame's number"""
     hands: int = 1000
     """of one file"""
     bvh_bytes: int = 1 << 27
@@ -41,6 +56,20 @@ class FileLimits:
     """bones of a .bvh times frames"""
     relative: float = 3.0
     """Beyond it, coordinates are no parts of the picture's size"""
+
+    def check(self, path: str | os.PathLike[str], frames: int, hands: int = 1, points: int = 21) -> None:
+        """Raise InputError for more frames, or more points of hands in frames, than are read. It is called
+        before an array of them is made."""
+        if frames > self.frames:
+            raise InputError(
+                f"{shown(path)}: it has {frames} frames, and at most {self.frames} are read; cut it into "
+                "parts"
+            )
+        if frames * hands * points > self.points:
+            raise InputError(
+                f"{shown(path)}: it has {frames} frames with {hands} hands of {points} points, and at most "
+                f"{self.points} points are read; cut it into parts"
+            )
 
 
 LIMITS: Final = FileLimits()

@@ -10,8 +10,8 @@ import bpy
 import pytest
 
 from blender_manient import jobs, source_info, steady
-from blender_manient.find_mode import mode as find_mode
-from blender_manient.find_mode.drawing import row_of
+from blender_manient.modes import find_hands as find_mode
+from blender_manient.modes.find_hands import row_of
 from blender_manient.operators import add_hand
 from blender_manient.operators.capture import new_job
 from blender_manient.operators.refit_range import MANIENT_OT_refit_range, RangeFitOperator
@@ -168,7 +168,7 @@ def test_rows_stay_while_hands_are_chosen_and_added(settings, clock, monkeypatch
 
 
 def test_the_buttons_over_the_picture_stay(monkeypatch):
-    monkeypatch.setattr("blender_manient.find_mode.drawing.ui_scale", lambda: 1.0)
+    monkeypatch.setattr("blender_manient.modes.find_hands.ui_scale", lambda: 1.0)
     free = (0.0, 0.0, 900.0, 600.0)
     capture, leave, add = ("capture", "Capture 12 Hands"), ("leave", "Leave"), ("add", "Add Hand")
     alone, full = row_of(None, leave, None, free), row_of(capture, leave, add, free)

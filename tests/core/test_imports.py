@@ -164,7 +164,7 @@ def test_rooms_know_only_what_comes_before_them(room: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("bpy.ops.export_", "exporters")]
+    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("export_scene.", "exporters")]
 )
 def test_bones_and_formats_are_known_in_one_place(word: str, room: str) -> None:
     """Everything else asks a rig, or a format, whatever else is added to the two folders."""

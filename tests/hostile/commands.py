@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.hostile import models, pickles, pictures, recordings, takes, videos
-from tests.hostile.engine import Case, Place
+from tests.hostile.engine import RESULTS, Case, Place
 from tests.hostile.names import TEXTS
 from tests.hostile.npz import bomb
 
@@ -73,6 +73,12 @@ def outputs() -> Iterator[Case]:
             name = f"output-{verb.replace(' ', '-')}-to-{where}"
             known = verb in ("capture", "convert") and where in ("pipe", "device", "input")
             yield Case(name, "core.command", make, refused=True, known=known)
+
+    def home(place: Place) -> dict[str, Any]:
+        place.write("a.points.json", _points())
+        return {"argv": ["convert", "a.points.json", "-o", "~/x.npz"], "HOME": str(place.folder / RESULTS)}
+
+    yield Case("output-convert-to-home", "core.process", home, known=True)
 
 
 def _points() -> bytes:
@@ -151,6 +157,19 @@ def cases() -> Iterator[Case]:
                 return {"argv": [*verb, text]}
 
             yield Case(f"command-{verb[0]}-{name}", "core.command", of_others, refused=True)
+    for name, option in (("long", "--output=--"), ("short", "-o--")):
+        yield Case(
+            f"command-output-{name}-dashes",
+            "core.command",
+            lambda _, option=option: {"argv": ["capture", "kept.npz", option]},
+        )
+    for reader in ("hawor", "points-table", "freemocap", "bvh", "smplx", "hot3d"):
+
+        def other(place: Place, reader=reader) -> dict[str, Any]:
+            place.write("a.npz" if reader == "hawor" else "a.points.json", _points())
+            return {"argv": ["info", "a.npz" if reader == "hawor" else "a.points.json", "--reader", reader]}
+
+        yield Case(f"command-info-as-{reader}", "core.command", other, refused=True)
     for name, file, made in (
         ("bomb", "a.npz", lambda: bomb({}, "header", 3 << 29)),
         ("runs", "MANO_RIGHT.pkl", pickles.system_call),

@@ -165,11 +165,12 @@ def command(argv: list[str]) -> None:
     check_ending(code, said.getvalue())
 
 
-def process(argv: list[str]) -> None:
+def process(argv: list[str], **environment: str) -> None:
     """The same as a process of its own, whose memory the kernel tells when it has ended."""
     command = [sys.executable, "-m", "handfit_core", *argv]
     with tempfile.TemporaryFile() as said:
-        started = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        env = {**os.environ, **environment}
+        started = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=env)
         _, status, used = os.wait4(started.pid, 0)
         code = started.returncode = os.waitstatus_to_exitcode(status)
         assert used.ru_maxrss * 1024 < MOST_BYTES, f"memory: {used.ru_maxrss // 1000} MB"

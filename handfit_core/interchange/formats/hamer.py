@@ -20,7 +20,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.axes import mirrored_pose
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.numbered import several_clips
+from handfit_core.interchange.json_points import several_clips
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import pickle
 import pickletools
 from pathlib import Path
@@ -13,7 +12,8 @@ import pytest
 
 from handfit_core.errors import HandModelError
 from handfit_core.hand_model import load_model, mano_pickle, save_model_npz
-from handfit_core.hand_model.mano_pickle import load_mano_pickle, save_mano_pickle
+from handfit_core.hand_model.mano_pickle import load_mano_pickle
+from scripts.build_open_hand import save_mano_pickle
 from tests.imitation_mano import TIPS, csc_fields, imitation_arrays, imitation_model, write_mano_pickle
 
 MODEL_ARRAYS = {
@@ -69,13 +69,6 @@ def test_digest_of_converted_file(tmp_path: Path) -> None:
     assert other.digest != model.digest
 
 
-def test_load_model_from_folder(tmp_path: Path) -> None:
-    for side in ("right", "left"):
-        write_mano_pickle(tmp_path / f"MANO_{side.upper()}.pkl", imitation_arrays(side))
-    assert load_model(tmp_path, "left").side == "left"
-    assert load_model(tmp_path / "MANO_LEFT.pkl", "right").side == "right"
-
-
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_reads_every_protocol(tmp_path: Path, protocol: int) -> None:
     arrays = imitation_arrays()
@@ -106,28 +99,14 @@ def test_root_parent_minus_one(tmp_path: Path) -> None:
 # The left model's fault
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_the_released_left_fault_is_undone(tmp_path: Path, seed: int) -> None:
-    sound = imitation_arrays("left", seed=seed)
-    faulty = imitation_arrays("left", seed=seed, left_fault=True)
-    np.testing.assert_array_equal(faulty["shapedirs"][:, 0], -sound["shapedirs"][:, 0])
-    model = load_mano_pickle(write_mano_pickle(tmp_path / "MANO_LEFT.pkl", faulty))
-    np.testing.assert_array_equal(model.shapedirs, sound["shapedirs"])
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_sound_models_are_left_alone(tmp_path: Path, seed: int) -> None:
-    for side in ("left", "right"):
-        arrays = imitation_arrays(side, seed=seed)
-        model = load_mano_pickle(write_mano_pickle(tmp_path / "hand.pkl", arrays))
-        np.testing.assert_array_equal(model.shapedirs, arrays["shapedirs"])
-
-
-def test_left_model_without_shape(tmp_path: Path) -> None:
-    arrays = imitation_arrays("left")
-    arrays["shapedirs"] = np.zeros((778, 3, 10))
-    model = load_mano_pickle(write_mano_pickle(tmp_path / "hand.pkl", arrays))
-    assert not model.shapedirs.any()
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("left_fault", [False, True])
+def test_the_released_left_fault_is_undone(tmp_path: Path, seed: int, left_fault: bool) -> None:
+    sound = imitation_arrays("left", seed=seed)["shapedirs"]
+    stored = imitation_arrays("left", seed=seed, left_fault=left_fault)
+    np.testing.assert_array_equal(stored["shapedirs"][:, 0], sound[:, 0] * (-1 if left_fault else 1))
+    model = load_mano_pickle(write_mano_pickle(tmp_path / "MANO_LEFT.pkl", stored))
+    np.testing.assert_array_equal(model.shapedirs, sound)
 
 
 def test_open_hand_has_no_left_fault() -> None:
@@ -135,54 +114,6 @@ def test_open_hand_has_no_left_fault() -> None:
     assert not mano_pickle._has_left_fault(model.v_template, model.shapedirs)
     faulty = model.shapedirs * np.array([-1.0, 1.0, 1.0])[:, None]
     assert mano_pickle._has_left_fault(model.v_template, faulty)
-
-
-# Hostile files
-
-
-def hostile(module: str, name: str, *arguments: str) -> bytes:
-    """Protocol-0 pickle of module.name(*arguments)."""
-    return f"c{module}\n{name}\n(".encode() + b"".join(f"V{a}\n".encode() for a in arguments) + b"tR."
-
-
-@pytest.mark.parametrize(
-    "asked",
-    "os.system builtins.getattr numpy.load numpy.core.multiarray.fromfile scipy.sparse.load_npz "
-    "chumpyevil.run chumpy.ch.__init__ collections.OrderedDict handfit_core.doors.safe_pickle.load".split(),
-)
-def test_anything_else_is_refused_by_name(tmp_path: Path, asked: str) -> None:
-    path = tmp_path / "MANO_RIGHT.pkl"
-    path.write_bytes(hostile(*asked.rsplit(".", 1), "x"))
-    message = message_of(path)
-    assert f"refused: the file asks to run {asked}; a MANO file never does" in message
-    assert "do not trust it" in message
-
-
-def test_nothing_runs_while_reading(tmp_path: Path) -> None:
-    """Each of these leaves a file behind when Python's own unpickler reads it, and none with ours."""
-    trace = tmp_path / "trace"
-    command = f"open({str(trace)!r}, 'w').close()"
-    eval_it = f"cbuiltins\nexec\n(V{command}\ntR".encode()
-    wrapped = {
-        "plain": eval_it + b".",
-        "in a dict": b"(dVv_template\n" + eval_it + b"s.",
-        "INST": f"(V{command}\nibuiltins\nexec\n.".encode(),
-        "OBJ": f"(cbuiltins\nexec\nV{command}\no.".encode(),
-        "STACK_GLOBAL": b"\x80\x04\x8c\x08builtins\x8c\x04exec\x93"
-        + b"\x8c" + bytes([len(command)]) + command.encode() + b"\x85R.",
-        "as state": b"cnumpy\ndtype\n(Vf8\ntR" + eval_it + b"b.",
-        "as argument": b"cnumpy\ndtype\n(" + eval_it + b"tR.",
-    }  # fmt: skip
-    for name, data in wrapped.items():
-        path = tmp_path / "hand.pkl"
-        path.write_bytes(data)
-        assert "refused" in message_of(path), name
-        assert not trace.exists(), name
-        # Once the code has run, the rest of the pickle may fail.
-        with contextlib.suppress(TypeError, AttributeError, IndexError):
-            pickle.loads(data)
-        assert trace.exists(), f"{name}: this test would not notice code that runs"
-        trace.unlink()
 
 
 INERT = {
@@ -206,17 +137,6 @@ def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
     path.write_bytes(data)
     message = message_of(path)
     assert "copy it again" in message or "do not trust it" in message
-
-
-def test_readings_are_independent(tmp_path: Path) -> None:
-    before = {name: dict(vars(made)) for name, made in mano_pickle._STAND_INS.items()}
-    for data in INERT.values():
-        (tmp_path / "hand.pkl").write_bytes(data)
-        message_of(tmp_path / "hand.pkl")
-    assert {name: dict(vars(made)) for name, made in mano_pickle._STAND_INS.items()} == before
-
-
-# Damaged files
 
 
 def test_truncated_anywhere(tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def turned_by_a_quarter() -> Any:
     [
         (lambda: changed("thumb-tip", [1.0, 2.0]), "x, y, z and a quaternion"),
         (lambda: changed("thumb-tip", {"position": [0, 0, "a"], "quaternion": [0, 0, 0, 1]}), "thumbtip"),
-        (lambda: changed("thumb-tip", {"position": [0, 0, 1e300], "quaternion": [0, 0, 0, 1]}), "number"),
+        (lambda: changed("thumb-tip", {"position": [0, 0, 1e300], "quaternion": [0, 0, 0, 1]}), "beyond"),
         (lambda: changed("ring-finger-phalanx-distal", None), None),
         (lambda: without("middle-finger-phalanx-proximal"), "lacks joints"),
         (in_millimetres, "expected metres"),

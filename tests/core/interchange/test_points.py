@@ -67,7 +67,7 @@ def test_points_in_pictures_are_read_back(truth: Take, written: Path) -> None:
 @pytest.mark.parametrize("side", ["Left", "L", "", None])
 def test_a_side_is_left_or_right_in_pictures_too(written: Path, side: str | None) -> None:
     hands = json.loads(in_pictures(written).read_text(encoding="utf-8"))["hands"]
-    with pytest.raises(InputError, match="neither left nor right"):
+    with pytest.raises(InputError, match="must be left or right"):
         read_recording(changed(written, hands=[hand | {"side": side} for hand in hands]), CaptureOptions())
 
 
@@ -167,12 +167,12 @@ def test_a_file_of_points_has_no_other_keypoints(written: Path) -> None:
     ("values", "said"),
     [
         ({"version": 2}, "newer version"),
-        ({"frames": []}, "expected"),
+        ({"frames": []}, "reshape"),
         ({"frames": [1] * 24}, "numbers do not increase"),
-        ({"frames": [1], "hands": [{"side": "both", "keypoints_3d": [None]}]}, "neither left nor right"),
-        ({"hands": []}, "no hand"),
+        ({"frames": [1], "hands": [{"side": "both", "keypoints_3d": [None]}]}, "must be left or right"),
+        ({"hands": []}, "none of its frames has a hand"),
         ({"hands": 3}, "not iterable"),
-        ({"hands": [{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]}, "inhomogeneous|expected"),
+        ({"hands": [{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]}, "inhomogeneous|reshape"),
         ({"frames": [1], "hands": [{"side": "left", "keypoints_3d": [[[1e300] * 3] * 21]}]}, "beyond"),
         ({"fps": 0}, "fps must be"),
         ({"width": -3}, "width must be"),

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
-import zlib
 from pathlib import Path
 
 import cv2
@@ -27,7 +25,7 @@ from handfit_core.media.size_limit import (
 from tests.bombs import clip, with_claimed_size, with_frame_count
 from tests.child import peak_megabytes
 
-SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".jp2", ".ppm", ".pgm", ".hdr")
+SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".ppm", ".pgm", ".hdr")
 
 
 def jpeg(path: Path, width: int, height: int, size: int = 0) -> Path:
@@ -181,9 +179,8 @@ def test_a_stream_that_is_larger_than_its_container_says(tmp_path: Path) -> None
     assert peak_megabytes(code, path) < 150
 
 
-@pytest.mark.parametrize("count", [1 << 26, (1 << 31) - 1])
-def test_frames_are_counted_and_not_listed(tmp_path: Path, count: int) -> None:
-    (tmp_path / "a.mp4").write_bytes(with_frame_count(clip(tmp_path / "a.mp4"), count))
+def test_frames_are_counted_and_not_listed(tmp_path: Path) -> None:
+    (tmp_path / "a.mp4").write_bytes(with_frame_count(clip(tmp_path / "a.mp4"), (1 << 31) - 1))
     code = """
         import sys
         from handfit_core.media.frame_range import FrameRange
@@ -215,30 +212,3 @@ def test_what_blender_is_given(tmp_path: Path) -> None:
     for path in (jpeg(tmp_path / "c.mp4", 32000, 32000), tmp_path / "b.jpg", tmp_path / "gone.jpg", tmp_path):
         with pytest.raises(InputError):
             check_for_blender(path)
-
-
-def png_of(*chunks: tuple[bytes, bytes], size: int | None = None) -> bytes:
-    """A PNG of 64 x 48 pixels with these chunks, the last of which claims another `size`."""
-    header = b"IHDR", struct.pack(">2I5B", 64, 48, 8, 6, 0, 0, 0)
-    parts = [(len(data), name + data) for name, data in (header, *chunks)]
-    parts[-1] = size or parts[-1][0], parts[-1][1]
-    each = (struct.pack(">I", size) + data + struct.pack(">I", zlib.crc32(data)) for size, data in parts)
-    return b"\x89PNG\r\n\x1a\n" + b"".join(each)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        png_of((b"IDAT", bytes(100)), size=0x7FFF_0000),
-        png_of((b"tEXt", bytes(100)), size=0x7FFF_0000),
-        png_of((b"acTL", struct.pack(">2I", 1, 0)), (b"fcTL", struct.pack(">5I6x", 0, 16_000, 16_000, 0, 0))),
-        png_of((b"acTL", struct.pack(">2I", 1, 0)), (b"fcTL", struct.pack(">5I6x", 0, 64, 48, 1, 0))),
-    ],
-    ids=["data", "text", "frame", "place"],
-)
-def test_a_png_holds_what_it_says(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "a.png").write_bytes(data)
-    with pytest.raises(InputError, match="not a picture, or a damaged one"):
-        check_picture(tmp_path / "a.png")
-    (tmp_path / "a.png").write_bytes(png_of((b"IDAT", bytes(100)), (b"IEND", b"")) + bytes(1000))
-    check_picture(tmp_path / "a.png")
