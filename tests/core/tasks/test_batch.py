@@ -22,7 +22,7 @@ from tests.core.tasks.fakes import CALLS
 
 pytest.importorskip("loky")
 
-PATIENCE = 60.0
+PATIENCE = 120.0
 """Seconds that a batch may take on a loaded machine"""
 
 
