@@ -17,8 +17,6 @@ class SameVersions(WorkerPlugin):
     Those that are there raise it to the client; who joins later says it in his log, and leaves.
     """
 
-    name = "handfit-core"
-
     def __init__(self, version: str, python: str) -> None:
         self.version, self.python = version, python.rpartition(".")[0]
 

@@ -24,6 +24,8 @@ from handfit_core.worker.events import THREAD_VARIABLES
 
 _CONNECT: Final = 10.0
 """Seconds in which a scheduler must answer"""
+CHECK: Final = "handfit-core"
+"""What Dask calls the check of its workers"""
 _PYTHON: Final = platform.python_version()
 _LEAKED: Final = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e9"}
 """Bytes beyond which loky replaces a process between two tasks; a first clip alone leaves 0.3e9"""
@@ -164,7 +166,9 @@ class DaskWorkers(Workers):
             if address == "local":
                 self.tries = 3
                 with config.set({"distributed.scheduler.allowed-failures": 0}):
-                    self._cluster = LocalCluster(n_workers=jobs, threads_per_worker=1)
+                    self._cluster = LocalCluster(
+                        n_workers=jobs, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+                    )
             self._client = Client(self._cluster or address, timeout=_CONNECT)
         except (OSError, TypeError, ValueError) as error:  # also what is no address, or needs certificates
             raise OptionError(
@@ -185,9 +189,10 @@ class DaskWorkers(Workers):
 
         if not self._client.nthreads():
             print("no worker is there yet: start one with 'dask worker'", file=sys.stderr, flush=True)
+        self._check_no_more()  # as a batch asked for that was killed
         self._client.wait_for_workers(1)
         try:
-            self._client.register_plugin(SameVersions(__version__, _PYTHON))
+            self._client.register_plugin(SameVersions(__version__, _PYTHON), CHECK)
         except OptionError:
             raise
         except Exception as error:  # whatever another version may lack
@@ -196,12 +201,17 @@ class DaskWorkers(Workers):
                 "install it there"
             ) from error
 
+    def _check_no_more(self) -> None:
+        with contextlib.suppress(Exception):  # there is none, or the scheduler has gone
+            self._client.unregister_worker_plugin(CHECK)
+
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
         return self._executor.submit(self.run, task, output, settings)
 
     def close(self) -> None:
         """As `Workers.close`."""
+        self._check_no_more()
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()

@@ -30,8 +30,6 @@ _STDERR_TAIL_BYTES = 16_384
 """bytes of the child's stderr that are told of"""
 _EXIT_SECONDS = 1.0
 """seconds after the end of its output in which the child must end; else it is killed"""
-_POLL_SECONDS = 0.005
-"""seconds between two looks at whether a child has ended"""
 _KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
 
@@ -130,7 +128,8 @@ class ChildProcess:
     def wait_for_io(self, seconds: float) -> None:
         """Wait until `exchange` has something to read or write, at most for `seconds`."""
         if self._closed:
-            time.sleep(min(seconds, _POLL_SECONDS))
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(min(seconds, _EXIT_SECONDS))
             return
         with selectors.DefaultSelector() as selector:
             writing = selectors.EVENT_WRITE if self._to_send else 0
@@ -160,7 +159,7 @@ class ChildProcess:
         until = time.monotonic() + seconds
         while self.exit_code is None and (left := until - time.monotonic()) > 0:
             self.exchange()
-            self.wait_for_io(min(_POLL_SECONDS, left))
+            self.wait_for_io(left)
         self.kill()
 
     def kill(self) -> None:
@@ -244,8 +243,8 @@ def reap() -> None:
 def wait_for_killed(seconds: float) -> bool:
     """Wait until all killed processes are gone, which frees the files they had open; whether they are."""
     until = time.monotonic() + seconds
-    while True:
-        reap()
-        if not _killed or time.monotonic() > until:
-            return not _killed
-        time.sleep(_POLL_SECONDS)
+    for process in _killed:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(max(0.0, until - time.monotonic()))
+    reap()
+    return not _killed

@@ -47,6 +47,9 @@ def fake_capture(source: str, _options: CaptureOptions) -> Take:
         os.kill(os.getpid(), signal.SIGKILL)
     elif kind == "hangs" or (kind == "tires" and again):
         time.sleep(600)
+    elif kind == "waits":
+        while not (path.parent / "go").exists():
+            time.sleep(0.1)
     elif kind == "slow":
         time.sleep(0.5)
     elif kind == "hungry":

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from handfit_core import Take
-from handfit_core.arrays import pack, unpack
+from handfit_core.arrays import unpack
 from handfit_core.errors import Cancelled, HandfitError, ProtocolError
 from handfit_core.fit_quality import mean_expected_error, mean_relative_error
 from handfit_core.media.pictures import read_picture
@@ -176,17 +176,6 @@ def test_errors_are_sentences_with_details(
     assert "\n" not in str(caught.value)
     assert caught.value.__notes__[0].startswith("Traceback")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_large_messages_arrive_whole(start: Any) -> None:
-    """A request and an answer with the arrays of 10 000 frames and more."""
-    worker = start(
-        "from handfit_core.worker import checking\n"
-        "checking.warm = lambda message, should_stop: {'back': message['arrays']}\n"
-    )
-    packed = pack(np.random.default_rng(7).normal(size=(10_000, 400)))
-    done = ask(worker, "warm", arrays=packed)
-    assert done["back"] == packed
 
 
 def test_what_json_cannot_hold_is_not_sent(warm: Worker) -> None:
