@@ -30,6 +30,8 @@ FARM = ["distributed"]
 PYTEST = ["pytest", "pytest-xdist"]
 FARM_TOOLS = ["openjd-cli"]
 """What checks and runs farms' job files."""
+SNAKEMAKE = "snakemake==9.27.1"
+"""Does, too, in an environment of its own, as it asks for other versions than constraints.txt has."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -115,7 +117,7 @@ def tests(session: nox.Session, part: str) -> None:
         tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
         install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
-        allowed, clients = "CUDA,anny,smplx,snakemake,openssl", vrm_clients(session)
+        allowed, clients = "CUDA,anny,smplx,openssl", {**vrm_clients(session), **snakemake(session)}
         run_pytest(session, "tests/core", allowed_skips=allowed, env=clients, workers=2)
         run_again_as_another_processor(session, *NUMBERS)
         if not session.posargs:
@@ -142,6 +144,14 @@ def vrm_clients(session: nox.Session) -> dict[str, str]:
     quiet = ("--no-audit", "--no-fund", "--ignore-scripts", "--loglevel", "error")
     session.run("npm", "install", "--prefix", str(folder), *quiet, external=True, silent=True)
     return {"HANDFIT_VRM_CLIENTS": str(folder)}
+
+
+def snakemake(session: nox.Session) -> dict[str, str]:
+    """Returns how tests find it."""
+    folder = Path(session.virtualenv.location) / "snakemake"
+    session.run("python", "-m", "venv", str(folder))
+    session.run(str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", SNAKEMAKE, external=True)
+    return {"HANDFIT_SNAKEMAKE": str(folder / "bin" / "snakemake")}
 
 
 def blender_sessions(version: str, python: str) -> None:

@@ -99,8 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     add_interchange_commands(commands)
     add_batch_command(commands)
     add_model_commands(commands)
-    if importlib.util.find_spec("handfit_core.network"):  # as with the next one
-        from handfit_core.network.commands import add_send_command
+    if importlib.util.find_spec("handfit_core.interchange.send"):  # as with the next one
+        from handfit_core.interchange.send import add_send_command
 
         add_send_command(commands)
     if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import platform
 import re
 import stat
 import sys
@@ -19,8 +20,13 @@ from typing import BinaryIO
 from handfit_core.errors import HandfitError, OutputError
 
 PART = ".part-"
-"""What names of folders begin with that hold results which are not whole yet. Whoever made one has taken it
+"""What names of files and folders begin with that are not whole yet. Whoever made such a folder has taken it
 away where it is gone, or its disk was: nothing may be written where it was"""
+
+
+def part_of(process: int | str) -> str:
+    """How names of what a process of this machine has not finished begin."""
+    return f"{PART}{platform.node()[:40]}-{process}-"
 
 
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:[/\\]")
@@ -185,8 +191,7 @@ def written_whole(
         if not path.parent.name.startswith(PART):
             path.parent.mkdir(parents=True, exist_ok=True)
         # The suffix stays last: some exporters append it themselves when they miss it.
-        # Only a part of the name: with what mkstemp adds, a long name would be too long.
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem[:40]}-", suffix=path.suffix)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=part_of(os.getpid()), suffix=path.suffix)
         os.close(handle)
     except (OSError, ValueError) as error:
         raise OutputError(_cannot_write(path, error)) from error

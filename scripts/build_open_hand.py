@@ -25,6 +25,8 @@ Millimetres are used up to the point where the model is assembled, metres from t
 from __future__ import annotations
 
 import argparse
+import os
+import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -37,17 +39,20 @@ from scipy.optimize import nnls
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from handfit_core.files import written_whole
 from handfit_core.geometry.similarity import laid_over
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import ARRAY_NAMES, OPEN_HAND, load_model_npz, save_model_npz
+from handfit_core.hand_model.mano_pickle import load_mano_pickle
 from handfit_core.skeleton import (
     FINGER_JOINTS,
     FINGERS,
     MANO_TIP_VERTICES,
     NUM_BETAS,
     NUM_JOINTS,
+    PARENTS,
     Side,
     other_side,
 )
@@ -953,6 +958,39 @@ def report(model: HandModel) -> None:
         say(f"{finger:>7}: " + " ".join(f"{length:6.2f}" for length in lengths))
 
 
+def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
+    """Write `model` with MANO's keys, types and conventions, for tools that read MANO's files.
+
+    smplx and manotorch load the result. No chumpy is needed to read it. One key goes beyond MANO's:
+    `tip_vertices` (5,), which other tools ignore. Needs SciPy. Raises OutputError.
+    """
+    from scipy.sparse import csc_matrix
+
+    path = Path(path)
+    parents = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)], dtype=np.uint32)
+    content = {
+        "v_template": np.array(model.v_template),
+        "f": np.array(model.faces, dtype=np.uint32),
+        "shapedirs": np.array(model.shapedirs),
+        "posedirs": np.array(model.posedirs),
+        "J_regressor": csc_matrix(model.joint_regressor),
+        "J": model.joint_regressor @ model.v_template,
+        "weights": np.array(model.weights),
+        "kintree_table": parents,
+        "hands_components": np.array(model.hands_components),
+        "hands_mean": np.array(model.hands_mean),
+        "tip_vertices": np.array(model.tip_vertices, dtype=np.int64),
+        "bs_style": "lbs",
+        "bs_type": "lrotmin",
+    }
+    data = pickle.dumps(content, protocol=2)
+    # NumPy 2 names its private modules; under their old names NumPy 1 reads the file as well.
+    data = data.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
+    with written_whole(path, load_mano_pickle) as beside:
+        beside.write_bytes(data)
+    return path
+
+
 def main() -> int:
     """Run the build; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -976,8 +1014,6 @@ def main() -> int:
             save_model_npz(model, path, NOTES)
             say(f"wrote {path.name}, {path.stat().st_size / 1000:.0f} kB")
         if arguments.mano_pkl is not None:
-            from handfit_core.hand_model.mano_pickle import save_mano_pickle
-
             save_mano_pickle(model, arguments.mano_pkl / f"MANO_{model.side.upper()}.pkl")
     for line in found:
         say(line)

@@ -12,7 +12,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from concurrent.futures import Future
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -27,11 +26,12 @@ from handfit_core.files import written_whole
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.sheet import write_sheet
-from handfit_core.tasks.capture import Settings, fail
-from handfit_core.tasks.report import Result, attempt, read_results, write_report
+from handfit_core.tasks.capture import Settings, note_failure
+from handfit_core.tasks.record import Result, attempt
+from handfit_core.tasks.report import read_results, write_report
 from handfit_core.tasks.run import run_tasks
 from handfit_core.tasks.task import Task, make_tasks
-from handfit_core.tasks.workers import DaskWorkers, InThisProcess, LocalProcesses, Workers
+from handfit_core.tasks.workers import DaskWorkers, LocalProcesses, Workers
 from scripts.speed.report import Part, machine_facts, machine_text, significant
 
 PHOTO = ROOT / "samples" / "rendered_hand" / "hand.0012.jpg"
@@ -92,7 +92,7 @@ def photos_part(args: argparse.Namespace, folder: Path) -> Part:
         take.save(folder / "take.npz")
         write_sheet(take, folder / "sheet.jpg")
     seconds = {"captures alone": time.perf_counter() - began}
-    workers: dict[str, Workers] = {"--jobs 1": InThisProcess(), "--jobs 2": LocalProcesses(2)}
+    workers: dict[str, Workers] = {"--jobs 1": Workers(), "--jobs 2": LocalProcesses(2)}
     for name, those in workers.items():
         began = time.perf_counter()
         output = folder / name
@@ -112,29 +112,7 @@ def photos_part(args: argparse.Namespace, folder: Path) -> Part:
 
 def empty_task(task: Task, output: Path, settings: Settings) -> Result:
     """A task in which nothing is done but writing its record."""
-    result = Result(task.shown, task.name, id=task.key)
-    fail(task, output, result, attempt("nothing was captured", "Nothing", 0.0), settings)
-    return result
-
-
-class EmptyTasks:
-    """Workers that do `empty_task`."""
-
-    def __init__(self, executor: Any, workers: Workers) -> None:
-        self._executor, self._workers = executor, workers
-        self.tries, self.room = workers.tries, workers.room
-
-    def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
-        """As `Workers.submit`."""
-        return self._executor.submit(empty_task, task, output, settings)
-
-    def renew(self) -> None:
-        """As `Workers.renew`."""
-
-    def close(self) -> None:
-        """As `Workers.close`."""
-        self._executor.shutdown()
-        self._workers.close()
+    return note_failure(task, output, settings, [attempt("nothing was captured", "Nothing", 0.0)])
 
 
 def empty_part(args: argparse.Namespace, folder: Path) -> Part:
@@ -163,13 +141,10 @@ def empty_part(args: argparse.Namespace, folder: Path) -> Part:
     return Part("Tasks in which nothing is captured", header, rows, (), {"empty": numbers})
 
 
-def _empty_workers(scheduler: str | None) -> EmptyTasks:
-    if scheduler is not None:
-        dask = DaskWorkers(scheduler, 2)
-        return EmptyTasks(dask.executor, dask)
-    from loky import ProcessPoolExecutor
-
-    return EmptyTasks(ProcessPoolExecutor(2), LocalProcesses(2))
+def _empty_workers(scheduler: str | None) -> Workers:
+    workers = LocalProcesses(2) if scheduler is None else DaskWorkers(scheduler, 2)
+    workers.run = empty_task
+    return workers
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make the pictures of docs/artists.md from the running program: Blender's own window, captured under Xvfb.
+"""Make the pictures of the pages for artists: Blender's own window with the running program, under Xvfb.
 
     sudo HANDFIT_BLENDER_CHROOT=DIR HANDFIT_PYTHON=PYTHON python scripts/window_pictures.py
 

@@ -1,13 +1,12 @@
 """What a batch makes of takes: files of other programs, .blend files and previews.
 
-`serve` is the process that makes them: one Blender turns many takes into files, one after another.
+`export` is what a process does that makes them: one Blender turns many takes into files, one after another.
 """
 
 from __future__ import annotations
 
 import argparse
 import faulthandler
-import glob
 import json
 import os
 import sys
@@ -24,6 +23,7 @@ from handfit_core.errors import HandfitError, OptionError
 from handfit_core.take import Take
 from handfit_core.tasks.inputs import PREVIEW_SUFFIX
 from handfit_core.tasks.progress import say
+from handfit_core.tasks.record import remove_abandoned
 from handfit_core.tasks.task import TAKE_SUFFIX, Task, fingerprint
 
 from ..exporters import EXPORTERS, find_exporter
@@ -122,9 +122,8 @@ def _export(exports: Exports, task: Task, exported: Exported, *, keep_addons: bo
     given, started = exports.given, time.perf_counter()
     try:
         left = exported.left(exports.formats, again=given["again"], overwrite=given["overwrite"])
-        if not task.flat:  # what a process left that was killed
-            for path in exported.folder.glob(f".{glob.escape(task.name[:40])}-*"):
-                path.unlink(missing_ok=True)
+        exported.begin(left)
+        remove_abandoned(exported.folder)
         if given["timeout"]:  # ends this process, whatever hangs
             faulthandler.dump_traceback_later(given["timeout"], exit=True)
         try:

@@ -22,7 +22,8 @@ from handfit_core.machine import usable_jobs
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.tasks.arguments import WITH_PARENT
 from handfit_core.tasks.progress import Progress
-from handfit_core.tasks.report import REPORT, Result, read_results
+from handfit_core.tasks.record import Result
+from handfit_core.tasks.report import REPORT, read_results
 from handfit_core.tasks.task import Task, make_tasks
 from handfit_core.worker import interpreter
 
@@ -132,7 +133,8 @@ class _Batch:
         command = interpreter.worker_command(python, "batch", *words, WITH_PARENT, "--", *args.inputs)
         bytecode = shared_worker.bytecode_folder() if is_own else None
         try:
-            child = subprocess.Popen(command, env=interpreter.worker_environment(python, bytecode))
+            environment = interpreter.worker_environment(python, bytecode)
+            child = subprocess.Popen(command, env=environment, stdin=subprocess.PIPE)
         except OSError as error:
             if only_takes and not is_own:  # they need nothing but NumPy
                 return self.capture(sys.executable)
@@ -142,10 +144,8 @@ class _Batch:
             ) from error
         try:
             return child.wait()
-        except KeyboardInterrupt:
-            child.terminate()
-            child.wait()
-            raise
+        finally:  # it ends once its stdin does
+            child.communicate()
 
     def look(self, *, again: bool = False) -> Iterator[tuple[Task, Result, bool]]:
         """Each task, its entry of the report as it is now, and whether files have to be made of its take, as
@@ -179,8 +179,7 @@ class _Batch:
 
     def export(self) -> bool:
         """Have files made of all takes, and write the report anew. Returns whether all of it succeeded."""
-        progress = Progress(self.output, self.tasks, "none")
-        errors, failed = dict[str, str](), self._failed_captures()
+        progress, errors = Progress(self.output, self.tasks, "none"), dict[str, str]()
         tasks = [task for task, _, left in self.look(again=self.args.again) if left]
         try:
             self._make_files(tasks, errors)
@@ -189,19 +188,9 @@ class _Batch:
                 if error := errors.get(task.name):
                     result.status, result.error = "failed", error
                     tell(task, error, self.args.progress)
-                elif task.key in failed:  # of which a take may be there from before
-                    result.status, result.error = "failed", failed[task.key]
                 progress.results[task.key] = result
             progress.close()
         return not progress.trouble and all(result.status == "ok" for result in progress.results.values())
-
-    def _failed_captures(self) -> dict[str, str]:
-        """By their keys, why captures have failed, as the first step has just reported."""
-        try:
-            entries = json.loads((self.output / REPORT).read_text(encoding="utf-8"))["inputs"]
-            return {each["id"]: each["error"] for each in entries if each["status"] == "failed"}
-        except (OSError, ValueError, KeyError, TypeError):
-            return {}
 
     def _make_files(self, tasks: Sequence[Task], errors: dict[str, str]) -> None:
         """Have processes make files of takes, each of its share; `errors` gets why takes failed, by their

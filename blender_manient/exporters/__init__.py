@@ -1,4 +1,4 @@
-"""File formats for other programs: one a file, found by itself."""
+"""File formats for other programs, found by themselves."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PRESETS = (
 """Name, label and description of the programs that formats know"""
 
 _REQUIRED = ("name", "label", "description", "suffix")
-_BUILT_IN = ("blend", "fbx", "gltf", "usd", "bvh", "alembic", "vrma", "take")
+_BUILT_IN = ("blend", "blender_formats", "vrma", "take")
 """The files of this folder that are no plug-ins, in the order of the buttons"""
 
 _TAKEN = (".json", ".export.json", ".sheet.jpg", ".preview.png")

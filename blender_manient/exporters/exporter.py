@@ -83,7 +83,7 @@ class Exporter(ABC):
     @abstractmethod
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, final: Path, /) -> None:
         """Write the file to `path`, which is renamed to `final` once it is there. What the format `writes` is
-        in the open scene, at its frame range and rate, in metres and Blender's axes."""
+        in the context's scene, at its frame range and rate, in metres and Blender's axes."""
 
     def is_whole(self, _stream: BinaryIO, _size: int, /) -> bool:
         """Whether a file of `size` bytes, more than 0, was written to its end. Writers that say nothing of a

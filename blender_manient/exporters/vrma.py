@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -53,58 +54,33 @@ class VrmaExporter(Exporter):
 
 
 def _hands_of(hand: HandObjects) -> list[HumanoidHand]:
-    """What the open scene shows of a captured hand, or of a character's hands, over its frame range."""
-    bones = bones_of(hand.armature)
-    sources: list[tuple[HandMap, SourceHand]] = []
+    """What the context's scene shows of a captured hand, or of a character's hands, over its frame range."""
+    bones, mapped = bones_of(hand.armature), list[tuple[HandMap, SourceHand]]()
     if hand.side is not None:
         rig = rig_of(hand.armature, hand.side)
-        sources.append((HandMap(hand.side, tuple(rig.bones)), _flat(rig, bones)))
+        mapped.append((HandMap(hand.side, tuple(rig.bones)), _at_rest(rig, bones)))
     else:
-        given = hand.hand_maps if isinstance(hand, CharacterObjects) else ()
+        given = {m.side: m for m in hand.hand_maps} if isinstance(hand, CharacterObjects) else {}
         for side in SIDES:
-            try:
-                hand_map = next((m for m in given if m.side == side), None) or hand_map_of(
-                    hand.armature, side
-                )
-            except HandModelError:  # it has no such hand
-                continue
-            sources.append((hand_map, _open_hand(side)))
-    if not sources:
+            with contextlib.suppress(HandModelError):  # it has no such hand
+                mapped.append((given.get(side) or hand_map_of(hand.armature, side), _open_hand(side)))
+    sources = [source for _, source in mapped]
+    targets = [target_hand(bones, replace(hand_map, fold=0.0), source) for hand_map, source in mapped]
+    wrists = [_wrist_and_forearm(bones, target) for target in targets]
+    read = {name for target in targets for name in (target.hand_map.bones[0], *target.bones)}
+    if not read:
         return []
     scene = bpy.context.scene
     frames = range(scene.frame_start, scene.frame_end + 1)
-    times = np.arange(len(frames)) * scene.render.fps_base / scene.render.fps
-    mapped = [_Mapped.of(bones, hand_map, source) for hand_map, source in sources]
-    sampled = sample(hand.armature, frames, scene, {name for each in mapped for name in each.names})
-    return [_moving(bones, each, times, sampled) for each in mapped]
-
-
-@dataclass(frozen=True, eq=False)
-class _Mapped:
-    """One of an armature's hands."""
-
-    hand_map: HandMap
-    source: SourceHand
-    target: TargetHand
-    wrist: tuple[str, str] | None
-    """the bones between which the wrist bends, as `_wrist_and_forearm` returns them"""
-
-    @classmethod
-    def of(cls, bones: Bones, hand_map: HandMap, source: SourceHand) -> _Mapped:
-        target = target_hand(bones, replace(hand_map, fold=0.0), source)
-        return cls(hand_map, source, target, _wrist_and_forearm(bones, hand_map, _ASIDE * target.scale))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The bones from which the hand's motion is read."""
-        return self.hand_map.bones[0], *self.target.bones, *(self.wrist or ())
+    sampled = sample(hand.armature, frames, scene, read.union(*wrists))
+    return [_moving(bones, *each, sampled) for each in zip(sources, targets, wrists, strict=True)]
 
 
 def _open_hand(side: Side) -> SourceHand:
     return SourceHand.of(kept_model("open-hand", side).shaped(), side)
 
 
-def _flat(rig: Rig, bones: Bones) -> SourceHand:
+def _at_rest(rig: Rig, bones: Bones) -> SourceHand:
     """A captured hand's own joints, which are flat at rest; of a rig that says it rests otherwise, the open
     hand's."""
     if type(rig).from_bones is not Rig.from_bones:
@@ -114,34 +90,36 @@ def _flat(rig: Rig, bones: Bones) -> SourceHand:
     return SourceHand(rig.side, bones.heads[at], bones.tails[last])
 
 
-def _moving(bones: Bones, mapped: _Mapped, times: np.ndarray, sampled: Sampled) -> HumanoidHand:
-    """One hand, as it is shown at those times."""
-    hand_map, source, target = mapped.hand_map, mapped.source, mapped.target
+def _moving(
+    bones: Bones, source: SourceHand, target: TargetHand, wrist: tuple[str, ...], sampled: Sampled
+) -> HumanoidHand:
+    """One hand as the scene shows it over its frame range; `wrist` as `_wrist_and_forearm` returns it."""
 
     def posed(name: str) -> np.ndarray:
         """(N, 3, 3) how a bone is turned from its rest, in the armature's space."""
         shown = sampled.pose[:, sampled.names.index(name)]
         return rotations_of(shown) @ bones.frames[bones.index[name]].T
 
-    back = np.swapaxes(posed(hand_map.bones[0]), -1, -2)
+    back = np.swapaxes(posed(target.hand_map.bones[0]), -1, -2)
     standing = np.stack([back @ posed(name) for name in target.bones], axis=1) @ target.rest
     turns = target.turns(target.channels(standing))
-    if mapped.wrist is not None:
-        hand, forearm = map(posed, mapped.wrist)
+    if wrist:
+        hand, forearm = map(posed, wrist)
         turns[:, 0] = target.aligned.T @ np.swapaxes(forearm, -1, -2) @ hand @ target.aligned
     turned = np.linalg.norm(rotmat_to_rotvec(turns[:, 0]), axis=-1).max() > _STILL
-    joints = [joint for finger in hand_map.fingers for joint in FINGER_JOINTS[finger]]
+    render = bpy.context.scene.render
+    times = np.arange(len(turns)) * render.fps_base / render.fps
+    joints = [joint for finger in target.hand_map.fingers for joint in FINGER_JOINTS[finger]]
     return HumanoidHand.of(source, times, turns, wrist=bool(turned), joints=joints)
 
 
-def _wrist_and_forearm(bones: Bones, hand_map: HandMap, aside: float) -> tuple[str, str] | None:
-    """The bones between which a wrist bends; None where the hand hangs on no arm, which begins farther from
-    the wrist than `aside`. Rigify's deforming bones share the wrist's twist, those of its chain (ORG) do
-    not."""
-    name = hand_map.bones[0]
+def _wrist_and_forearm(bones: Bones, target: TargetHand) -> tuple[str, ...]:
+    """The two bones between which a wrist bends; none where the hand hangs on no arm. Rigify's deforming
+    bones share the wrist's twist, those of its chain (ORG) do not."""
+    name = target.hand_map.bones[0]
     own = f"ORG-{name.removeprefix('DEF-').removeprefix('ORG-')}"
     hand = bones.index.get(own, bones.index[name])
     for bone in bones.ancestors(hand):
-        if np.linalg.norm(bones.heads[bone] - bones.heads[hand]) > aside:
+        if np.linalg.norm(bones.heads[bone] - bones.heads[hand]) > _ASIDE * target.scale:
             return bones.names[hand], bones.names[bone]
-    return None
+    return ()

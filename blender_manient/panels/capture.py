@@ -7,7 +7,7 @@ import bpy
 from handfit_core.options import OPTIONS
 
 from .. import jobs, shared_worker, source_info
-from ..find_mode import mode as find_mode
+from ..modes import find_hands as find_mode
 from ..operators import add_hand
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
@@ -159,7 +159,7 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_capture_advanced"
     bl_label = "Advanced"
     bl_parent_id = "MANIENT_PT_capture"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """What few change."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import bpy
 
 from .. import key_preview
-from ..operators.simplify_keys import armature_of
-from ..scene.editable import strip_below, why_not_keyable
+from ..operators.keys import armature_of
+from ..scene.actions import strip_below
+from ..scene.editable import why_not_keyable
 from ..scene.simplify import PARTS, Thinned, kept_action
 from ..scene.store import active_hand
 from ..section import Section, sentence, split
@@ -16,7 +17,7 @@ class MANIENT_PT_keys(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_keys"
     bl_label = "Keys"
     bl_parent_id = "MANIENT_PT_shape"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -47,7 +47,7 @@ class CapturedHandRig(Rig):
     def follow(self, shaped: ShapedHand) -> None:
         """Move the 16 rest bones, and the controls. Other bones that the artist added stay where they are."""
         names = self.controls
-        with self._edited() as edit_bones:
+        with _edited(self.armature.data) as edit_bones:
             own = [edit_bones[name] for name in self.bones]
             connected = [bone.use_connect for bone in own]
             for bone in own:
@@ -64,7 +64,7 @@ class CapturedHandRig(Rig):
 
     def add_controls(self, model: str) -> None:
         """Give a hand that has none its controls; `model` is its hand model's name."""
-        with self._edited() as edit_bones:
+        with _edited(self.armature.data) as edit_bones:
             names = controls.make_bones(edit_bones, self.bones)
         controls.set_up(self.armature, self.bones, names, joint_limits(self.side, model))
 
@@ -72,24 +72,13 @@ class CapturedHandRig(Rig):
         """Take the controls away, with all that they do."""
         names = self.controls
         controls.take_down(self.armature)
-        with self._edited() as edit_bones:
+        with _edited(self.armature.data) as edit_bones:
             for name in names.values():
                 edit_bones.remove(edit_bones[name])
 
     def allow(self, quats: np.ndarray) -> None:
         """Widen the joints' limits where poses go beyond them."""
         controls.widen(self.armature, self.bones, quats)
-
-    @contextlib.contextmanager
-    def _edited(self) -> Iterator[Any]:
-        """The bones in edit mode."""
-        # The artist's object may be in Pose mode, hidden or in a collection that is switched off.
-        editor = bpy.data.objects.new("edit", self.armature.data)
-        try:
-            with _edit_mode(editor):
-                yield self.armature.data.edit_bones
-        finally:
-            bpy.data.objects.remove(editor)
 
 
 def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:
@@ -100,8 +89,8 @@ def build_rig(name: str, shaped: ShapedHand, side: Side) -> CapturedHandRig:
     """
     armature = bpy.data.armatures.new(name)
     obj = bpy.data.objects.new(name, armature)
-    with _edit_mode(obj):
-        bones = [armature.edit_bones.new(bone) for bone in bone_names(side)]
+    with _edited(armature) as edit_bones:
+        bones = [edit_bones.new(bone) for bone in bone_names(side)]
         heads, tails = _place(bones, shaped, side)
         for i, bone in enumerate(bones[1:], start=1):
             bone.parent = bones[PARENTS[i]]
@@ -126,28 +115,24 @@ def _place(bones: list[bpy.types.EditBone], shaped: ShapedHand, side: Side) -> t
 
 
 @contextlib.contextmanager
-def _edit_mode(obj: bpy.types.Object) -> Iterator[None]:
-    """Have an unlinked armature in edit mode, in a scene that nobody sees and that is removed again.
+def _edited(armature: bpy.types.Armature) -> Iterator[Any]:
+    """The bones of an armature in edit mode, where they can be made.
 
-    Bones can be made in edit mode only. There, the artist's own scene is neither seen nor evaluated.
+    That is the mode of an object and a scene that nobody sees: the artist's own object may be in Pose mode,
+    hidden or in a collection that is switched off, and the artist's scene is neither seen nor evaluated.
     """
-    scene = bpy.data.scenes.new("armature")
+    scene, editor = bpy.data.scenes.new("armature"), bpy.data.objects.new("edit", armature)
     try:
-        scene.collection.objects.link(obj)
+        scene.collection.objects.link(editor)
         layer = scene.view_layers[0]
-        layer.objects.active = obj
-        with bpy.context.temp_override(
-            scene=scene,
-            view_layer=layer,
-            active_object=obj,
-            object=obj,
-            edit_object=None,
-            selected_objects=[obj],
-        ):
+        layer.objects.active = editor
+        own = {"active_object": editor, "object": editor, "edit_object": None, "selected_objects": [editor]}
+        with bpy.context.temp_override(scene=scene, view_layer=layer, **own):
             bpy.ops.object.mode_set(mode="EDIT")
             try:
-                yield
+                yield armature.edit_bones
             finally:
                 bpy.ops.object.mode_set(mode="OBJECT")
     finally:
         bpy.data.scenes.remove(scene)
+        bpy.data.objects.remove(editor)

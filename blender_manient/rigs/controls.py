@@ -39,12 +39,43 @@ _CONTROL: Final = "Hand Control"
 _COLLECTIONS: Final = ("Captured Bones", "Hand Controls", "Mechanism")
 _BEFORE: Final = "before_controls"
 """A bone's custom property: what is given back when the controls are removed, as JSON"""
-_COLORS: Final = {"hand": (1.0, 0.7, 0.15), "fingers": (1.0, 0.7, 0.15)}
-_FINGER_COLOR: Final = (0.25, 0.8, 1.0)
+_HAND_COLOR: Final = np.array([1.0, 0.7, 0.15])
+_FINGER_COLOR: Final = np.array([0.25, 0.8, 1.0])
 _SHAPE: Final = "hand_control_shape"
 _QUARTER: Final = pi / 2
 _FAN: Final = {"thumb": -1.0, "index": -1.0, "middle": -0.2, "ring": 0.5, "little": 1.2}
 """How far each finger spreads for what the fingers' control is turned"""
+_TURN: Final = {
+    **{"map_from": "ROTATION", "map_to": "ROTATION", "use_motion_extrapolate": True},
+    **{"from_rotation_mode": "XYZ", "to_euler_order": "XYZ"},
+    **{f"map_to_{axis}_from": axis.upper() for axis in "xyz"},
+    **{f"from_min_{axis}_rot": -_QUARTER for axis in "xyz"},
+    **{f"from_max_{axis}_rot": _QUARTER for axis in "xyz"},
+}
+"""What constraints have by which bones are turned as others are"""
+_LIMITED: Final = {
+    **{"euler_order": "XZY", "use_transform_limit": True},
+    **dict.fromkeys(("use_limit_x", "use_limit_y", "use_limit_z"), True),
+}
+_SHAPES: Final = {
+    "finger": (  # a ball on a stem that stands on the back of the finger's first bone
+        ((0.0, 0.5, -0.95), (0.13, 0.0, 0.0), (0.0, 0.13, 0.0)),
+        ((0.0, 0.5, -0.95), (0.0, 0.13, 0.0), (0.0, 0.0, 0.13)),
+        ((0.0, 0.5, -0.95), (0.13, 0.0, 0.0), (0.0, 0.0, 0.13)),
+        ((0.0, 0.5, -0.56), (0.0, 0.0, 0.26), (0.0, 0.0, 0.0)),
+    ),
+    "fingers": (
+        ((0.0, 0.7, -0.42), (0.36, 0.0, 0.0), (0.0, 0.12, 0.0)),
+        ((0.0, 0.7, -0.42), (0.31, 0.0, 0.0), (0.0, 0.07, 0.0)),
+    ),
+    "hand": (
+        ((0.0, -0.05, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.42)),
+        ((0.0, -0.09, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.42)),
+    ),
+}
+"""Ellipses, each by its centre and half axes, in lengths of a bone, along its axes: +Y to its tip, -Z out of
+the back"""
+_RING_POINTS: Final = 32
 _PLAY: Final = np.radians(1.0)
 """How much farther than the keys limits reach, for what lies between keys"""
 _KNUCKLES: Final = 0.75
@@ -64,10 +95,15 @@ def with_moved(armature: bpy.types.Object, bones: list[str], selected: set[str])
     return selected | {bones[joint] for role in chosen for joint in moved.get(role, ())}
 
 
+def _joint_of(role: str) -> int:
+    """The joint whose bone a control lies on."""
+    return FINGER_JOINTS[role][0] if role in FINGERS else 0
+
+
 def place_controls(edit_bones: Any, bones: list[str], controls: dict[str, str]) -> None:
     """Lay the controls where the 16 `bones` lie, both in edit mode."""
     for role, name in controls.items():
-        model = edit_bones[bones[FINGER_JOINTS[role][0] if role in FINGERS else 0]]
+        model = edit_bones[bones[_joint_of(role)]]
         bone = edit_bones[name]
         offset = (model.tail - model.head) * (_KNUCKLES if role == "fingers" else 0.0)
         bone.head, bone.tail = model.head + offset, model.tail + offset
@@ -100,22 +136,27 @@ def set_up(armature: bpy.types.Object, bones: list[str], names: dict[str, str], 
     _collect(armature, bones, names)
     _follow_keys(armature, bones[0], names[CAPTURED])
     for role in ROLES[1:]:
-        _dress(pose[names[role]], role, pose[bones[FINGER_JOINTS[role][0] if role in FINGERS else 0]])
-    wrist = _constraint(armature, bones[0], "COPY_TRANSFORMS", names["hand"], _CONTROL)
-    wrist.mix_mode = "AFTER_FULL"
-    bends = limits.upper[:, 2]
+        _dress(pose[names[role]], role, pose[bones[_joint_of(role)]])
+
+    def driven(bone: str, role: str, kind: Any, name: str, **settings: Any) -> None:
+        source = {"target": armature, "subtarget": names[role], "target_space": "LOCAL"}
+        _constraint(pose[bone], kind, name, **source, **settings)
+
+    def turned(bone: str, role: str, name: str, mix: str, **quarter: float) -> None:
+        """Have a quarter turn of a control about an axis turn a bone about its own, by so many radians."""
+        ranges = _TURN | {"mix_mode_rot": mix}
+        for axis, turn in quarter.items():
+            ranges |= {f"to_min_{axis}_rot": -turn, f"to_max_{axis}_rot": turn}
+        driven(bone, role, "TRANSFORM", name, **ranges)
+
+    driven(bones[0], "hand", "COPY_TRANSFORMS", _CONTROL, mix_mode="AFTER_FULL")
     for finger, joints in FINGER_JOINTS.items():
-        control = names[finger]
-        all_of_them = _turning(armature, control, names["fingers"], _CONTROL, "ADD")
-        _maps(all_of_them, x=_QUARTER, z=_QUARTER * _FAN[finger])
-        spread = _turning(armature, bones[joints[0]], control, f"{_CONTROL} Spread", "BEFORE")
-        _maps(spread, z=_QUARTER)
+        turned(names[finger], "fingers", _CONTROL, "ADD", x=_QUARTER, z=_QUARTER * _FAN[finger])
+        turned(bones[joints[0]], finger, f"{_CONTROL} Spread", "BEFORE", z=_QUARTER)
         for joint in joints:
-            _maps(_turning(armature, bones[joint], control, _CONTROL, "AFTER"), x=float(bends[joint - 1]))
+            turned(bones[joint], finger, _CONTROL, "AFTER", x=float(limits.upper[joint - 1, 2]))
     for joint in range(1, NUM_JOINTS):
-        limit: Any = pose[bones[joint]].constraints.new("LIMIT_ROTATION")
-        limit.name, limit.owner_space, limit.euler_order = LIMIT, "LOCAL", "XZY"
-        limit.use_limit_x = limit.use_limit_y = limit.use_limit_z = limit.use_transform_limit = True
+        limit = _constraint(pose[bones[joint]], "LIMIT_ROTATION", LIMIT, **_LIMITED)
         _limit(limit, limits.lower[joint - 1], limits.upper[joint - 1])
 
 
@@ -228,15 +269,9 @@ def widen(armature: bpy.types.Object, bones: list[str], quats: np.ndarray) -> No
     lower, upper = np.fmin.reduce(angles) - _PLAY, np.fmax.reduce(angles) + _PLAY
     for limit, low, high in zip(limits, lower, upper, strict=True):
         if limit is not None:
-            present = np.array(
-                [[limit.min_x, limit.max_x], [limit.min_y, limit.max_y], [limit.min_z, limit.max_z]]
-            )
-            least, most = present.T
-            _limit(
-                limit,
-                np.fmin([-most[1], -most[2], least[0]], low),
-                np.fmax([-least[1], -least[2], most[0]], high),
-            )
+            least = [-limit.max_y, -limit.max_z, limit.min_x]
+            most = [-limit.min_y, -limit.min_z, limit.max_x]
+            _limit(limit, np.fmin(least, low), np.fmax(most, high))
 
 
 def _limit(limit: Any, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -252,30 +287,11 @@ def _constraints(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.PoseBon
                 yield bone, constraint
 
 
-def _constraint(armature: bpy.types.Object, bone: str, kind: Any, target: str, name: str) -> Any:
-    constraint: Any = armature.pose.bones[bone].constraints.new(kind)
-    constraint.name, constraint.target, constraint.subtarget = name, armature, target
-    constraint.owner_space = constraint.target_space = "LOCAL"
+def _constraint(bone: bpy.types.PoseBone, kind: Any, name: str, **settings: Any) -> Any:
+    constraint = bone.constraints.new(kind)
+    for key, value in {"name": name, "owner_space": "LOCAL", **settings}.items():
+        setattr(constraint, key, value)
     return constraint
-
-
-def _turning(armature: bpy.types.Object, bone: str, target: str, name: str, mix: str) -> Any:
-    """A constraint that turns a bone by how much another one is turned."""
-    constraint = _constraint(armature, bone, "TRANSFORM", target, name)
-    constraint.map_from = constraint.map_to = "ROTATION"
-    constraint.from_rotation_mode = constraint.to_euler_order = "XYZ"
-    constraint.mix_mode_rot, constraint.use_motion_extrapolate = mix, True
-    return constraint
-
-
-def _maps(constraint: Any, **quarter: float) -> None:
-    """By how many radians a quarter turn of the target about an axis turns the bone about its own."""
-    for axis in "xyz":
-        setattr(constraint, f"map_to_{axis}_from", axis.upper())
-        setattr(constraint, f"from_min_{axis}_rot", -_QUARTER)
-        setattr(constraint, f"from_max_{axis}_rot", _QUARTER)
-        setattr(constraint, f"to_min_{axis}_rot", -quarter.get(axis, 0.0))
-        setattr(constraint, f"to_max_{axis}_rot", quarter.get(axis, 0.0))
 
 
 def _follow_keys(armature: bpy.types.Object, wrist: str, bone: str) -> None:
@@ -286,8 +302,7 @@ def _follow_keys(armature: bpy.types.Object, wrist: str, bone: str) -> None:
     channels = {"rotation_mode": 1, "location": 3, "rotation_quaternion": 4, "rotation_euler": 3}
     for path, count in (channels | {"rotation_axis_angle": 4}).items():
         for index in range(count):
-            part = -1 if count == 1 else index
-            curve = armature.pose.bones[bone].driver_add(path, part)
+            curve = armature.pose.bones[bone].driver_add(path, -1 if count == 1 else index)
             curve.keyframe_points.clear()  # from Blender 5.0 on it begins as a line, with steps at its points
             driver = curve.driver
             driver.type = "AVERAGE"
@@ -297,12 +312,12 @@ def _follow_keys(armature: bpy.types.Object, wrist: str, bone: str) -> None:
 
 
 def _collect(armature: bpy.types.Object, bones: list[str], names: dict[str, str]) -> None:
+    for name in names.values():  # new bones are in the collection that the artist has as the active one
+        for other in list(armature.data.bones[name].collections):
+            other.unassign(armature.data.bones[name])
     handles = [name for role, name in names.items() if role != CAPTURED]
     for title, members in zip(_COLLECTIONS, (bones, handles, [names[CAPTURED]]), strict=True):
         collection = armature.data.collections.new(title)
-        for name in names.values():  # new bones are in the collection that the artist has as the active one
-            for other in list(armature.data.bones[name].collections) if name in members else ():
-                other.unassign(armature.data.bones[name])
         for name in members:
             collection.assign(armature.data.bones[name])
         collection.is_visible = title != _COLLECTIONS[2]
@@ -318,7 +333,7 @@ def _dress(bone: bpy.types.PoseBone, role: str, at: bpy.types.PoseBone) -> None:
     bone.custom_shape = _shape(role if role in ("hand", "fingers") else "finger")
     bone.custom_shape_transform = at
     bone.color.palette = "CUSTOM"
-    color = np.array(_COLORS.get(role, _FINGER_COLOR))
+    color = _FINGER_COLOR if role in FINGERS else _HAND_COLOR
     bone.color.custom.normal = color
     bone.color.custom.select, bone.color.custom.active = 0.5 + 0.5 * color, 0.7 + 0.3 * color
 
@@ -328,54 +343,12 @@ def _shape(kind: str) -> bpy.types.Object:
     for there in bpy.data.objects:
         if there.get(_SHAPE) == kind and there.library is None:
             return there
-    points, edges = _SHAPES[kind]
+    at, a, b = np.swapaxes(_SHAPES[kind], 0, 1)[:, :, None]  # (R, 1, 3) each
+    t = np.linspace(0.0, 2.0 * pi, _RING_POINTS, endpoint=False)[:, None]
+    points, own = at + np.cos(t) * a + np.sin(t) * b, np.arange(_RING_POINTS)
+    edges = _RING_POINTS * np.arange(len(points))[:, None, None] + np.stack([own, np.roll(own, -1)], axis=-1)
     mesh = bpy.data.meshes.new(f"Hand control, {kind}")
-    mesh.from_pydata(points.tolist(), edges.tolist(), [])
+    mesh.from_pydata(points.reshape(-1, 3).tolist(), edges.reshape(-1, 2).tolist(), [])
     shape = bpy.data.objects.new(mesh.name, mesh)
     shape[_SHAPE] = kind
     return shape
-
-
-def _line(points: np.ndarray, *, closed: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    count = len(points)
-    edges = np.stack([np.arange(count), np.arange(1, count + 1) % count], axis=-1)
-    return points, edges if closed else edges[:-1]
-
-
-def _ring(
-    center: tuple[float, float, float], *radii: tuple[float, float, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """An ellipse with the two half axes `radii`."""
-    t = np.linspace(0.0, 2.0 * pi, 32, endpoint=False)[:, None]
-    a, b = np.array(radii)
-    return _line(np.array(center) + np.cos(t) * a + np.sin(t) * b, closed=True)
-
-
-def _together(*lines: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    starts = np.cumsum([0, *(len(points) for points, _ in lines)])
-    return (
-        np.concatenate([points for points, _ in lines]),
-        np.concatenate([edges + start for (_, edges), start in zip(lines, starts[:-1], strict=True)]),
-    )
-
-
-def _finger_shape() -> tuple[np.ndarray, np.ndarray]:
-    """A ball on a stem that stands on the back of the finger's first bone."""
-    r, center = 0.13, (0.0, 0.5, -0.95)
-    x, y, z = np.eye(3) * r
-    stem = _line(np.array([[0.0, 0.5, -0.3], [0.0, 0.5, -0.95 + r]]))
-    return _together(stem, _ring(center, x, y), _ring(center, y, z), _ring(center, x, z))
-
-
-_SHAPES: Final = {
-    "finger": _finger_shape(),
-    "fingers": _together(
-        _ring((0.0, 0.7, -0.42), (0.36, 0.0, 0.0), (0.0, 0.12, 0.0)),
-        _ring((0.0, 0.7, -0.42), (0.31, 0.0, 0.0), (0.0, 0.07, 0.0)),
-    ),
-    "hand": _together(
-        _ring((0.0, -0.05, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.42)),
-        _ring((0.0, -0.09, 0.0), (0.5, 0.0, 0.0), (0.0, 0.0, 0.42)),
-    ),
-}
-"""Points (V, 3) and edges (E, 2) in lengths of a bone, along its axes: +Y to its tip, -Z out of the back"""

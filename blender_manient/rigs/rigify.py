@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +11,12 @@ import bpy
 import numpy as np
 
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import Found, HandMap, the_surest
-from handfit_core.retarget.names import named_hands
+from handfit_core.retarget.hand_map import Found, HandMap
 from handfit_core.skeleton import FINGER_JOINTS, Side
 
 from ..blender_versions import channels, used_actions
-from .character import Character, driven_bones
+from .by_bones import NamedCharacter
+from .character import Character
 from .rig import bone_path
 
 _AT_REST = {
@@ -39,7 +39,7 @@ class RigifyCharacter(Character):
         """By what Rigify leaves in armatures that it generates."""
         if "rig_id" not in armature.data or not any(name.startswith("ORG-") for name in bones.names):
             return None
-        found = the_surest(named_hands(bones, side), bones, driven_bones(armature))
+        found = NamedCharacter.find(armature, bones, side)
         if found is None:
             return None
         core = _core(found.hand_map)
@@ -54,39 +54,35 @@ class RigifyCharacter(Character):
         """Masters and finger IK that turn the fingers on top of their controls, and a hand whose control does
         not act."""
         pose, core, curves = armature.pose.bones, _core(hand_map), _curves(armature)
-        masters, chains = [], []
-        for finger in hand_map.fingers:
-            first = next(hand_map.bones[joint] for joint in FINGER_JOINTS[finger] if hand_map.bones[joint])
-            master, chain = pose.get(_derived(first, "_master")), pose.get(_derived(first, "_ik"))
-            if master is not None and (
-                not np.abs(np.array(master.matrix_basis) - np.eye(4)).max() < 1e-4
-                or any(
-                    _moving(curves, f"{bone_path(master.name)}.{channel}", still)
-                    for channel, still in _AT_REST.items()
-                )
-            ):
-                masters.append(master.name)
-            if chain is not None and (
-                chain.get("FK_IK", 0.0) or _moving(curves, f'{bone_path(chain.name)}["FK_IK"]', [0.0])
-            ):
-                chains.append(chain.name)
+        fingers = [[hand_map.bones[joint] for joint in FINGER_JOINTS[finger]] for finger in hand_map.fingers]
+        firsts = [next(filter(None, names)) for names in fingers]
+
+        def turned(master: bpy.types.PoseBone) -> bool:
+            paths = {f"{bone_path(master.name)}.{channel}": still for channel, still in _AT_REST.items()}
+            at_rest = np.allclose(master.matrix_basis, np.eye(4), rtol=0.0, atol=1e-4)
+            return not at_rest or any(_moving(curves, path, still) for path, still in paths.items())
+
+        def by_ik(chain: bpy.types.PoseBone) -> bool:
+            return bool(chain.get("FK_IK")) or _moving(curves, f'{bone_path(chain.name)}["FK_IK"]', [0.0])
+
+        def spoiling(suffix: str, spoils: Callable[[bpy.types.PoseBone], bool]) -> str:
+            names = (_derived(first, suffix) for first in firsts)
+            return ", ".join(name for name in names if name in pose and spoils(pose[name]))
+
         said = []
-        if masters:
+        if masters := spoiling("_master", turned):
             said.append(
-                f"{', '.join(masters)} would bend the fingers on top of their motion: clear the pose of "
-                "these masters (Alt+G, Alt+R, Alt+S), and delete their keys and drivers"
+                f"{masters} would bend the fingers on top of their motion: clear the pose of these masters "
+                "(Alt+G, Alt+R, Alt+S), and delete their keys and drivers"
             )
-        if chains:
+        if chains := spoiling("_ik", by_ik):
             said.append(
-                f"fingers follow IK by {', '.join(chains)}: set Finger IK (FK_IK) to 0 there, and delete its "
-                "keys"
+                f"fingers follow IK by {chains}: set Finger IK (FK_IK) to 0 there, and delete its keys"
             )
         switch = _switch(armature, core) if hand_map.control else None
         if switch is not None:
             value = float(switch["IK_FK"])
-            acting, idle = (
-                _derived(core, suffix) for suffix in (("_fk", "_ik") if value else ("_ik", "_fk"))
-            )
+            acting, idle = (_derived(core, end) for end in (("_fk", "_ik") if value else ("_ik", "_fk")))
             if 0.0 < value < 1.0 or _moving(curves, f'{bone_path(switch.name)}["IK_FK"]', [value]):
                 said.append(
                     f"the arm changes between IK and FK: set IK-FK of {switch.name} to 0 (IK) or 1 (FK), and "

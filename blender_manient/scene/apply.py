@@ -14,11 +14,10 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.kept import kept_model
 from handfit_core.retiming import sampled
 from handfit_core.skeleton import NUM_JOINTS
-from handfit_core.take import HandTrack, Take
+from handfit_core.take import HandTrack, Take, at_rows
 
 from .controls import shown_keys, shown_pose
 from .corrections import end_corrections
@@ -75,7 +74,8 @@ def apply_track(
                 f"the take of {take.source.name} has none of the frames of {hand.armature.name!r}"
             )
         frames = frames[rows]
-    keys = PoseKeys.everywhere(frames, *_of_track(hand, take, track, rows))
+    wrist_at_rest = _source_wrist(take, track, hand)
+    keys = PoseKeys.everywhere(frames, *hand.to_bones(at_rows(track, rows), wrist_at_rest))
     return _apply(hand, keys, mode, mode == "ANIMATION" or own if wrist is None else wrist)
 
 
@@ -146,22 +146,6 @@ def _checked(obj: bpy.types.Object, mode: Mode) -> CapturedHand:
     else:
         check_editable(hand.armature)  # a whole motion may well lie over strips in the NLA
     return hand
-
-
-def _of_track(
-    hand: CapturedHand, take: Take, track: HandTrack, rows: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Quaternions (N, 16, 4) and wrist locations (N, 3) of the take's rows about the target's bones."""
-    target = hand.shaped()
-    orient, pose, transl = (
-        np.asarray(values, dtype=np.float64)[rows]
-        for values in (track.global_orient, track.hand_pose, track.transl)
-    )
-    place = _source_wrist(take, track, hand) + transl
-    if track.side != hand.side:
-        orient, pose = mirrored_pose(orient, pose)
-        place = place @ MIRROR_X
-    return hand.rig.to_bones(target, orient, pose, place - target.joints[0])
 
 
 def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import bpy
-from mathutils import Euler, Matrix
+from mathutils import Matrix
 
 from handfit_core.errors import OptionError
 from handfit_core.take import Take
@@ -15,8 +15,9 @@ from .plate import Plate
 _SENSOR_WIDTH = 36.0
 """mm. Only the ratio of lens and sensor matters; full frame gives lenses that photographers know"""
 _SAME_PLACE = 1e-6
-_LOOK_ALONG_Y = (math.pi / 2.0, 0.0, 0.0)
-"""Blender's cameras look along their own -Z; this turns that to +Y, with Z up"""
+CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
+"""matrix_world of a capture camera that nobody moved: Blender's cameras look along their own -Z, which this
+turns to +Y, with Z up"""
 
 
 def build_camera(
@@ -48,7 +49,7 @@ def build_camera(
     if plate is not None:
         show_behind(camera, plate, take, scene)
     obj = bpy.data.objects.new(name, camera)
-    obj.rotation_euler = _LOOK_ALONG_Y
+    obj.rotation_euler = CAMERA_AT_REST.to_euler()
     return obj
 
 
@@ -79,13 +80,12 @@ def put_before(armature: bpy.types.Object, camera: bpy.types.Object) -> None:
     armature.parent = camera
     scale = camera.matrix_world.to_scale()
     undone = Matrix.Diagonal((*(1.0 / s if s else 1.0 for s in scale), 1.0))
-    armature.matrix_parent_inverse = undone @ Euler(_LOOK_ALONG_Y).to_matrix().to_4x4().inverted()
+    armature.matrix_parent_inverse = undone @ CAMERA_AT_REST.inverted()
 
 
 def is_moved(camera: bpy.types.Object) -> bool:
     """Whether a capture camera stands elsewhere than it was built, or moves."""
-    rest = Euler(_LOOK_ALONG_Y).to_matrix().to_4x4()
-    away = (camera.matrix_world - rest) if camera.animation_data is None else None
+    away = (camera.matrix_world - CAMERA_AT_REST) if camera.animation_data is None else None
     return away is None or max(abs(value) for row in away for value in row) > _SAME_PLACE
 
 

@@ -3,13 +3,13 @@
 Of a character it has the bones that deform, and no controls. Everything that moves the rig (keys, NLA,
 constraints, parents, the object itself) becomes keys of its bones, one per frame; the object stands still
 with scale 1. Lengths and axes lie in the data instead of in the object, so that no program has a scale or a
-turn to undo.
+turn to undo. Which bones deform, and what they hang on without the controls, is found here, too.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -17,14 +17,15 @@ import numpy as np
 from mathutils import Matrix
 
 from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
+from handfit_core.retarget.bones import Bones
 from handfit_core.skeleton import Side
 
 from ..blender_versions import assign_action
 from ..exporters.exporter import HandObjects
 from ..rigs import rig_of
+from ..rigs.character import bones_of
 from ..rigs.controls import control_bones
-from .animation import new_curve
-from .deform_bones import deforming_tree
+from .keys import new_curve
 from .sampling import Sampled, rotations_of, sample, stepped
 
 
@@ -52,11 +53,11 @@ def clean_rig(
     units: float = 1.0,
     turn: np.ndarray | None = None,
 ) -> Iterator[CleanHand]:
-    """A copy of the hand in the open scene, with an armature object called `name` (empty: as the hand's).
+    """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
 
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
     the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
-    in the open scene, which has the copy instead afterwards; its names are lent to the copy. When the context
+    in that scene, which has the copy instead afterwards; its names are lent to the copy. When this context
     ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy;
     one that no bone of the copy moves has keys of its own, and no parent, where it moves.
     """
@@ -101,7 +102,14 @@ def clean_rig(
                 placed, motion = _from_largest(turned @ in_metres @ places[mesh])
                 if np.abs(motion - np.eye(4)).max() > _STILL * size:
                     copied.parent = None  # Blender's FBX importer ignores keys of what an armature carries.
-                    actions.append(_key(copied, np.linalg.inv(turned) @ motion, frames))
+                    motion = np.linalg.inv(turned) @ motion
+                    turns = unflip_quats(rotmat_to_quat(rotations_of(motion)))
+                    parts = [
+                        ("", "location", motion[:, :3, 3]),
+                        ("", "rotation_quaternion", turns),
+                        ("", "scale", np.linalg.norm(motion[:, :3, :3], axis=-2)),
+                    ]
+                    actions.append(_key(copied, parts, frames))
             else:
                 placed = grow @ _at_rest(hand.armature, mesh, carrier)
             copied.data.transform(Matrix(placed), shape_keys=True)
@@ -196,19 +204,19 @@ def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) ->
 
 
 def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
-    """Leave an armature of the open scene the bones of a tree, as `deforming_tree` gives it."""
-    layer = bpy.context.view_layer
-    layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    bones = armature.data.edit_bones
-    bones_left_out = [bone for bone in bones if bone.name not in tree]
-    for bone in bones:
-        bone.use_connect = False
-    for bone in bones_left_out:
-        bones.remove(bone)
-    for name, parent in tree.items():
-        bones[name].parent = bones[parent] if parent else None
-    bpy.ops.object.mode_set(mode="OBJECT")
+    """Leave an armature of the context's scene the bones of a tree, as `deforming_tree` gives it."""
+    bpy.context.view_layer.objects.active = armature
+    with bpy.context.temp_override(active_object=armature, object=armature):
+        bpy.ops.object.mode_set(mode="EDIT")
+        bones = armature.data.edit_bones
+        bones_left_out = [bone for bone in bones if bone.name not in tree]
+        for bone in bones:
+            bone.use_connect = False
+        for bone in bones_left_out:
+            bones.remove(bone)
+        for name, parent in tree.items():
+            bones[name].parent = bones[parent] if parent else None
+        bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def _retarget(
@@ -253,33 +261,82 @@ def _bake(
         rest = np.array(armature.data.bones[sampled.names[bone]].matrix_local)
         placed = world @ sampled.pose[:, bone] @ np.diag([1 / size, 1 / size, 1 / size, 1.0])
         basis[:, bone] = np.linalg.inv(rest) @ placed
-    action = bpy.data.actions.new(armature.name)
-    assign_action(armature, action)
     turns = unflip_quats(rotmat_to_quat(rotations_of(basis)))
     scales = np.linalg.norm(basis[..., :3, :3], axis=-2)
+    parts = []
     for bone, name in enumerate(sampled.names):
-        channels = [("rotation_quaternion", turns[:, bone])]
+        parts.append((name, "rotation_quaternion", turns[:, bone]))
         if np.abs(basis[:, bone, :3, 3]).max() > _STILL * size or sampled.parents[bone] < 0:
-            channels.append(("location", basis[:, bone, :3, 3]))
+            parts.append((name, "location", basis[:, bone, :3, 3]))
         if np.abs(scales[:, bone] - 1.0).max() > 1e-5:
-            channels.append(("scale", scales[:, bone]))
-        for attribute, values in channels:
-            for index in range(values.shape[1]):
-                path = f'pose.bones["{name}"].{attribute}'
-                new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
-    return action
+            parts.append((name, "scale", scales[:, bone]))
+    return _key(armature, parts, frames)
 
 
-def _key(obj: bpy.types.Object, motion: np.ndarray, frames: Sequence[int]) -> bpy.types.Action:
-    """Key an object's motion (N, 4, 4) in the world."""
+def _key(
+    obj: bpy.types.Object, parts: Sequence[tuple[str, str, np.ndarray]], frames: Sequence[int]
+) -> bpy.types.Action:
+    """Key bones, or without a name the object itself: attributes with their values (N, C)."""
     action = bpy.data.actions.new(obj.name)
-    assign_action(obj, action)
-    channels = {
-        "location": motion[:, :3, 3],
-        "rotation_quaternion": unflip_quats(rotmat_to_quat(rotations_of(motion))),
-        "scale": np.linalg.norm(motion[:, :3, :3], axis=-2),
-    }
-    for path, values in channels.items():
+    holder = assign_action(obj, action)
+    for bone, attribute, values in parts:
         for index in range(values.shape[1]):
-            new_curve(action, path, index, np.asarray(frames, dtype=np.float64), values[:, index])
+            new_curve(holder, bone, attribute, index, np.asarray(frames), values[:, index])
     return action
+
+
+_BESIDE = 1e-3
+"""parts of a bone's length by which another may lie beside it and still stand for it"""
+
+
+def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str, str]]:
+    """The name of each bone that deforms, with that of the deforming bone it hangs on; and the name of every
+    bone, with that of the deforming bone that stands for it. Empty names: none.
+
+    A control rig's deforming bones often hang on bones that deform nothing, as Rigify's DEF- bones do on its
+    ORG- bones. Such a bone is stood for by the deforming bone that lies on it at rest; where none does, its
+    parent is asked. Where no bone is marked as deforming, all are.
+    """
+    bones = bones_of(armature)
+    deform = np.array([bone.use_deform for bone in armature.data.bones], dtype=bool)
+    kept = np.flatnonzero(deform if deform.any() else ~deform)
+    hung: dict[int, int] = {}
+    for bone in kept.tolist():
+        hung[bone] = _standing(bones, bones.ancestors(bone), bones.heads[bone], kept, _hanging(hung, bone))
+    names = ("" if bone < 0 else bones.names[bone] for bone in hung.values())
+    tree = dict(zip((bones.names[bone] for bone in kept), names, strict=True))
+    standing = {
+        name: bones.names[found] if found >= 0 else ""
+        for bone, name in enumerate(bones.names)
+        for found in [_standing(bones, (bone, *bones.ancestors(bone)), bones.heads[bone], kept, set())]
+    }
+    return tree, standing
+
+
+def _hanging(hung: dict[int, int], bone: int) -> set[int]:
+    """The bone and all that hang on it so far."""
+    found = {bone}
+    while more := {child for child, parent in hung.items() if parent in found} - found:
+        found |= more
+    return found
+
+
+def _standing(
+    bones: Bones, line: Iterable[int], near: np.ndarray, kept: np.ndarray, without: set[int]
+) -> int:
+    """The first of `line` that is among the kept bones, or for which one of them stands: of several the one
+    whose end is nearest to a point (3,). -1: none of them."""
+    allowed = np.array([bone for bone in kept.tolist() if bone not in without], dtype=int)
+    for bone in line:
+        if bone in allowed:
+            return bone
+        head, along = bones.heads[bone], bones.tails[bone] - bones.heads[bone]
+        length = max(float(np.linalg.norm(along)), 1e-9)
+        ends = np.stack([bones.heads[allowed], bones.tails[allowed]], axis=1)  # (K, 2, 3)
+        share = (ends - head) @ along / length**2
+        beside = np.linalg.norm(ends - head - share[..., None] * along, axis=-1) / length
+        lies = (beside < _BESIDE).all(1) & (np.abs(share - 0.5) < 0.5 + _BESIDE).all(1)
+        if lies.any():
+            those = allowed[lies]
+            return int(those[np.linalg.norm(bones.tails[those] - near, axis=-1).argmin()])
+    return -1

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import bpy
 import numpy as np
 
-from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
-
 from ..blender_versions import channels, used_actions
 from ..rigs import controls
 from ..rigs.rig import PosedBones, Rig
+from .actions import own_action
 from .corrections import end_corrections
 from .keys import (
     SAME_FRAME,
@@ -20,14 +18,13 @@ from .keys import (
     align_signs,
     check_unlocked,
     displayed_pose,
-    own_action,
     pose_at,
     read_pose_keys,
     set_pose,
     write_pose_keys,
 )
-from .own_scene import object_mode, shown_in_pose, unseen_scene
-from .sampling import Sampled, rotations_of, sample, shown_now
+from .own_scene import object_mode
+from .sampling import of_bones, sampled_pose, shown_now
 from .store import CapturedHand, timing_of
 
 _SAME = 1e-5
@@ -93,7 +90,7 @@ def rotations_now(rig: PosedBones) -> np.ndarray:
     """`displayed_pose` with what the controls do."""
     if not controls.in_use(rig.armature):
         return displayed_pose(rig)
-    return _of_bones(rig, shown_now(rig.armature))[0][0]
+    return of_bones(rig, shown_now(rig.armature))[0][0]
 
 
 def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
@@ -118,19 +115,6 @@ def _shown_keys(rig: Rig) -> tuple[PoseKeys, np.ndarray, bool]:
     rotated[rows] |= keys.rotation_keyed
     located[rows] |= keys.location_keyed
     return PoseKeys(frames, quats, locations, rotated, located), turned, moved
-
-
-def sampled_pose(rig: Rig, frames: Any) -> tuple[np.ndarray, np.ndarray]:
-    """What the bones show on N frames, whatever moves them."""
-    with object_mode(), unseen_scene("controls") as scene, shown_in_pose([rig.armature]):
-        scene.collection.objects.link(rig.armature)
-        return _of_bones(rig, sample(rig.armature, frames, scene))
-
-
-def _of_bones(rig: PosedBones, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
-    """The B bones relative to their rest and parents: quaternions (N, B, 4), the first one's place (N, 3)."""
-    basis = sampled.basis()[:, [sampled.names.index(name) for name in rig.bones]]
-    return unflip_quats(rotmat_to_quat(rotations_of(basis))), basis[:, 0, :3, 3]
 
 
 def _remove_curves(armature: bpy.types.Object) -> None:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 
 from handfit_core.errors import OptionError
 
 from ..rigs import rig_of
 from ..rigs.controls import in_use
-
-BELOW = "manient_below"
-"""Custom property of an action that lies as a layer on another one, which it names (scene/layer.py)"""
+from .actions import is_layered, is_tweaked, strips_of
 
 
 def why_not_readable(armature: bpy.types.Object) -> str | None:
@@ -59,7 +55,7 @@ def why_not_bakeable(armature: bpy.types.Object) -> str | None:
         )
     if action is None:
         # A new action with a few keys would hide all strips under it, on all frames.
-        if any(len(track.strips) for track in data.nla_tracks):
+        if strips_of(armature):
             return "The motion is in the NLA: make its action the active one, or bake it, to change it"
         return None
     if action.library is not None or action.override_library is not None or not action.is_editable:
@@ -70,29 +66,6 @@ def why_not_bakeable(armature: bpy.types.Object) -> str | None:
 def _is_character(armature: bpy.types.Object) -> bool:
     noted = getattr(armature, "manient", None)  # not there where the add-on is not registered
     return noted is not None and not noted.is_hand
-
-
-def is_tweaked(armature: bpy.types.Object) -> bool:
-    """Whether an NLA strip of it is being edited, whose action has a time of its own."""
-    data = armature.animation_data
-    return data is not None and data.use_tweak_mode
-
-
-def is_layered(armature: bpy.types.Object) -> bool:
-    """Whether the active action is only added to what lies below it in the NLA, so that its keys are no
-    poses."""
-    data = armature.animation_data
-    return data is not None and data.action is not None and data.action_blend_type != "REPLACE"
-
-
-def strip_below(armature: bpy.types.Object) -> Any:
-    """The NLA strip with the motion on which the active action lies as a layer; None where it does not."""
-    if not is_layered(armature):
-        return None
-    data = armature.animation_data
-    motion = data.action.get(BELOW)
-    strips = [strip for track in data.nla_tracks for strip in track.strips]
-    return next((strip for strip in strips if motion is not None and strip.action == motion), None)
 
 
 def check_unlayered(armature: bpy.types.Object) -> None:
@@ -106,14 +79,15 @@ def check_unlayered(armature: bpy.types.Object) -> None:
 
 def check_editable(armature: bpy.types.Object) -> None:
     """Raises OptionError where nothing of the hand can be changed."""
-    _check(armature, why_not_editable(armature))
+    check(armature, why_not_editable(armature), " cannot be changed")
 
 
 def check_keyable(armature: bpy.types.Object) -> None:
     """Raises OptionError where single keys of the hand cannot be changed."""
-    _check(armature, why_not_keyable(armature))
+    check(armature, why_not_keyable(armature), " cannot be changed")
 
 
-def _check(armature: bpy.types.Object, why: str | None) -> None:
+def check(armature: bpy.types.Object, why: str | None, what: str = "") -> None:
+    """Raises OptionError, which names the armature, where a sentence says why not."""
     if why is not None:
-        raise OptionError(f"{armature.name!r} cannot be changed: {why[:1].lower()}{why[1:]}")
+        raise OptionError(f"{armature.name!r}{what}: {why[:1].lower()}{why[1:]}")

@@ -184,7 +184,9 @@ def _write_one(
     with written_whole(path) as beside:
         try:
             with _opened(chosen, hands, stage, preset, whole) as written:
-                chosen.write(beside, written, preset, path)
+                objects = [o for hand in written for o in (hand.armature, *hand.meshes)]
+                with bpy.context.temp_override(object=next(iter(objects), None), selected_objects=objects):
+                    chosen.write(beside, written, preset, path)
             prove_whole(path, beside, chosen.is_whole)
         except (HandfitError, OSError):
             raise
@@ -210,9 +212,9 @@ def _opened(
     preset: Preset,
     whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
 ) -> Iterator[Sequence[HandObjects]]:
-    """Open a scene of its own with what the format writes, and yield the hands in it.
+    """Make a scene with what the format writes the context's, and yield the hands in it.
 
-    Blender's exporters write what the open scene holds, at its frame rate and over its range.
+    Blender's exporters write what the context's scene holds, at its frame rate and over its range.
     """
     if chosen.writes == "captured" or (chosen.writes == "collection" and _is_character(hands)):
         yield hands

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +18,7 @@ from handfit_core.skeleton import Side
 
 from ..blender_versions import action_slot, channels, property_group
 from ..rigs.character import CharacterBones
+from .actions import users_of
 from .keys import PoseKeys, nearest, read_pose_keys
 
 MARK = "manient_hand_motion"
@@ -33,14 +33,17 @@ class BoneKeys:
 
     rig: CharacterBones
     keys: PoseKeys
-    keyed: np.ndarray
-    """(B,) bool: the bones that get them"""
     side: Side | None = None
     """The hand that the only bone moves as a whole; None for fingers"""
     offset: np.ndarray | None = None
     """(3,) what is added to where that hand is, in the armature's space and units"""
     settings: tuple[float, ...] = ()
     """Travel, smoothing and marked frame of that hand"""
+
+    @property
+    def keyed(self) -> np.ndarray:
+        """(B,) bool: the bones that get them."""
+        return np.asarray(self.keys.rotation_keyed.any(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,19 +79,11 @@ class WrittenKeys:
         return there & keyed & (turned < _SAME) & (~(moved >= _SAME) | (not self.placed))
 
 
-def users(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.Action, Any]]:
-    """The actions of an armature with their slots: the present one, then those of its strips from the top."""
-    data = armature.animation_data
-    strips = [strip for track in data.nla_tracks for strip in track.strips] if data is not None else []
-    for user in (*([data] if data is not None else []), *reversed(strips)):
-        if user.action is not None:
-            yield user.action, action_slot(user)
-
-
 def written_keys(armature: bpy.types.Object, side: Side) -> WrittenKeys | None:
     """What was written for a hand into the topmost action that has any of it; None for none, and for what a
     damaged file holds."""
-    for action, slot in users(armature):
+    for user in users_of(armature):
+        action, slot = user.action, action_slot(user)
         content = property_group(action, MARK).get(_key(slot, side))
         if content is None:
             continue

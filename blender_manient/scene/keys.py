@@ -13,7 +13,7 @@ been changed then.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -24,11 +24,14 @@ from mathutils import Euler, Quaternion
 
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
+from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.skeleton import NUM_JOINTS
 
-from ..blender_versions import action_slot, assign_action, channels
-from ..rigs.rig import PosedBones, bone_path
-from .editable import BELOW, is_tweaked, strip_below
+from ..blender_versions import assign_action, channels, first_slot
+from ..rigs.rig import PosedBones, Rig, bone_path
+from .actions import channels_of, curves_in, own_action, strip_below
 
 SAME_FRAME = 0.01
 """Keys nearer than this are one key, as for Blender itself"""
@@ -141,6 +144,21 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
         for part, values in zip(curves.location(names[0], make=True), keys.locations[rows].T, strict=True):
             _write(part, keys.frames[rows], values)
     curves.tag()
+
+
+def writing_pose_keys(
+    find: Callable[[], PosedBones], keys: PoseKeys, *, holder: Any = None
+) -> Iterator[float]:
+    """`write_pose_keys`, a bone per step, for a window that stays free; yields how much is done, 0..1. `find`
+    gives the bones, and raises where they have gone between two steps."""
+    joints = np.flatnonzero(keys.rotation_keyed.any(axis=0))
+    if not len(joints) and keys.location_keyed.any():
+        joints = np.zeros(1, dtype=int)
+    for done, joint in enumerate(joints, start=1):
+        rotated = keys.rotation_keyed & (np.arange(keys.rotation_keyed.shape[1]) == joint)
+        located = keys.location_keyed & (joint == joints[0])
+        write_pose_keys(find(), replace(keys, rotation_keyed=rotated, location_keyed=located), holder=holder)
+        yield done / len(joints)
 
 
 def remove_pose_keys(
@@ -259,14 +277,6 @@ def set_pose(rig: PosedBones, quats: np.ndarray, location: np.ndarray | None = N
         rig.armature.pose.bones[_bones(rig)[0]].location = location
 
 
-def keyed_bones(rig: PosedBones) -> np.ndarray:
-    """(B,) bool: the bones whose rotation has keys in the present action."""
-    curves = _Curves(rig.armature)
-    return np.array(
-        [any(c is not None and len(c.keyframe_points) for c in curves.rotation(name)) for name in _bones(rig)]
-    )
-
-
 def is_smooth(rig: PosedBones, *, holder: Any = None) -> bool:
     """Whether any of the bones' keys lead to the next one by a Bezier curve."""
     curves, names = _Curves(rig.armature, holder), _bones(rig)
@@ -297,51 +307,6 @@ def check_unlocked(rig: PosedBones, *, joints: list[int] | None = None, location
                 )
 
 
-def own_action(armature: bpy.types.Object, *, nla: bool = False) -> None:
-    """Copy the armature's action where other objects use it too, or where it is linked from another file.
-
-    `nla` does the same with the actions of its NLA strips. Raises OptionError in the NLA's tweak mode, in
-    which Blender lets nobody exchange actions.
-    """
-    data = armature.animation_data
-    if data is None:
-        return
-    users: list[Any] = [data]
-    if nla:
-        users += [strip for track in data.nla_tracks for strip in track.strips]
-    copies: dict[bpy.types.Action, bpy.types.Action] = {}
-    for user in users:
-        action, slot = user.action, action_slot(user)
-        if action is None or not (action.library is not None or _used_by_others(armature, action, slot)):
-            continue
-        if is_tweaked(armature):
-            raise OptionError(
-                f"the action {action.name!r} of {armature.name!r} is used by another object too: leave the "
-                "NLA's tweak mode first, so that this hand can get one of its own"
-            )
-        if action not in copies:
-            copies[action] = action.copy()
-        user.action = copies[action]
-        if slot is not None:
-            user.action_slot = next(s for s in user.action.slots if s.identifier == slot.identifier)
-    for action, copy in copies.items():
-        if data.action is not None and data.action.get(BELOW) == action:
-            data.action[BELOW] = copy
-
-
-def _used_by_others(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> bool:
-    if action.users - action.use_fake_user <= 1:
-        return False
-    for obj in bpy.data.objects:
-        data = obj.animation_data
-        if obj == armature or data is None:
-            continue
-        strips = [strip for track in data.nla_tracks for strip in track.strips]
-        if any(u.action == action and action_slot(u) == slot for u in (data, *strips)):
-            return True
-    return False
-
-
 def _bones(rig: PosedBones) -> list[str]:
     """The names of the bones. Raises HandModelError where one of them is missing."""
     rig.check()
@@ -358,12 +323,9 @@ class _Curves:
         if holder is None and make:
             holder = assign_action(armature, action or bpy.data.actions.new(armature.name))
         elif holder is None and action is not None:
-            user = strip_below(armature) or data
-            holder = channels(user.action, action_slot(user))
+            holder = channels_of(strip_below(armature) or data)
         self._holder = holder
-        self._found = (
-            {} if self._holder is None else {(c.data_path, c.array_index): c for c in self._holder.fcurves}
-        )
+        self._found = {(c.data_path, c.array_index): c for c in curves_in(holder)}
 
     def tag(self) -> None:
         """Have Blender look at the keys again: writing them in bulk tells nobody."""
@@ -491,6 +453,25 @@ _SELECTED = ("select_control_point", "select_left_handle", "select_right_handle"
 _EVERYTHING = _PLACES + _KINDS + _AMOUNTS + _SELECTED
 
 
+def new_curve(
+    holder: Any, bone: str, attribute: str, index: int, frames: np.ndarray, values: np.ndarray
+) -> None:
+    """A new curve of a bone, in its group, or, without a name, of the object: straight lines between keys
+    (N,)."""
+    curve = holder.fcurves.new(f"{bone_path(bone)}.{attribute}" if bone else attribute, index=index)
+    if bone:
+        curve.group = holder.groups.get(bone) or holder.groups.new(bone)
+    count = len(frames)
+    # Sensible handles, for users who switch a curve to Bezier.
+    kinds = {
+        "interpolation": "LINEAR",
+        "handle_left_type": "AUTO_CLAMPED",
+        "handle_right_type": "AUTO_CLAMPED",
+    }
+    data = {name: np.full(count, _kind(name, kind), dtype=np.int32) for name, kind in kinds.items()}
+    _rebuild(curve, {"co": np.stack([frames, values], axis=-1), **data})
+
+
 def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Attributes of the curve's key points as arrays: places (N, 2), others (N,)."""
     points = curve.keyframe_points
@@ -501,6 +482,12 @@ def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         data[name] = np.empty((count, 2) if name in _PLACES else count, dtype=kind)
         points.foreach_get(name, data[name].ravel())
     return data
+
+
+def change_places(curve: Any, scale: Sequence[float], shift: Sequence[float]) -> None:
+    """Scale, then shift, where keys and their handles lie: frame and value."""
+    scaled, shifted = np.array(scale, dtype=np.float32), np.array(shift, dtype=np.float32)
+    _rebuild(curve, {name: places * scaled + shifted for name, places in _read(curve, _PLACES).items()})
 
 
 def _rebuild(curve: Any, data: dict[str, np.ndarray]) -> None:
@@ -533,9 +520,19 @@ def _write(curve: Any, frames: np.ndarray, values: np.ndarray) -> None:
     for name in _PLACES:
         data[name][:, 1] += rise
     data["co"][index[same], 1] = values[same]  # exactly, whatever the sum was rounded to
-    if not same.all():
-        data = _inserted(data, frames[~same], values[~same])
-    _rebuild(curve, data)
+    if same.all():
+        _rebuild(curve, data)
+        return
+    frames, values = frames[~same], values[~same]
+    leads = _leads(data, frames)
+    _rebuild(curve, _inserted(data, frames[~leads], values[~leads]))
+    for frame, value in zip(frames[leads].tolist(), values[leads].tolist(), strict=True):
+        # Blender has the curve run through the new key as before; what the key is moved by, its handles are.
+        key = curve.keyframe_points.insert(frame, value, options={"FAST"})
+        key.interpolation = "BEZIER"
+        key.handle_left_type = key.handle_right_type = "ALIGNED"
+    if leads.any():
+        curve.update()
 
 
 def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -547,72 +544,16 @@ def _inserted(data: dict[str, np.ndarray], frames: np.ndarray, values: np.ndarra
         if len(old):
             new[name] = data[name][before]
     order = np.argsort(np.concatenate([old, frames]), kind="stable")
-    whole = {name: np.concatenate([data[name], new[name].astype(data[name].dtype)])[order] for name in data}
-    _split(data, whole, order >= len(old))
-    return whole
+    return {name: np.concatenate([data[name], new[name].astype(data[name].dtype)])[order] for name in data}
 
 
-def _split(data: dict[str, np.ndarray], whole: dict[str, np.ndarray], new: np.ndarray) -> None:
-    """Have Bezier curves with handles of their own run through new keys as they did before: the part of a
-    curve between two of its parameters has the handles b(s, s, t) and b(s, t, t) of its blossom b.
-
-    `data`: the key points before; `whole`: those with new ones, bool `new` (K,), whose values are kept, so
-    that handles go with them.
-    """
+def _leads(data: dict[str, np.ndarray], frames: np.ndarray) -> np.ndarray:
+    """(N,) bool: frames between two keys that a Bezier curve with handles of its own joins."""
     free = [_kind("handle_left_type", kind) for kind in ("FREE", "ALIGNED")]
-    bezier = data["interpolation"] == _kind("interpolation", "BEZIER")
-    leads = bezier[:-1] & np.isin(data["handle_right_type"][:-1], free)
-    leads &= np.isin(data["handle_left_type"][1:], free)
-    at = np.cumsum(~new) - 1  # the old key that each one is, or comes after
-    first = at[:-1]
-    inside = (new[:-1] | new[1:]) & (first >= 0) & (first < len(leads))
-    inside[inside] = leads[first[inside]]
-    rows = np.flatnonzero(inside)  # each stands for the curve from a key to the next
-    if len(rows) == 0:
-        return
-    start = first[rows]
-    corners = np.stack(
-        [
-            data["co"][start],
-            data["handle_right"][start],
-            data["handle_left"][start + 1],
-            data["co"][start + 1],
-        ]
-    ).astype(np.float64)
-    width = corners[3, :, 0] - corners[0, :, 0]
-    # As Blender does, handles are shortened where they would have the curve turn back in time.
-    reach = (corners[1, :, 0] - corners[0, :, 0]) + (corners[3, :, 0] - corners[2, :, 0])
-    shorter = np.where(reach > width, width / np.maximum(reach, 1e-9), 1.0)[:, None]
-    corners[1] = corners[0] + (corners[1] - corners[0]) * shorter
-    corners[2] = corners[3] + (corners[2] - corners[3]) * shorter
-    ends = [_parameter(corners[..., 0], whole["co"][rows + step, 0].astype(np.float64)) for step in (0, 1)]
-    blossom = lambda *at: _blossom(corners, [ends[i][:, None] for i in at])  # noqa: E731
-    for name, row, handle, end in (
-        ("handle_right", rows, blossom(0, 0, 1), blossom(0, 0, 0)),
-        ("handle_left", rows + 1, blossom(0, 1, 1), blossom(1, 1, 1)),
-    ):
-        whole[name][row] = whole["co"][row] + (handle - end)
-    on = np.flatnonzero(new)
-    on = on[np.isin(on, rows) & np.isin(on - 1, rows)]
-    for name in ("handle_left_type", "handle_right_type"):
-        whole[name][on] = _kind(name, "ALIGNED")
-
-
-def _parameter(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """(S,) where cubics with corners (4, S), which rise all along, reach these places: by halving."""
-    low, high = np.zeros(len(places)), np.ones(len(places))
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        under = _blossom(corners, [middle] * 3) < places
-        low, high = np.where(under, middle, low), np.where(under, high, middle)
-    return np.where(places <= corners[0], 0.0, np.where(places >= corners[3], 1.0, 0.5 * (low + high)))
-
-
-def _blossom(corners: np.ndarray, at: list[np.ndarray]) -> np.ndarray:
-    """De Casteljau's scheme over four corners, with another parameter in each of its three steps."""
-    for t in at:
-        corners = corners[:-1] * (1.0 - t) + corners[1:] * t
-    return corners[0]
+    leads = data["interpolation"][:-1] == _kind("interpolation", "BEZIER")
+    leads &= np.isin(data["handle_right_type"][:-1], free) & np.isin(data["handle_left_type"][1:], free)
+    leads = np.concatenate([[False], leads, [False]])
+    return leads[np.searchsorted(data["co"][:, 0].astype(np.float64), frames)]
 
 
 def _plain(
@@ -642,3 +583,48 @@ def _plain(
 def _kind(name: str, kind: str) -> int:
     """The number of a key point's enumerated value."""
     return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value
+
+
+CURVES = NUM_JOINTS * 4 + 3
+"""How many curves a hand's action has"""
+
+_CHUNK = 250
+"""frames that are computed at once, in some milliseconds"""
+
+
+def computing_keys(
+    motion: HandMotion, shaped: ShapedHand, rest: RestPose, frames: np.ndarray
+) -> Generator[int, None, PoseKeys]:
+    """Compute a hand's keys, some frames at a time: yields how many, returns the keys.
+
+    `rest` is how the rig's bones lie at rest, `frames` (T,) where the motion lies in the scene. Frames
+    without a hand get no keys; filled ones do.
+    """
+    rows = np.flatnonzero(motion.present)
+    quats, locations = np.empty((len(rows), NUM_JOINTS, 4)), np.empty((len(rows), 3))
+    for start in range(0, len(rows), _CHUNK):
+        some = slice(start, start + _CHUNK)
+        quats[some], locations[some] = rest.to_bones(shaped, *(values[rows[some]] for values in motion.pose))
+        # The sign goes on from that of the frames before.
+        signed = slice(max(start - 1, 0), start + _CHUNK)
+        quats[signed] = unflip_quats(quats[signed])
+        yield len(quats[some])
+    return PoseKeys.everywhere(frames[rows], quats, locations)
+
+
+def animating(rig: Rig, keys: PoseKeys) -> Iterator[bpy.types.Action]:
+    """Key a new action on the armature, a curve at a time. Yields the action each time.
+
+    Straight lines join the keys: measured frames stay exactly as measured, and nothing overshoots in
+    the gaps, as Bezier curves through noisy per-frame data would.
+    """
+    action = bpy.data.actions.new(rig.armature.name)
+    assign_action(rig.armature, action)
+    yield action
+    parts = [(name, "rotation_quaternion", keys.quats[:, joint]) for joint, name in enumerate(rig.bones)]
+    for bone, attribute, values in (*parts, (rig.bones[0], "location", keys.locations)):
+        for index in range(values.shape[1]):
+            # Asked for each curve: an undo may have moved what holds them.
+            holder = channels(action, first_slot(action))
+            new_curve(holder, bone, attribute, index, keys.frames, values[:, index])
+            yield action

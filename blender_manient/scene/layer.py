@@ -17,20 +17,19 @@ from ..blender_versions import action_slot, assign_action, channels
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
 from ..wording import with_note
+from .actions import BELOW, channels_of, curves_in, is_tweaked, own_action, push_down, strip_below, use_action
 from .corrections import marks_renewed
-from .editable import BELOW, check_keyable, is_tweaked, strip_below
+from .editable import check_keyable
 from .keys import (
     PoseKeys,
     check_unlocked,
     frames_between,
     is_smooth,
-    own_action,
     read_pose_keys,
     replace_keys,
     write_pose_keys,
 )
-from .onto_character import push_down
-from .simplify import all_actions, changed_alike, own_kept_actions
+from .simplify import all_actions, changed_alike, own_kept_actions, remove_unused
 
 _DEGREES = 0.5
 """How exactly a layer is merged into motion that was simplified"""
@@ -43,7 +42,7 @@ def add_layer(armature: bpy.types.Object) -> bpy.types.Action:
     """
     check_keyable(armature)
     data = armature.animation_data
-    if data is None or data.action is None or not len(_holder(data).fcurves):
+    if not curves_in(channels_of(data)):
         raise OptionError(f"{armature.name!r} has no motion that changes could lie on")
     own_action(armature)
     motion, name = data.action, data.action.name
@@ -71,7 +70,8 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
         )
     layer, motion, slot, layer_slot = data.action, strip.action, action_slot(strip), action_slot(data)
     bones = _changed_bones(armature, strip) if merge else []
-    found = [_merged(armature, bone, _holder(strip), _holder(data)) for bone in bones]
+    below, on_top = (channels_of(user, make=True) for user in (strip, data))
+    found = [_merged(armature, bone, below, on_top) for bone in bones]
     for rig, keys, _ in found:
         check_unlocked(
             rig, joints=[0] if keys.rotation_keyed.any() else [], location=bool(keys.location_keyed.any())
@@ -83,9 +83,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
                 data.nla_tracks.remove(track)
             break
     data.action_blend_type = "REPLACE"
-    data.action = motion
-    if slot is not None:
-        data.action_slot = slot
+    use_action(data, motion, slot)
     if found:
         own_action(armature)
         on_top = channels(layer, layer_slot)
@@ -95,12 +93,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
             for holder in [channels(*kept) for kept in own_kept_actions(armature)]:
                 for bone in bones if holder is not None else ():
                     _write(*_merged(armature, bone, holder, on_top), holder=holder)
-    if layer.users - layer.use_fake_user == 0:
-        bpy.data.actions.remove(layer)
-
-
-def _holder(user: Any) -> Any:
-    return channels(user.action, action_slot(user), make=True)
+    remove_unused(layer)
 
 
 def _changed_bones(armature: bpy.types.Object, strip: Any) -> list[str]:
@@ -121,7 +114,7 @@ def _changed_bones(armature: bpy.types.Object, strip: Any) -> list[str]:
         )
     names = {f"{bone_path(bone.name)}.": bone.name for bone in armature.pose.bones}
     bones: dict[str, None] = {}
-    for curve in _holder(data).fcurves:
+    for curve in curves_in(channels_of(data)):
         start, dot, attribute = curve.data_path.partition("].")
         bone = names.get(start + dot)
         if attribute == "scale" and all(abs(key.co[1] - 1.0) < 1e-5 for key in curve.keyframe_points):

@@ -16,13 +16,13 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack
 
-from ..blender_versions import action_slot, assign_action, channels
+from ..blender_versions import action_slot, assign_action
 from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig
 from ..wording import hand_part, named_after
-from .animation import describe
+from .actions import channels_of, curves_in
 from .editable import check_unlayered
-from .keys import displayed_pose, read_pose_keys, set_pose, write_pose_keys
+from .keys import change_places, displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import adding_correctives, build_mesh
 from .simplify import forget_all_keys
 from .store import CapturedHand, describe_hand, keep_take
@@ -156,18 +156,18 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
                 action.slots.remove(slot)
         armature.animation_data.action_slot = action.slots[0]
         action.slots[0].name_display = armature.name
-    holder = channels(action, action_slot(armature.animation_data))
+    holder = channels_of(armature.animation_data)
     if holder is None:
         return assign_action(armature, action)
     groups = dict(_pairs(source, rig))
     names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in groups.items()}
-    for curve in holder.fcurves:
+    for curve in curves_in(holder):
         start, dot, attribute = curve.data_path.partition("].")
         renamed = names.get(start + dot)
         if renamed is not None:
             curve.data_path = renamed + attribute
             if _turns_over(attribute, curve.array_index):
-                _negate(curve)
+                change_places(curve, [1.0, -1.0], [0.0, 0.0])
     for group in holder.groups:
         group.name = groups.get(group.name, group.name)
     return holder
@@ -181,16 +181,6 @@ def _turns_over(attribute: str, index: int) -> bool:
         "rotation_euler": index >= 1,
         "rotation_axis_angle": index >= 2,
     }.get(attribute, False)
-
-
-def _negate(curve: bpy.types.FCurve) -> None:
-    points = curve.keyframe_points
-    values = np.empty((len(points), 2), dtype=np.float32)
-    for place in ("co", "handle_left", "handle_right"):
-        points.foreach_get(place, values.ravel())
-        values[:, 1] *= -1.0
-        points.foreach_set(place, values.ravel())
-    curve.update()
 
 
 def _keep(
@@ -210,6 +200,5 @@ def _keep(
         # A hand of that side that an older model was fitted to keeps its own.
         model_digests={model.side: model.digest, **hand.take.model_digests},
     )
-    describe(armature, take, mirrored)
     keep_take(hand.collection, take)
     describe_hand(armature, hand.collection, take, len(take.hands) - 1, hand.armature.manient.wrist)

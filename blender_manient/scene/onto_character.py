@@ -39,25 +39,23 @@ from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from ..wording import counted
-from .animation import computing_keys
+from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
 from .characters import why_not_reachable
-from .controls import sampled_pose
-from .editable import check_unlayered, is_layered, is_tweaked
+from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    computing_keys,
     frames_between,
     nearest,
-    own_action,
     pose_at,
     read_pose_keys,
     remove_pose_keys,
-    write_pose_keys,
+    writing_pose_keys,
 )
-from .own_scene import object_mode, shown_in_pose, unseen_scene
-from .sampling import rotations_of, sample
+from .sampling import rotations_of, sample_unseen, sampled_pose
 from .store import CapturedHand
 from .timing import Timing, check_range, frame_rate
 
@@ -200,10 +198,10 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     shaped = hand.shaped(track.betas)
     wrist = points_to_rest(shaped.joints[0])
     rest = RestPose(track.side, np.broadcast_to(np.eye(3), (NUM_JOINTS, 3, 3)), wrist)
-    keys = run_to_completion(computing_keys(take, track, shaped, rest, Timing()))
+    keys = run_to_completion(computing_keys(track, shaped, rest, take.frame_numbers))
     frames = frames_between(keys.frames)
-    curves = np.concatenate([keys.quats.reshape(-1, len(keys.frames)), keys.locations])
-    values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves], axis=-1)
+    curves = np.column_stack([keys.quats.reshape(len(keys.frames), -1), keys.locations])
+    values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves.T], axis=-1)
     quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
     source, skins = SourceHand.of(shaped, track.side, hand.name), Fingertips.of(hand, track.betas)
     return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
@@ -223,8 +221,7 @@ def is_keyframed(rig: PosedBones) -> bool:
         return True
     if data.use_tweak_mode or any(not track.mute for track in data.nla_tracks):
         return False
-    holder = channels(data.action, action_slot(data)) if data.action is not None else None
-    changed = [c for c in (holder.fcurves if holder is not None else ()) if c.mute or len(c.modifiers)]
+    changed = [c for c in present_curves(armature) if c.mute or len(c.modifiers)]
     starts = tuple(f"{bone_path(name)}." for name in rig.bones)
     return not any(curve.data_path.startswith(starts) for curve in (*data.drivers, *changed))
 
@@ -292,7 +289,8 @@ def computing(
             quats[some] = within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
             yield 0.0
         fingers = CharacterBones(armature, target.bones)
-        keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
+        wanted = PoseKeys.everywhere(motion.frames, quats)
+        keys.append(BoneKeys(fingers, replace(wanted, rotation_keyed=wanted.rotation_keyed & keyed)))
         if not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
@@ -343,15 +341,9 @@ def writing_anew(
 
 def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, None, None]:
     """Write keys, a bone per step; tells how much is done, 0..1."""
-    steps = [(one, bone) for one in keys for bone in np.flatnonzero(one.keyed)]
-    for done, (one, bone) in enumerate(steps, start=1):
-        only = np.zeros_like(one.keys.rotation_keyed)
-        only[:, bone] = one.keys.rotation_keyed[:, bone]
-        located = one.keys.location_keyed & (bone == 0)
-        write_pose_keys(
-            one.rig, replace(one.keys, rotation_keyed=only, location_keyed=located), holder=holder
-        )
-        yield done / len(steps)
+    for number, one in enumerate(keys):
+        for done in writing_pose_keys(lambda one=one: one.rig, one.keys, holder=holder):
+            yield (number + done) / len(keys)
 
 
 def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
@@ -434,7 +426,7 @@ def _moving(
     keys = PoseKeys.everywhere(motion.frames, quats, locations if located else None)
     rig = CharacterBones(armature, [control])
     settings = onto.travel, onto.smoothing, onto.reference
-    return BoneKeys(rig, keys, np.array([True]), target.hand_map.side, offset, settings)
+    return BoneKeys(rig, keys, target.hand_map.side, offset, settings)
 
 
 def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:
@@ -499,9 +491,7 @@ def adjusting(
 
 def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
-    with object_mode(), unseen_scene("character") as scene, shown_in_pose([armature]):
-        scene.collection.objects.link(armature)
-        sampled = sample(armature, frames, scene, names)
+    sampled = sample_unseen(armature, frames, names)
     return sampled.pose[:, [sampled.names.index(name) for name in names]]
 
 
@@ -513,8 +503,7 @@ def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
         return False
     if data is None:
         return True
-    holder = channels(data.action, action_slot(data)) if data.action is not None else None
-    curves = [*data.drivers, *(holder.fcurves if holder is not None else ())]
+    curves = [*data.drivers, *present_curves(armature)]
     starts = tuple(f"{bone_path(name)}." for name in above)
     return not len(data.nla_tracks) and not any(curve.data_path.startswith(starts) for curve in curves)
 
@@ -524,9 +513,7 @@ def prepared(
 ) -> tuple[TargetHand, np.ndarray, list[str]]:
     """What keys of a hand of the same side need to know: the hand, which of its bones can be keyed (K,)
     bool, and why the others cannot. Raises HandModelError and OptionError where keys would be for nothing."""
-    why = why_not_reachable(armature)
-    if why is not None:
-        raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
+    check(armature, why_not_reachable(armature))
     found = troubles(armature, replace(hand_map, control="") if fingers_only else hand_map)
     if found:
         raise OptionError(found[0])
@@ -589,11 +576,7 @@ def check_own_keys(armature: bpy.types.Object, into: Into) -> None:
 
 def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
     """Raises OptionError where the present action, which lies above all strips, has curves of these bones."""
-    data = armature.animation_data
-    holder = (
-        channels(data.action, action_slot(data)) if data is not None and data.action is not None else None
-    )
-    paths = {curve.data_path for curve in (holder.fcurves if holder is not None else ())}
+    paths = {curve.data_path for curve in present_curves(armature)}
     for one in keys:
         starts = tuple(f"{bone_path(name)}.rotation" for name in np.array(one.rig.bones)[one.keyed])
         if any(path.startswith(starts) for path in paths):
@@ -611,34 +594,4 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
         return
     if data.action is not None:
         push_down(data)
-    data.action = action
-    if slot is not None:
-        data.action_slot = slot
-
-
-def push_down(data: bpy.types.AnimData) -> None:
-    """Put the present action on a new NLA track, where it goes on doing what it did in the scene's range."""
-    action, slot, scene = data.action, action_slot(data), bpy.context.scene
-    how = data.action_blend_type, data.action_influence, data.action_extrapolation
-    data.action = None
-    # Curves may go on beyond their keys, in circles or straight on.
-    strip = add_strip(data, action, slot, (scene.frame_start, scene.frame_end))
-    strip.blend_type, strip.influence, strip.extrapolation = how
-    data.action_blend_type, data.action_influence, data.action_extrapolation = "REPLACE", 1.0, "HOLD"
-
-
-def add_strip(
-    data: bpy.types.AnimData, action: bpy.types.Action, slot: Any, reach: Sequence[float] = ()
-) -> bpy.types.NlaStrip:
-    """Put an action on a new track on top of the NLA, where its keys are, or as far as it is to `reach`."""
-    own = tuple(action.curve_frame_range)  # frame_range may be what an artist says
-    first, last = min(*own, *reach), max(*own, *reach)
-    track = data.nla_tracks.new()
-    track.name = action.name
-    strip = track.strips.new(action.name, int(np.floor(first)), action)
-    if slot is not None:
-        strip.action_slot = slot
-    strip.use_sync_length = False
-    strip.action_frame_start, strip.action_frame_end = first, max(last, first + 1.0)
-    strip.frame_start, strip.frame_end = first, max(last, first + 1.0)
-    return strip
+    use_action(data, action, slot)

@@ -14,12 +14,12 @@ import numpy as np
 from mathutils import Matrix
 
 from handfit_core.edit.corrections import CorrectionField
-from handfit_core.errors import OptionError
 
 from ..blender_versions import channels, used_actions
+from .actions import curves_in, is_layered, is_tweaked, own_action, strips_of
 from .corrections import corrections_of, keep_turned
-from .editable import check_editable, is_layered, is_tweaked
-from .keys import own_action
+from .editable import check, check_editable
+from .keys import change_places
 from .own_scene import object_mode
 from .sampling import shown_now
 from .simplify import all_actions, changed_alike
@@ -34,9 +34,7 @@ def origin_to_wrist(hand: CapturedHand) -> None:
     changes nothing."""
     armature, wrist = hand.armature, hand.rig.bones[0]
     check_editable(armature)
-    why = why_not_at_wrist(armature)
-    if why is not None:
-        raise OptionError(f"{armature.name!r}: {why[:1].lower()}{why[1:]}")
+    check(armature, why_not_at_wrist(armature))
     field = corrections_of(armature)  # before anything is changed: they may not be readable
     with object_mode():
         bpy.context.view_layer.update()
@@ -62,9 +60,8 @@ def why_not_at_wrist(armature: bpy.types.Object) -> str | None:
     if is_tweaked(armature):  # Blender hides the action on top, whose keys would have to follow
         return "A strip of the NLA is being edited: leave tweak mode first"
     curves = [] if data is None else list(data.drivers)
-    for action, slot in used_actions(armature):
-        holder = channels(action, slot)
-        curves += [] if holder is None else list(holder.fcurves)
+    for used in used_actions(armature):
+        curves += curves_in(channels(*used))
     if any(c.data_path.startswith(_MOVING) for c in curves) or any(c.enabled for c in armature.constraints):
         return "The object itself is animated, driven or constrained: give that to a parent first"
     return None
@@ -74,22 +71,13 @@ def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> No
     """Take `along` (3,), in metres along the wrist's own axes, from its location and all keys of that."""
     bone = armature.pose.bones[wrist]
     bone.location = np.array(bone.location) - along
-    data = armature.animation_data
-    strips = [strip for track in data.nla_tracks for strip in track.strips] if data is not None else []
-    added = {strip.action for strip in strips if strip.blend_type != "REPLACE"}
-    if data is not None and is_layered(armature):
-        added.add(data.action)
+    added = {strip.action for strip in strips_of(armature) if strip.blend_type != "REPLACE"}
+    if is_layered(armature):
+        added.add(armature.animation_data.action)
     for action, slot in all_actions(armature):
-        holder = channels(action, slot)
-        for curve in holder.fcurves if holder is not None and action not in added else ():
-            if curve.data_path != f'pose.bones["{wrist}"].location':
-                continue
-            values = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
-            for part in ("co", "handle_left", "handle_right"):
-                curve.keyframe_points.foreach_get(part, values.ravel())
-                values[:, 1] -= along[curve.array_index]
-                curve.keyframe_points.foreach_set(part, values.ravel())
-            curve.update()
+        for curve in curves_in(channels(action, slot)) if action not in added else ():
+            if curve.data_path == f'pose.bones["{wrist}"].location':
+                change_places(curve, [1.0, 1.0], [0.0, -float(along[curve.array_index])])
         action.update_tag()
 
 

@@ -26,77 +26,36 @@ def object_mode() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def own_scene(name: str) -> Iterator[bpy.types.Scene]:
-    """Open a new, empty scene; afterwards remove it and open the user's again, on its frame, with every view
-    and every pose as it was, also where a pose has no keys yet.
-
-    It has to be the open one: exporters write what is open (glTF's opens the scene that it writes), and
-    movies and image sequences follow the open scene's frame even while another scene is rendered.
-    """
-    window = bpy.context.window
-    before = window.scene
-    frame, subframe = before.frame_current, before.frame_subframe
-    scene = bpy.data.scenes.new(name)
-    with _transforms_kept():
-        try:
-            with _windows_kept(window):
-                window.scene = scene
-                yield scene
-        finally:
-            bpy.data.scenes.remove(scene)
-            before.frame_set(frame, subframe=subframe)
-
-
-@contextlib.contextmanager
-def _windows_kept(window: bpy.types.Window) -> Iterator[None]:
-    """Whatever scene the window shows meanwhile, it and the windows that follow it look as before.
-
-    A view that finds no camera in the new scene stops looking through it, and a window that does not find
-    its view layer there takes another.
-    """
-    main = window.parent or window
-    windows = [w for w in bpy.context.window_manager.windows if main in (w, w.parent)]
-    scene, camera = window.scene, window.scene.camera
-    layers = [(w, w.view_layer) for w in windows]
-    spaces = [
-        space for w in windows for area in w.screen.areas for space in area.spaces if space.type == "VIEW_3D"
-    ]
-    cameras = [(space, space.camera) for space in spaces]
-    views = [
-        (view, view.view_perspective)
-        for space in spaces
-        for view in (space.region_3d, *space.region_quadviews)
-        if view is not None
-    ]
-    try:
-        yield
-    finally:
-        window.scene = scene
-        for each, layer in layers:
-            if each.view_layer != layer:
-                each.view_layer = layer
-        for space, own in cameras:
-            if space.camera != own:
-                space.camera = own
-        if scene.camera != camera:  # a view that is locked to the scene's camera has passed its own on
-            scene.camera = camera
-        for view, perspective in views:
-            if view.view_perspective != perspective:
-                view.view_perspective = perspective
-
-
-@contextlib.contextmanager
 def unseen_scene(name: str) -> Iterator[bpy.types.Scene]:
     """Make a new, empty scene that no window opens, and remove it afterwards.
 
-    `sampling.sample` evaluates objects in it, of which Blender writes nothing back to them. There is nothing
-    to restore as in `own_scene`, and no editor changes its region, tool or render engine below an operator.
+    `sampling.sample` evaluates objects in it, of which Blender writes nothing back to them. No editor changes
+    its region, tool or render engine below an operator.
     """
     scene = bpy.data.scenes.new(name)
     try:
         yield scene
     finally:
         bpy.data.scenes.remove(scene)
+
+
+@contextlib.contextmanager
+def own_scene(name: str) -> Iterator[bpy.types.Scene]:
+    """Make a new, empty scene the context's, as exporters want it, while windows go on showing the user's;
+    afterwards remove it, and have the user's on its frame again, with every pose as it was, also where a pose
+    has no keys yet.
+    """
+    before = bpy.context.scene
+    frame, subframe = before.frame_current, before.frame_subframe
+    with _transforms_kept():
+        try:
+            with (
+                unseen_scene(name) as scene,
+                bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0], active_object=None),
+            ):
+                yield scene
+        finally:
+            before.frame_set(frame, subframe=subframe)
 
 
 _TRANSFORMS = {

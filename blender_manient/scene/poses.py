@@ -40,7 +40,6 @@ from .keys import (
     check_unlocked,
     displayed_pose,
     frames_between,
-    keyed_bones,
     level_handles,
     pose_at,
     read_pose_keys,
@@ -210,7 +209,7 @@ class _CapturedPosable(PosableHand):
         """Bones that are animated get keys, others one on the current frame with Auto Keying."""
         armature, moved = self._hand.armature, posed.moved
         auto = posed.span is None and context.scene.tool_settings.use_keyframe_insert_auto
-        keyed = moved & (keyed_bones(self.rig) | auto)
+        keyed = moved & (read_pose_keys(self.rig).rotation_keyed.any(axis=0) | auto)
         if keyed.any():
             timing, field = timing_of(armature), corrections_of(armature)
             frames = timing.source_frames(posed.frames).tolist()

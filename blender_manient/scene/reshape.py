@@ -36,9 +36,10 @@ from handfit_core.skeleton import NUM_BETAS
 
 from ..blender_versions import channels
 from ..rigs.rig import Rig
+from .actions import own_action
 from .corrections import corrections_of, keep_turned
 from .editable import check_editable
-from .keys import own_action, pose_at, read_pose_keys, set_pose, write_pose_keys
+from .keys import pose_at, read_pose_keys, set_pose, write_pose_keys
 from .mesh import corrective_names
 from .own_scene import object_mode
 from .simplify import all_actions, changed_alike

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,22 +9,19 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from handfit_core.errors import TakeError
-from handfit_core.geometry.rotations import rotmat_to_quat
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.batch import scatter
+from handfit_core.edit.corrections import point_rows
+from handfit_core.hand_model.motion import POSE_ARRAYS
 from handfit_core.retiming import shown_rows
-from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take, at_rows
 
+from .camera import CAMERA_AT_REST
 from .confidence import errors_of
-from .corrections import corrections_of
+from .corrections import readable_corrections
 from .keys import read_pose_keys
 from .own_scene import object_mode, shown_in_pose, unseen_scene
-from .sampling import rotations_of, sample, stepped
+from .sampling import of_bones, sample, stepped
 from .store import CapturedHand, captured_take, rows_at, scene_frames
-
-_CAMERA_AT_REST = Matrix.Rotation(math.pi / 2.0, 4, "X")
-"""matrix_world of a capture camera that nobody moved"""
 
 
 def retaken(hands: Sequence[CapturedHand]) -> Take:
@@ -63,60 +58,34 @@ def _of_pictures(take: Take, captured: Take) -> Take:
 
 def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.types.Scene) -> HandTrack:
     """One hand's track; `scene` holds it and the camera. `metres` per unit of the artist's scene."""
-    model = kept_model(hand.take.model, hand.side)
-    betas = hand.betas
-    shaped = model.shaped(betas)
+    model, betas, shaped = hand.model(), hand.betas, hand.shaped()
     posed = _posed_rows(hand)
     present = hand.track.present | posed
     quats, locations = _bones(hand, frames[present], metres, scene)
-    orient, pose, transl = hand.rig.from_bones(shaped, quats, locations)
-    joints = model.keypoints(betas, orient, pose, transl)
+    pose = hand.rig.from_bones(shaped, quats, locations)
+    joints = model.keypoints(betas, *pose)
 
     track = hand.track
     detected = np.asarray(track.detected, dtype=bool)
-    joints_3d = _spread(joints, present)
+    joints_3d = scatter(joints, present, len(present))
     errors = np.linalg.norm(hand.take.intrinsics.project(joints_3d) - track.keypoints_2d, axis=-1)
     told, expected = errors_of(hand), track.expected_error
+    field, numbers = readable_corrections(hand.armature), hand.take.frame_numbers
+    placed, touches = point_rows([field.pins(n) for n in numbers], [field.touching(n) for n in numbers])
     if expected is not None:
         expected = np.where(np.isnan(told.frames)[:, None], np.nan, expected)
     return replace(
         track,
         betas=betas,
-        global_orient=_spread(orient, present),
-        hand_pose=_spread(pose, present),
-        transl=_spread(transl, present),
+        **dict(zip(POSE_ARRAYS, (scatter(rows, present, len(present)) for rows in pose), strict=True)),
         joints_3d=joints_3d,
         reprojection_error=np.where(detected, errors.mean(axis=-1), np.nan),
         doubtful=None if track.doubtful is None else told.doubtful,
         expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
-        placed=_pinned_points(hand),
-        touches=_touches(hand),
+        placed=placed if track.added or np.isfinite(placed).any() else None,
+        touches=touches if np.isfinite(touches).any() else None,
     )
-
-
-def _pinned_points(hand: CapturedHand) -> np.ndarray | None:
-    """(T, 21, 2) pixels of the points that the artist has pinned; None where there are none, and the
-    hand was not added by hand."""
-    numbers = hand.take.frame_numbers
-    placed = np.full((len(numbers), NUM_KEYPOINTS, 2), np.nan)
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        field = corrections_of(hand.armature)
-        for row, number in enumerate(numbers):
-            for keypoint, place in field.pins(number).items():
-                placed[row, keypoint] = place
-    return placed if hand.track.added or np.isfinite(placed).any() else None
-
-
-def _touches(hand: CapturedHand) -> np.ndarray | None:
-    """(T, 21) which keypoint each one touches, as the artist says; None where none does."""
-    touches = np.full((len(hand.take.frame_numbers), NUM_KEYPOINTS), np.nan)
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        field = corrections_of(hand.armature)
-        for row, number in enumerate(hand.take.frame_numbers):
-            for keypoint, other in field.touching(number).items():
-                touches[row, keypoint] = other
-    return touches if np.isfinite(touches).any() else None
 
 
 def _posed_rows(hand: CapturedHand) -> np.ndarray:
@@ -125,9 +94,7 @@ def _posed_rows(hand: CapturedHand) -> np.ndarray:
     rows = rows_at(hand.collection, hand.take, keyed)
     posed = np.zeros(len(hand.take.frame_numbers), dtype=bool)
     posed[rows[rows >= 0]] = True
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        posed |= np.isin(hand.take.frame_numbers, list(corrections_of(hand.armature).corrections))
-    return posed
+    return posed | np.isin(hand.take.frame_numbers, list(readable_corrections(hand.armature).corrections))
 
 
 def _bones(
@@ -135,21 +102,11 @@ def _bones(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Quaternions (N, 16, 4) and wrist locations (N, 3) in metres, as if nothing but the bones' keys moved
     the hand before a camera that stands where capture cameras stand."""
-    sampled = sample(hand.armature, frames, scene)
-    camera = _camera_frames(hand.camera, frames, scene)
-    rest = hand.rig.rest
-    bones = rest.frames
-    chosen = [sampled.names.index(name) for name in hand.rig.bones]
-    space = np.linalg.inv(camera) @ sampled.world
-    turned = rotations_of(sampled.pose[:, chosen]) @ np.swapaxes(bones, -1, -2)  # from rest, in its space
-    local = np.empty_like(turned)
-    local[:, 0] = rotations_of(space) @ turned[:, 0]
-    for joint in range(1, NUM_JOINTS):
-        local[:, joint] = np.swapaxes(turned[:, PARENTS[joint]], -1, -2) @ turned[:, joint]
-    place = metres * (space @ sampled.pose[:, chosen[0], :, 3:])[:, :3, 0]
-    return rotmat_to_quat(np.swapaxes(bones, -1, -2) @ local @ bones), (
-        place - rest.wrist - rest.origin
-    ) @ bones[0]
+    sampled = sample(hand.armature, frames, scene, hand.rig.bones)
+    space = np.diag([metres, metres, metres, 1.0]) @ np.linalg.inv(_camera_frames(hand.camera, frames, scene))
+    space = space @ sampled.world
+    space[:, :3, 3] -= hand.rig.rest.origin
+    return of_bones(hand.rig, replace(sampled, pose=space[:, None] @ sampled.pose))
 
 
 def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray, scene: bpy.types.Scene) -> np.ndarray:
@@ -159,13 +116,6 @@ def _camera_frames(camera: bpy.types.Object | None, frames: np.ndarray, scene: b
     found = []
     for depsgraph in stepped(scene, frames):
         shown = camera.evaluated_get(depsgraph)
-        place, turn, _ = (shown.matrix_world @ _CAMERA_AT_REST.inverted()).decompose()
+        place, turn, _ = (shown.matrix_world @ CAMERA_AT_REST.inverted()).decompose()
         found.append(Matrix.LocRotScale(place, turn, None))
     return np.array(found, dtype=np.float64).reshape(-1, 4, 4)
-
-
-def _spread(values: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Rows of the frames with a hand -> rows of all frames, NaN in the others."""
-    spread = np.full((len(present), *values.shape[1:]), np.nan)
-    spread[present] = values
-    return spread

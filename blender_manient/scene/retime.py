@@ -20,11 +20,20 @@ from handfit_core.files import is_file
 from handfit_core.retiming import check_rate, is_other_rate, moved_keys, retimed, retimed_field, sampled
 from handfit_core.take import Take
 
-from ..blender_versions import action_slot, channels
+from .actions import present_curves
+from .confidence import is_marked, mark_doubtful
 from .corrections import check_writable, corrections_of, keep_field
 from .editable import check_unlayered
-from .keys import PoseKeys, align_signs, is_smooth, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
-from .markers import is_marked, mark_doubtful
+from .keys import (
+    PoseKeys,
+    align_signs,
+    change_places,
+    is_smooth,
+    pose_at,
+    read_pose_keys,
+    remove_pose_keys,
+    write_pose_keys,
+)
 from .own_keys import keyed_by_hand, note_fitted
 from .plate import movie_plate
 from .simplify import forget_all_keys
@@ -158,30 +167,15 @@ def _write(armature: bpy.types.Object, keys: PoseKeys, first: int, ratio: float)
     assert hand is not None
     rig = hand.rig
     remove_pose_keys(rig, -np.inf, np.inf)
-    for curve in _other_curves(hand):
-        points = curve.keyframe_points
-        for place in ("co", "handle_left", "handle_right"):
-            values = np.empty((len(points), 2), dtype=np.float32)
-            points.foreach_get(place, values.ravel())
-            values[:, 0] = first + (values[:, 0] - first) * ratio
-            points.foreach_set(place, values.ravel())
-        curve.update()
+    starts = tuple(f'pose.bones["{name}"].' for name in rig.bones)
+    for curve in present_curves(armature):
+        if not curve.data_path.startswith(starts):
+            change_places(curve, [ratio, 1.0], [first - first * ratio, 0.0])
     write_pose_keys(rig, keys)
     align_signs(rig)
     data = armature.animation_data
     if data is not None and data.action is not None:
         forget_all_keys(data.action)  # they are of the former rate
-
-
-def _other_curves(hand: CapturedHand) -> Iterator[bpy.types.FCurve]:
-    data = hand.armature.animation_data
-    holder = (
-        channels(data.action, action_slot(data)) if data is not None and data.action is not None else None
-    )
-    starts = tuple(f'pose.bones["{name}"].' for name in hand.rig.bones)
-    for curve in holder.fcurves if holder is not None else ():
-        if not curve.data_path.startswith(starts) and len(curve.keyframe_points):
-            yield curve
 
 
 def _retime_plate(collection: bpy.types.Collection, take: Take, clip: Timing) -> None:

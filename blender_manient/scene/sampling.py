@@ -8,6 +8,11 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
+
+from ..rigs.rig import PosedBones
+from .own_scene import object_mode, shown_in_pose, unseen_scene
+
 _SHEARED = 1e-4
 """how far the axes of a bone, of length 1, may be from its nearest rotation"""
 
@@ -140,6 +145,26 @@ def _shown(
     # Copied: Blender hands out views of what the next frame overwrites.
     pose = [shown.pose.bones[name].matrix for name in names]
     return np.array(pose, dtype=np.float64).reshape(-1, 4, 4), np.array(shown.matrix_world, dtype=np.float64)
+
+
+def sample_unseen(
+    armature: bpy.types.Object, frames: Iterable[float], names: Collection[str] | None = None
+) -> Sampled:
+    """`sample` in a scene that no window opens; what is hidden or in Rest Position is shown in it."""
+    with object_mode(), unseen_scene("sampled") as scene, shown_in_pose([armature]):
+        scene.collection.objects.link(armature)
+        return sample(armature, frames, scene, names)
+
+
+def sampled_pose(rig: PosedBones, frames: Iterable[float]) -> tuple[np.ndarray, np.ndarray]:
+    """What the bones show on N frames, whatever moves them."""
+    return of_bones(rig, sample_unseen(rig.armature, frames))
+
+
+def of_bones(rig: PosedBones, sampled: Sampled) -> tuple[np.ndarray, np.ndarray]:
+    """The B bones relative to their rest and parents: quaternions (N, B, 4), the first one's place (N, 3)."""
+    basis = sampled.basis()[:, [sampled.names.index(name) for name in rig.bones]]
+    return unflip_quats(rotmat_to_quat(rotations_of(basis))), basis[:, 0, :3, 3]
 
 
 def rotations_of(matrices: np.ndarray) -> np.ndarray:

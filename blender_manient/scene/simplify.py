@@ -28,8 +28,9 @@ from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
 from ..wording import with_note
 from . import corrections
+from .actions import curves_in, same_slot, strip_below, use_action
 from .characters import active_character, table_of
-from .editable import check_keyable, strip_below
+from .editable import check_keyable
 from .keys import (
     channel_values,
     check_unlocked,
@@ -206,13 +207,13 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
     present, (dense, _) = data.action, _source(armature)
     note = _note(present) if dense is not present else _first_note(armature, dense)
     action = present.copy()  # other parts may have been simplified before
-    _use(armature, action, action_slot(data))
+    use_action(data, action, action_slot(data))
     for one in thinned:
         for joint, spline in zip(one.chosen, one.result.splines, strict=True):
             before, behind = spline.handles(one.frames)
             replace_keys(one.hand.rig, joint, one.frames[spline.rows], spline.values, before, behind)
     if dense is not present:
-        _remove_unused(present)
+        remove_unused(present)
     elif dense.users == dense.use_fake_user:  # nobody else has it, who would miss its name
         dense.name = with_note(note["name"], "(all keys)")
     dense.use_fake_user = True
@@ -237,7 +238,7 @@ def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action,
         if dense.library is not None or dense.users - dense.use_fake_user > 1:
             dense = dense.copy()
             action[DENSE] = dense
-        found.append((dense, _same_slot(dense, action_slot(user))))
+        found.append((dense, same_slot(dense, action_slot(user))))
         action = dense
     return found
 
@@ -276,13 +277,6 @@ def _dense_action(action: bpy.types.Action | None) -> bpy.types.Action | None:
     return dense if isinstance(dense, bpy.types.Action) else None
 
 
-def _same_slot(action: bpy.types.Action, slot: Any) -> Any:
-    """The slot of an action that is called like this one; None where there is none."""
-    if slot is None:
-        return None
-    return next((one for one in action.slots if one.identifier == slot.identifier), None)
-
-
 def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
     """Give an armature its action with all keys back, as it was, with the corrections of the hand since then.
 
@@ -297,20 +291,20 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
     present, slot = data.action, action_slot(data)
     note, changed = _note(present), not _is_unchanged(data)
     with corrections.carried_over(armature, note["corrections"]):
-        _use(armature, dense, slot)
+        use_action(data, dense, slot)
     dense.use_fake_user = note["fake_user"]
     if changed:
         present.name = with_note(note["name"], "(fewer keys)")
         present.use_fake_user = True
         forget_all_keys(present)
     else:
-        _remove_unused(present)
+        remove_unused(present)
     dense.name = note["name"]
     dense.update_tag()
     return present if changed else None
 
 
-def _remove_unused(action: bpy.types.Action) -> None:
+def remove_unused(action: bpy.types.Action) -> None:
     """Remove an action, unless another object or a strip uses it, too."""
     if action.users - action.use_fake_user == 0:
         bpy.data.actions.remove(action)
@@ -333,15 +327,7 @@ def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
     dense = kept_action(armature)
     if dense is None or not _is_unchanged(data):
         return action, slot
-    return dense, _same_slot(dense, slot)
-
-
-def _use(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> None:
-    """Assign an action, with the slot that is called like this one."""
-    data, same = armature.animation_data, _same_slot(action, slot)
-    data.action = action
-    if same is not None:
-        data.action_slot = same
+    return dense, same_slot(dense, slot)
 
 
 def _first_note(armature: bpy.types.Object, action: bpy.types.Action) -> dict[str, Any]:
@@ -365,10 +351,8 @@ def _note(action: bpy.types.Action) -> dict[str, Any]:
 
 def _digest(action: bpy.types.Action, slot: Any) -> str:
     """A digest of an action's keys."""
-    holder = channels(action, slot)
     found = hashlib.sha256()
-    curves = holder.fcurves if holder is not None else ()
-    for curve in sorted(curves, key=lambda c: (c.data_path, c.array_index)):
+    for curve in sorted(curves_in(channels(action, slot)), key=lambda c: (c.data_path, c.array_index)):
         points = curve.keyframe_points
         found.update(f"{curve.data_path} {curve.array_index} {len(points)} ".encode())
         places = np.empty((len(points), 2), dtype=np.float32)

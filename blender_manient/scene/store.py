@@ -18,10 +18,14 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
+from handfit_core.batch import scatter
 from handfit_core.errors import HandModelError, TakeError
+from handfit_core.files import storable
 from handfit_core.hand_model import HandModel, ShapedHand
+from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.settings import MEDIA
 from handfit_core.skeleton import Side
 from handfit_core.slices import run_to_completion
@@ -29,6 +33,7 @@ from handfit_core.take import HandTrack, Take
 
 from ..rigs import rig_of
 from ..rigs.rig import Rig
+from .keys import nearest
 from .timing import Timing
 
 _CACHED = 8
@@ -85,6 +90,27 @@ class CapturedHand:
     def model(self) -> HandModel:
         """The model that it was captured with. Raises HandModelError."""
         return kept_model(self.take.model, self.side)
+
+    def to_bones(self, motion: HandMotion, wrist: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Any hand's motion about this one's bones: quaternions (T, 16, 4) and wrist locations (T, 3) in
+        metres, NaN in frames without a hand; mirrored at x = 0 where it is of the other side.
+
+        Fingers get its rotations, the wrist its place. `wrist` (3,) metres in the model frame is where that
+        lies before it is moved; None: where this hand's model has it in the motion's shape. Raises
+        HandModelError.
+        """
+        there, shaped = motion.present, self.shaped()
+        if wrist is None:
+            own = kept_model(self.take.model, motion.side).shaped(motion.betas)
+            wrist = np.asarray(own.joints[0])
+        orient, pose, transl = (np.asarray(rows[there], dtype=np.float64) for rows in motion.pose)
+        place = wrist + transl
+        if motion.side != self.side:
+            orient, pose = mirrored_pose(orient, pose)
+            place = place @ MIRROR_X
+        bones = self.rig.to_bones(shaped, orient, pose, place - shaped.joints[0])
+        quats, locations = (scatter(rows, there, len(there)) for rows in bones)
+        return quats, locations
 
     def is_of_other_model(self) -> bool:
         """Whether the model's joints lie elsewhere now; no where it cannot be read."""
@@ -242,9 +268,7 @@ def rows_at(collection: bpy.types.Collection, take: Take, frames: np.ndarray) ->
     timing = timing_of(collection)
     numbers = np.asarray(take.frame_numbers, dtype=np.float64)
     wanted = timing.source_frames(frames)
-    after = np.clip(np.searchsorted(numbers, wanted), 0, len(numbers) - 1)
-    before = np.maximum(after - 1, 0)
-    rows = np.where(np.abs(numbers[before] - wanted) < np.abs(numbers[after] - wanted), before, after)
+    rows, _ = nearest(numbers, wanted)
     # Retimed, a scene frame may lie between two rows that both are near.
     near = 0.5 * max(1.0, 1.0 / (abs(timing.scale) or 1.0)) + 1e-3
     return np.where(np.abs(numbers[rows] - wanted) <= near, rows, -1)
@@ -294,14 +318,23 @@ def describe_capture(
 def describe_hand(
     armature: bpy.types.Object, collection: bpy.types.Collection, take: Take, index: int, wrist: Wrist
 ) -> None:
-    """Note on an armature which hand of which take it is; its mesh is there already and ends in `wrist`."""
+    """Note on an armature which hand of which take it is; its mesh is there already and ends in `wrist`.
+
+    Custom properties say where the hand comes from, and are exported with it.
+    """
+    track = take.hands[index]
+    armature["side"] = track.side
+    armature["betas"] = [float(b) for b in track.betas]
+    armature["model"] = storable(take.model)
+    armature["solver"] = take.solver
+    armature["source"] = storable(take.source.files[0])
     if has_properties():
         hand = armature.manient
         # The shape first: as long as this is no captured hand, its change rebuilds nothing.
-        hand.betas = [float(b) for b in take.hands[index].betas]
+        hand.betas = armature["betas"]
         hand.wrist = wrist
         hand.forearm = wrist == "forearm"
-        hand.side = take.hands[index].side
+        hand.side = track.side
         hand.capture = collection
         hand.mesh = next(iter(_deformed_by(armature)), None)
         hand.track = index

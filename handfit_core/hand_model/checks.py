@@ -25,10 +25,14 @@ def checked_model(
     """
     if side not in SIDES:
         raise HandModelError(f"{where}: the side must be left or right, not {shortly(side)}")
-    found: dict[str, Any] = {key: _numbers(where, key, arrays.get(key)) for key in declared(HandModel)}
+    found: dict[str, Any] = {name: arrays.get(name) for name in declared(HandModel)}
     for key, spec in declared(HandModel).items():
         if found[key] is None and not spec.optional:
-            raise HandModelError(f"{where}: the hand model has no {key}")
+            raise HandModelError(f"{where}: the hand model lacks {key}")
+        if found[key] is not None:
+            kinds, kind = ("iu", np.int64) if spec.kind == "i" else ("fiu", np.float64)
+            value = np.asarray(found[key])
+            found[key] = value.astype(kind) if value.dtype.kind in kinds else value
     if found["uv"] is None or found["uv_faces"] is None:
         found["uv"] = found["uv_faces"] = None
     vertices, shapedirs = found["v_template"], found["shapedirs"]
@@ -54,35 +58,17 @@ def checked_model(
     weights = model.weights
     if np.any(weights < -1e-6) or np.any(np.abs(weights.sum(axis=1) - 1.0) > 1e-3):
         raise HandModelError(f"{where}: the skin weights must be positive and sum to 1 for every vertex")
-    for key in ("faces", "tip_vertices", "quads"):
-        _check_indices(where, key, getattr(model, key), "vertices", len(model.v_template))
-    if model.uv is not None and model.uv_faces is not None:
-        if model.uv_faces.shape != model.polygons.shape:
-            raise HandModelError(
-                f"{where}: uv_faces has shape {model.uv_faces.shape}, expected {model.polygons.shape} as the "
-                "polygons have"
-            )
-        _check_indices(where, "uv_faces", model.uv_faces, "texture coordinates", len(model.uv))
+    if model.uv_faces is not None and model.uv_faces.shape != model.polygons.shape:
+        raise HandModelError(
+            f"{where}: uv_faces has shape {model.uv_faces.shape}, expected {model.polygons.shape} as the "
+            "polygons have"
+        )
+    for key in ("faces", "tip_vertices", "quads", "uv_faces"):
+        indices, of = getattr(model, key), model.uv if key == "uv_faces" else model.v_template
+        if indices is not None and of is not None and np.any((indices < 0) | (indices >= len(of))):
+            raise HandModelError(f"{where}: {key} names points that do not exist (there are {len(of)})")
     # Some released weights sum to 1 within 1e-4 only; skinning wants exactly 1.
     model = replace(model, weights=weights / weights.sum(axis=1, keepdims=True))
     for value in arrays_of(model).values():
         value.setflags(write=False)
     return model
-
-
-def _numbers(where: str, key: str, value: Any) -> np.ndarray | None:
-    """A copy, floats as float64 and whole numbers as int64."""
-    if value is None:
-        return None
-    if declared(HandModel)[key].kind == "i":
-        value = np.asarray(value)
-        return value.astype(np.int64) if value.dtype.kind in "iu" else value
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise HandModelError(f"{where}: {key} is not an array of numbers") from error
-
-
-def _check_indices(where: str, key: str, array: np.ndarray | None, of: str, count: int) -> None:
-    if array is not None and array.size and (array.min() < 0 or array.max() >= count):
-        raise HandModelError(f"{where}: {key} names {of} that do not exist (there are {count})")

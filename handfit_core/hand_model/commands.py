@@ -6,13 +6,11 @@ Handlers import what needs NumPy, so that the parser is built without it.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.errors import OptionError
 from handfit_core.files import check_writable, path_of
-from handfit_core.hand_model.files import OPEN_HAND, load_model, load_model_npz, save_model_npz
-from handfit_core.hand_model.mano_pickle import load_mano_pickle
+from handfit_core.hand_model.files import OPEN_HAND, load_model, read_model, save_model_npz
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, SIDES, keypoints_from_joints
 
 if TYPE_CHECKING:
@@ -44,7 +42,7 @@ def _convert(args: argparse.Namespace) -> int:
     if target.suffix.lower() != ".npz":
         raise OptionError(f"{target}: the converted model is a .npz file; give a name that ends in .npz")
     check_writable(target, [source])
-    model = _read(source)
+    model = read_model(source)
     save_model_npz(model, target)
     print(f"{target}: {model.side} hand, {len(model.v_template)} vertices")
     return 0
@@ -55,19 +53,8 @@ def _info(args: argparse.Namespace) -> int:
         for side in SIDES:
             _describe(load_model(OPEN_HAND, side))
     else:
-        _describe(_read(Path(args.model).expanduser()))
+        _describe(read_model(path_of(args.model)))
     return 0
-
-
-def _read(path: Path) -> HandModel:
-    """One file of either format; its side is what it is."""
-    if path.is_dir():
-        raise HandModelError(f"{path}: this is a folder; give one file, MANO_RIGHT or MANO_LEFT")
-    if not path.exists():
-        raise HandModelError(f"{path}: there is no such hand model; give a MANO .pkl or .npz file")
-    if path.suffix.lower() == ".pkl":
-        return load_mano_pickle(path)
-    return load_model_npz(path)
 
 
 def _describe(model: HandModel) -> None:

@@ -8,7 +8,7 @@ import os
 import zipfile
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,10 +16,10 @@ from handfit_core.arrays import arrays_of, declared
 from handfit_core.doors.npz import NotNpz, NpzArchive
 from handfit_core.doors.values import text, whole
 from handfit_core.errors import HandModelError
-from handfit_core.files import read_file, shown, why, written_whole
+from handfit_core.files import path_of, read_file, shown, why, written_whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import LIMITS, HandModel
-from handfit_core.skeleton import SIDES, Side
+from handfit_core.skeleton import SIDES, Side, other_side
 
 OPEN_HAND = "open-hand"
 """Name of the bundled model; anything else given as a model is a path."""
@@ -31,7 +31,7 @@ FORMAT_VERSION = 1
 ARRAY_NAMES = tuple(declared(HandModel))
 """All arrays of a model, named as in `HandModel` and in the file."""
 
-_MANO_FILES: dict[Side, str] = {"right": "MANO_RIGHT", "left": "MANO_LEFT"}
+_SUFFIXES: Final = (".npz", ".pkl")
 
 
 def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
@@ -47,33 +47,53 @@ def load_model(model: str | os.PathLike[str] | None, side: Side) -> HandModel:
         raise HandModelError(f"a hand's side must be left or right, not {side!r}")
     if model is None or str(model) == OPEN_HAND:
         return _open_hand(side)
+    path = path_of(model)
     try:
-        path = Path(model).expanduser()
         if not path.exists():
             raise HandModelError(
                 f"{shown(path)}: there is no such hand model; give a MANO .pkl or .npz, a folder with both "
                 f"sides, or '{OPEN_HAND}'"
             )
         path = file_of_side(path, side)
-    except RuntimeError as error:  # the home folder of a user who does not exist
-        raise HandModelError(f"{shown(model)}: there is no such hand model ({error})") from error
     except (OSError, ValueError) as error:
-        raise HandModelError(f"{shown(model)}: this hand model cannot be read ({why(error)})") from error
-    return _read(path, side)
+        raise HandModelError(f"{shown(path)}: this hand model cannot be read ({why(error)})") from error
+    found = read_model(path)
+    if found.side != side:
+        raise HandModelError(
+            f"{path}: this is a {found.side} hand, but the {side} hand was asked for; give the folder "
+            "that holds both MANO_LEFT and MANO_RIGHT"
+        )
+    return found
+
+
+def kept_model(model: str, side: Side) -> HandModel:
+    """`load_model`, cached: the same object every time, until its file changes; a slider's step or an edit
+    while the artist drags must not read a file.
+
+    Raises HandModelError.
+    """
+    try:
+        found = file_of_side(path_of(model), side).stat()
+    except (OSError, ValueError, HandModelError):
+        return load_model(model, side)  # the open hand, or it says what is wrong
+    return _kept(model, side, (found.st_mtime_ns, found.st_size, found.st_ino))
+
+
+@lru_cache(maxsize=4)
+def _kept(model: str, side: Side, _stamp: tuple[int, int, int]) -> HandModel:
+    return load_model(model, side)
 
 
 def file_of_side(path: Path, side: Side) -> Path:
     """The file of one side in a folder, or beside a file of the other side."""
     if path.is_dir():
-        for candidate in _candidates(path, side, (".npz", ".pkl")):
-            return candidate
+        if found := _mano_files(path, side, _SUFFIXES):
+            return found[0]
         raise HandModelError(
-            f"{path}: this folder has no {_MANO_FILES[side]}.pkl or .npz for the {side} hand"
+            f"{path}: this folder has no MANO_{side.upper()}.pkl or .npz for the {side} hand"
         )
-    other = "left" if side == "right" else "right"
-    if _MANO_FILES[other].lower() in path.stem.lower():
-        for candidate in _candidates(path.parent, side, (path.suffix.lower(),)):
-            return candidate
+    if f"mano_{other_side(side)}" in path.stem.lower():
+        return next(iter(_mano_files(path.parent, side, (path.suffix.lower(),))), path)
     return path
 
 
@@ -86,26 +106,19 @@ def files_of_model(path: Path) -> list[Path]:
     return [file for file in found if file.is_file()]
 
 
-def _candidates(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Path]:
-    files = {p.name.lower(): p for p in folder.iterdir() if p.is_file()}
-    wanted = (f"{_MANO_FILES[side].lower()}{suffix}" for suffix in suffixes)
-    return [files[name] for name in wanted if name in files]
+def _mano_files(folder: Path, side: Side, suffixes: tuple[str, ...]) -> list[Path]:
+    names = (stem + suffix for suffix in suffixes for stem in (f"MANO_{side.upper()}", f"mano_{side}"))
+    return [folder / name for name in names if (folder / name).is_file()]
 
 
-def _read(path: Path, side: Side) -> HandModel:
+def read_model(path: Path) -> HandModel:
+    """One file of either format; its side is what it is. Raises HandModelError."""
     if path.suffix.lower() == ".pkl":
         # Imported late, as the open hand does not need it.
         from handfit_core.hand_model.mano_pickle import load_mano_pickle
 
-        model = load_mano_pickle(path)
-    else:
-        model = load_model_npz(path)
-    if model.side != side:
-        raise HandModelError(
-            f"{path}: this is a {model.side} hand, but the {side} hand was asked for; give the folder "
-            "that holds both MANO_LEFT and MANO_RIGHT"
-        )
-    return model
+        return load_mano_pickle(path)
+    return load_model_npz(path)
 
 
 @lru_cache(maxsize=2)
@@ -122,10 +135,7 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
         if header.get("format") != FORMAT_NAME:
             raise NotNpz("is of another format")
         version = whole("version", header.get("version"), 1)
-        name, side = (
-            text("name", header.get("name"), LIMITS.name_length),
-            text("side", header.get("side"), LIMITS.name_length),
-        )
+        name, side = (text(key, header.get(key), LIMITS.name_length) for key in ("name", "side"))
         arrays = {key: archive.array(key, "fiu") for key in ARRAY_NAMES if key in archive}
     except OSError as error:
         raise HandModelError(f"{shown(path)}: this hand model cannot be read ({why(error)})") from error
@@ -140,9 +150,6 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
             f"{path}: this hand model has format version {version}, this program reads up to "
             f"{FORMAT_VERSION}; update the add-on"
         )
-    missing = [key for key, spec in declared(HandModel).items() if not (spec.optional or key in arrays)]
-    if missing:
-        raise HandModelError(f"{path}: the hand model lacks {', '.join(missing)}")
     return checked_model(arrays, where=str(path), name=name, side=side, source="" if bundled else str(path))
 
 

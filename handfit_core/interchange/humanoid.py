@@ -9,7 +9,7 @@ character.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -64,6 +64,16 @@ def bone_names(side: Side) -> tuple[str, ...]:
     return tuple(names)
 
 
+def humanoid_bones(heads: Mapping[Side, np.ndarray]) -> dict[str, tuple[str, np.ndarray]]:
+    """Every bone of a humanoid in the T-pose, by VRM's name: the bone that it hangs from, and where it
+    begins, metres in the humanoid frame. `heads`: what `t_pose` says of its hands."""
+    bones = {name: (parent, np.array(place)) for name, (parent, place) in BODY.items()}
+    for side, places in heads.items():
+        names = bone_names(side)
+        bones |= {names[j]: (names[PARENTS[j]], places[j]) for j in range(1, NUM_JOINTS)}
+    return bones
+
+
 @dataclass(frozen=True, eq=False)
 class HumanoidHand:
     """What a hand does in N moments, as rotations of a humanoid's bones."""
@@ -107,9 +117,8 @@ def t_pose(source: SourceHand) -> tuple[TargetHand, np.ndarray]:
     own, tips = source.joints @ REST_FROM_MODEL, source.tips @ REST_FROM_MODEL
     sideways = 1.0 if source.side == "left" else -1.0
     heads, ends = own.copy(), tips.copy()
-    for finger, (first, second, third), tip, f in zip(
-        FINGERS, map(FINGER_JOINTS.__getitem__, FINGERS), tips, range(len(FINGERS)), strict=True
-    ):
+    for f, (finger, tip) in enumerate(zip(FINGERS, tips, strict=True)):
+        first, second, third = FINGER_JOINTS[finger]
         along = np.array([sideways, 0.0, 1.0 if finger == "thumb" else 0.0])
         along /= np.linalg.norm(along)
         heads[second] = heads[first] + np.linalg.norm(own[second] - own[first]) * along

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from handfit_core.skeleton import FINGERS, KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
@@ -24,18 +24,24 @@ _FILLING: Final = frozenset(
 )
 
 
-def _names() -> dict[str, int]:
-    known = {"wrist": 0} | {name.replace("_", ""): i for i, name in enumerate(KEYPOINT_NAMES)}
-    for f, finger in enumerate(FINGERS):
-        joints = ("cmc", "mcp", "ip", "tip") if finger == "thumb" else ("mcp", "pip", "dip", "tip")
-        for i, joint in enumerate(joints):
-            for called in (finger, "pinky") if finger == "little" else (finger,):
-                for between in ("", "finger"):
-                    known[called + between + joint] = 1 + 4 * f + i
-    return known | {"thumbmp": 2}
+_NAMES: Final = (
+    {name.replace("_", ""): point for point, name in enumerate(KEYPOINT_NAMES)}
+    | {
+        called + between + joint: 1 + 4 * number + place
+        for number, finger in enumerate(FINGERS)
+        for place, joint in enumerate(
+            ("cmc", "mcp", "ip", "tip") if number == 0 else ("mcp", "pip", "dip", "tip")
+        )
+        for called in ((finger, "pinky") if finger == "little" else (finger,))
+        for between in ("", "finger")
+    }
+    | {"thumbmp": 2}
+)  # Apple's
 
 
-_NAMES: Final = _names()
+def plain(name: str) -> str:
+    """A key or a column's name without its case and the signs between its words."""
+    return re.sub(r"[^a-z0-9]", "", name[:300].lower())
 
 
 def point_named(name: str) -> int | None:
@@ -45,7 +51,7 @@ def point_named(name: str) -> int | None:
         if code[1] == "WRI":
             return 0
         return _NAMES.get(dict(zip("TIMRP", FINGERS, strict=True)).get(code[1][0], "") + code[1][1:].lower())
-    return _NAMES.get(re.sub(r"[^a-z0-9]", "", name.lower()))
+    return _NAMES.get(plain(name))
 
 
 def is_apple(name: str) -> bool:
@@ -83,33 +89,20 @@ def point_columns(names: Sequence[str]) -> list[PointColumn]:
 
     Where points are numbered from 1, 21 is among them and 0 is not.
     """
-    numbered, found = set(), []
-    for i, name in enumerate(names):
-        parsed = _parsed(name)
-        if parsed is None:
-            continue
-        point, axis, side, hand, world = parsed
-        if isinstance(point, str):
-            numbered.add(int(point))
-        found.append((i, point, axis, side, hand, world))
+    found = [parsed for index, name in enumerate(names) if (parsed := _parsed(index, name)) is not None]
+    numbered = {column.point for column, counts in found if counts}
     first = 1 if NUM_KEYPOINTS in numbered and 0 not in numbered else 0
-    columns = []
-    for i, point, axis, side, hand, world in found:
-        number = point if isinstance(point, int) else int(point) - first
-        if 0 <= number < NUM_KEYPOINTS:
-            columns.append(PointColumn(i, number, axis, side, hand, world))
-    return columns
+    columns = [replace(column, point=column.point - first * counts) for column, counts in found]
+    return [column for column in columns if 0 <= column.point < NUM_KEYPOINTS]
 
 
-def _parsed(name: str) -> tuple[int | str, str, Side | None, int, bool] | None:
-    """The point, a text of digits where it is numbered, axis, side, hand, and whether it is of the world."""
+def _parsed(index: int, name: str) -> tuple[PointColumn, bool] | None:
+    """The column, and whether its point is numbered rather than named; None: it is no point's."""
     if len(name) > 100:
         return None
-    if code := _APPLE_CODE.search(name):
-        words = [*_words(name[: code.start()]), *_words(name[code.end() :])]
-        rest = [code[0]]
-    else:
-        words, rest = _words(name), []
+    code = _APPLE_CODE.search(name)
+    rest = [code[0]] if code else []
+    words = [word.lower() for word in _WORDS.findall(_APPLE_CODE.sub(" ", name, count=1))]
     axis, side, world = None, None, False
     for at, word in enumerate(words):
         if word in _AXES and axis is None and at in (0, len(words) - 1):
@@ -122,12 +115,8 @@ def _parsed(name: str) -> tuple[int | str, str, Side | None, int, bool] | None:
             rest.append(word)
     if axis is None or not rest:
         return None
-    digits = [word for word in rest if word.isdigit() and len(word) <= 4]
+    digits = [int(word) for word in rest if word.isdigit() and len(word) <= 4]
     if len(digits) == len(rest) <= 2:
-        return digits[-1], axis, side, int(digits[0]) if len(digits) == 2 else 0, world
+        return PointColumn(index, digits[-1], axis, side, digits[0] if len(digits) == 2 else 0, world), True
     point = point_named("".join(rest))
-    return None if point is None else (point, axis, side, 0, world)
-
-
-def _words(name: str) -> list[str]:
-    return [word.lower() for word in _WORDS.findall(name)]
+    return None if point is None else (PointColumn(index, point, axis, side, 0, world), False)

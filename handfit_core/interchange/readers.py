@@ -40,23 +40,23 @@ READERS: Final = Registry(
     "format",
     Reader,
     {
-        "points": f"{_HERE}.points:READER",
+        "points": f"{_HERE}.keypoints:POINTS.reader",
         "bvh": f"{_HERE}.bvh:READER",
         "hand-tracking": f"{_HERE}.hand_tracking:READER",
-        "leap": f"{_HERE}.leap:READER",
+        "leap": f"{_HERE}.keypoints:LEAP.reader",
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
-        "openpose": f"{_HERE}.openpose:READER",
-        "mmpose": f"{_HERE}.mmpose:READER",
+        "openpose": f"{_HERE}.keypoints:OPENPOSE.reader",
+        "mmpose": f"{_HERE}.keypoints:MMPOSE.reader",
         "hawor": f"{_HERE}.mano:HAWOR",
         "dyn-hamr": f"{_HERE}.mano:DYN_HAMR",
         "smplx": f"{_HERE}.mano:SMPLX",
         "smplx-keywords": f"{_HERE}.mano:SMPLX_KEYWORDS",
         "hamer": f"{_HERE}.mano:HAMER",
         "wilor-mini": f"{_HERE}.mano:WILOR_MINI",
-        "points-table": f"{_HERE}.points_table:READER",
-        "freemocap": f"{_HERE}.freemocap:READER",
-        "apple-vision": f"{_HERE}.apple_vision:READER",
-        "mediapipe": f"{_HERE}.mediapipe:READER",
+        "points-table": f"{_HERE}.keypoints:POINTS_TABLE.reader",
+        "freemocap": f"{_HERE}.keypoints:FREEMOCAP.reader",
+        "apple-vision": f"{_HERE}.keypoints:APPLE_VISION.reader",
+        "mediapipe": f"{_HERE}.keypoints:MEDIAPIPE.reader",
     },
 )
 """The readers by their names on the command line, the more particular ones first. MediaPipe's comes last: it
@@ -77,7 +77,7 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
         )
     if name is not None:
         return name, READERS.get(name)
-    for known, reader in READERS.all().items():
+    for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] == "mediapipe"):
         with READERS.blamed(known):
             if reader.recognises(document):
                 return known, reader

@@ -10,6 +10,7 @@ import math
 import re
 import struct
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -17,38 +18,49 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
-_ORIENTATION_TAG = 0x0112
-_EXIF_IFD_TAG = 0x8769
-_FOCAL_35MM_TAG = 0xA405
-_SHORT = 3
+_ORIENTATION, _EXIF_DIRECTORY, _FOCAL_35MM = 0x0112, 0x8769, 0xA405
+_TIFF: Final = rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)"
+_MARKERS: Final = {
+    rb"\xff\xd8": re.compile(rb"\xff\xe1..Exif\0\0" + _TIFF, re.DOTALL),
+    rb"\x89PNG\r\n\x1a\n": re.compile(rb"eXIf" + _TIFF),
+    rb"RIFF.{4}WEBP": re.compile(rb"EXIF.{4}" + _TIFF, re.DOTALL),
+    _TIFF: re.compile(_TIFF),
+}
+"""What stands before the tags, by a picture's first bytes; the chance that it is something else is 2^-64"""
 
 
 def read_orientation(data: bytes) -> int:
     """EXIF orientation 1-8 of an encoded JPEG, PNG, WebP or TIFF; 1 where there is none."""
-    value = _short(data, _ORIENTATION_TAG)
+    value = _short(data, _ORIENTATION)
     return value if value is not None and 1 <= value <= 8 else 1
 
 
 def read_focal_35mm(data: bytes) -> float | None:
     """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where there is none."""
-    value = _short(data, _FOCAL_35MM_TAG, within=_EXIF_IFD_TAG)
-    return float(value) if value else None
+    return float(_short(data, _EXIF_DIRECTORY, _FOCAL_35MM) or 0) or None
 
 
-def _short(data: bytes, tag: int, within: int | None = None) -> int | None:
-    """A tag's 16-bit number, from the first directory or from the one that the tag `within` leads to; None
+def _short(data: bytes, *tags: int) -> int | None:
+    """The 16-bit number of the last of the tags, of which each one leads to the next one's directory; None
     where there is none, and in damaged metadata, which are no reason to refuse a picture."""
-    try:
-        tiff = _tiff_block(data)
-        order = None if tiff is None else {b"II": "<", b"MM": ">"}.get(tiff[:2])
-        if tiff is None or order is None:
-            return None
-        (directory,) = struct.unpack_from(order + "I", tiff, 4)
-        if within is not None:
-            directory = _ifd_value(tiff, order, directory, within, 4)
-        return None if directory is None else _ifd_value(tiff, order, directory, tag, _SHORT)
-    except (struct.error, IndexError, ValueError):
+    for container, marker in _MARKERS.items():
+        if re.match(container, data, re.DOTALL) and (found := marker.search(data)):
+            tiff = data[found.end() : found.end() + MEDIA.exif_bytes]
+            break
+    else:
         return None
+    order = "<" if tiff.startswith(b"II") else ">"
+    try:
+        (value,) = struct.unpack_from(order + "I", tiff, 4)
+        for tag in tags:
+            kind, layout = (3, "H") if tag == tags[-1] else (4, "I")
+            (count,) = struct.unpack_from(order + "H", tiff, value)
+            places = range(value + 2, value + 2 + 12 * count, 12)
+            entry = next(at for at in places if struct.unpack_from(order + "HH", tiff, at) == (tag, kind))
+            (value,) = struct.unpack_from(order + layout, tiff, entry + 8)
+    except (struct.error, StopIteration):
+        return None
+    return value
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -68,33 +80,6 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 def is_tiff(data: bytes) -> bool:
     """Whether an encoded picture is a TIFF, which OpenCV turns upright by itself."""
     return data[:4] in (b"II*\0", b"MM\0*")
-
-
-def _tiff_block(data: bytes) -> bytes | None:
-    """The TIFF structure that holds the EXIF tags, from the container around it."""
-    if is_tiff(data):
-        return data
-    # The bytes before the tags, by a picture's first bytes
-    for container, marker in {
-        rb"\xff\xd8": rb"\xff\xe1..Exif\0\0",
-        rb"\x89PNG\r\n\x1a\n": rb"eXIf",
-        rb"RIFF.{4}WEBP": rb"EXIF.{4}",
-    }.items():
-        if re.match(container, data, re.DOTALL):
-            # The chance that these bytes are no EXIF marker is 2^-64.
-            found = re.compile(marker + rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)", re.DOTALL).search(data)
-            return data[found.end() : found.end() + MEDIA.exif_bytes] if found else None
-    return None
-
-
-def _ifd_value(tiff: bytes, order: str, offset: int, tag: int, wanted: int) -> int | None:
-    (count,) = struct.unpack_from(order + "H", tiff, offset)
-    for i in range(count):
-        entry = offset + 2 + 12 * i
-        found, kind = struct.unpack_from(order + "HH", tiff, entry)
-        if found == tag and kind == wanted:
-            return struct.unpack_from(order + ("H" if kind == _SHORT else "I"), tiff, entry + 8)[0]
-    return None
 
 
 def known_intrinsics(media: Media) -> Intrinsics | None:

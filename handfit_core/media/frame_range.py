@@ -38,23 +38,13 @@ class FrameRange:
         return cls(first, last, step or 1)
 
     def __contains__(self, number: int) -> bool:
-        if self.is_before(number) or self.is_past(number):
-            return False
-        return (number - (self.first or 1)) % self.step == 0
+        return number in self.within(number, number)
 
     def within(self, low: int, high: int) -> range:
         """The frames of the range from `low` to `high`, both included; counted, however many they are."""
         first = low if self.first is None else max(low, self.first)
         first += -(first - (self.first or 1)) % self.step
         return range(first, (high if self.last is None else min(high, self.last)) + 1, self.step)
-
-    def is_before(self, number: int) -> bool:
-        """Whether frame `number` lies before the range."""
-        return self.first is not None and number < self.first
-
-    def is_past(self, number: int) -> bool:
-        """Whether frame `number` and all after it lie behind the range."""
-        return self.last is not None and number > self.last
 
     def __str__(self) -> str:
         first, last = ("" if v is None else str(v) for v in (self.first, self.last))

@@ -62,11 +62,15 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
     if path.is_file():
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
-        if path.suffix.lower() in VIDEO_SUFFIXES:
+        suffix, known = path.suffix.lower(), PHOTO_SUFFIXES | VIDEO_SUFFIXES
+        if suffix in PHOTO_SUFFIXES or (suffix not in known and is_picture(path)):
+            return Pictures([path], [1], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
+        if suffix in VIDEO_SUFFIXES or is_video(path):
             return Video(path, wanted)
-        if path.suffix.lower() in PHOTO_SUFFIXES:
-            return _photo(path, wanted)
-        return _open_unknown(path, wanted)
+        raise InputError(
+            f"{path}: neither a picture nor a video that can be read; known are "
+            f"{_suffixes(PHOTO_SUFFIXES)} and {_suffixes(VIDEO_SUFFIXES)}"
+        )
     if is_pattern(str(path)):
         found, numbers = matching(path)
         if not found:
@@ -114,9 +118,13 @@ def numbered_like(file: Path) -> list[tuple[int, Path]]:
     if not match:
         return []
     head, tail = file.name[: match.start()], file.name[match.end() :]
-    like = re.compile(re.escape(head) + r"(\d+)" + re.escape(tail))
-    found = [(like.fullmatch(other.name), other) for other in file.parent.iterdir()]
-    return sorted((int(number[1]), other) for number, other in found if number)
+    return _numbered(file.parent, re.escape(head) + r"(\d+)" + re.escape(tail))
+
+
+def _numbered(folder: Path, pattern: str) -> list[tuple[int, Path]]:
+    """Everything in a folder whose name is of a pattern, by the number in it."""
+    found = [(re.fullmatch(pattern, file.name), file) for file in folder.iterdir()] if folder.is_dir() else []
+    return sorted((int(match[1]), file) for match, file in found if match)
 
 
 def _can_be_frames(numbers: Sequence[int]) -> bool:
@@ -136,11 +144,9 @@ def matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
         # Only the last part is a pattern: folders may be called "[final]".
         found = [Path(p) for p in glob.glob(str(Path(glob.escape(str(pattern.parent))) / pattern.name))]
         return sorted((p for p in found if p.suffix.lower() in PHOTO_SUFFIXES), key=_natural), None
-    exact = re.compile(r"(\d+)".join(map(re.escape, pieces)) + "$")
-    folder = pattern.parent
-    names = {p: exact.match(p.name) for p in folder.iterdir()} if folder.is_dir() else {}
-    numbered = sorted((int(match[1]), p) for p, match in names.items() if match and p.is_file())
-    return [p for _, p in numbered], [n for n, _ in numbered]
+    numbered = _numbered(pattern.parent, r"(\d+)".join(map(re.escape, pieces)))
+    numbered = [(number, file) for number, file in numbered if file.is_file()]
+    return [file for _, file in numbered], [number for number, _ in numbered]
 
 
 def _open_pictures(files: list[Path], wanted: Wanted, what: str, numbers: list[int] | None = None) -> Media:
@@ -167,22 +173,6 @@ def _open_pictures(files: list[Path], wanted: Wanted, what: str, numbers: list[i
         wanted,
         kind="sequence",
         all_numbers=[n for n, _ in ordered],
-    )
-
-
-def _photo(path: Path, wanted: Wanted) -> Media:
-    return Pictures([path], [1], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
-
-
-def _open_unknown(path: Path, wanted: Wanted) -> Media:
-    """Open a file of an unknown suffix by its content."""
-    if is_picture(path):
-        return _photo(path, wanted)
-    if is_video(path):
-        return Video(path, wanted)
-    raise InputError(
-        f"{path}: neither a picture nor a video that can be read; known are "
-        f"{_suffixes(PHOTO_SUFFIXES)} and {_suffixes(VIDEO_SUFFIXES)}"
     )
 
 

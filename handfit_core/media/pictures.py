@@ -33,9 +33,6 @@ def read_picture(
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    # What such files begin with. OpenCV 4.11's decoder ends the process on every header that it refuses.
-    if data.startswith((b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51")):
-        raise InputError(f"{path}: JPEG 2000 pictures are not read; save it as .png or .jpg")
     try:
         # From memory, since OpenCV cannot open paths that are not ASCII on Windows.
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -67,10 +64,6 @@ def _rows_rgb8(pixels: np.ndarray) -> np.ndarray:
 
     if pixels.dtype == np.uint16:
         pixels = (pixels >> 8).astype(np.uint8)
-    elif np.issubdtype(pixels.dtype, np.integer) and pixels.dtype != np.uint8:
-        info = np.iinfo(pixels.dtype)
-        pixels = np.round((pixels.astype(np.float64) - info.min) * (255.0 / (info.max - info.min)))
-        pixels = pixels.astype(np.uint8)
     elif pixels.dtype != np.uint8:
         # Scene-linear floats, as .hdr and float TIFF hold them.
         linear = np.clip(np.nan_to_num(pixels.astype(np.float32)), 0.0, 1.0)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Generator, Iterable
-from typing import TypeVar
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, TypeVar
 
 from handfit_core.media.settings import MEDIA
 
@@ -13,56 +13,26 @@ Item = TypeVar("Item")
 
 
 def read_ahead(items: Iterable[Item], depth: int = MEDIA.read_ahead_frames) -> Generator[Item, None, None]:
-    """Yield `items` in order while a thread of its own already fetches up to `depth` of the next.
+    """Yield `items` in order while a thread of its own already fetches up to `depth` of the next, at least 1.
 
     Meant for `Media.frames()`: decoding leaves Python's lock, so it runs beside the detector. The
     thread starts with the first item. What `items` raises is raised here, in the place of the item
     that it was raised for. Closing the generator (`contextlib.closing`, an exception or Ctrl-C in
     the loop over it) ends the thread before it returns, and closes `items` in that thread.
 
-    At most `depth` items are alive besides the one last yielded. Raises ValueError for a depth below 1.
+    At most `depth` items are alive besides the one last yielded.
     """
-    if depth < 1:
-        raise ValueError(f"read_ahead needs room for at least 1 item, not {depth}")
-    return _read_ahead(items, depth)
-
-
-def _read_ahead(items: Iterable[Item], depth: int) -> Generator[Item, None, None]:
-    room, stopped = threading.Semaphore(depth), threading.Event()
-    # Items come alone in a tuple, so that they differ from what comes last: an error, or None.
-    ready: queue.SimpleQueue[tuple[Item] | BaseException | None] = queue.SimpleQueue()
-
-    def decode() -> None:
-        """Only this thread touches the source."""
-        error: BaseException | None = None
-        try:
-            source = iter(items)
-            try:
-                while room.acquire() and not stopped.is_set():
-                    # No name may hold the item: it would keep a picture alive while this thread waits.
-                    ready.put((next(source),))
-            except StopIteration:
-                pass
-            finally:
-                # Here and not where the garbage collector happens to be: it releases the video file.
-                if isinstance(source, Generator):
-                    source.close()
-        except BaseException as raised:
-            error = raised
-        ready.put(error)
-
-    # A daemon: a run that ends while somebody still holds the frames must not wait for a reader.
-    thread = threading.Thread(target=decode, name="handfit-read-ahead", daemon=True)
+    source, end = iter(items), object()
+    thread = ThreadPoolExecutor(1, "handfit-read-ahead")
+    waiting: deque[Future[Any]] = deque()
     try:
-        thread.start()
-        while isinstance(result := ready.get(), tuple):
-            room.release()
-            yield result[0]
-        if result is not None:
-            raise result
+        waiting.extend(thread.submit(next, source, end) for _ in range(depth))
+        while (item := waiting.popleft().result()) is not end:
+            waiting.append(thread.submit(next, source, end))
+            yield item
     finally:
-        # The thread finishes the item it is at, no more.
-        stopped.set()
-        room.release()
-        if thread.ident is not None:  # Ctrl-C may come before it has started
-            thread.join()
+        for future in waiting:
+            future.cancel()
+        if isinstance(source, Generator):  # it releases the video file
+            thread.submit(source.close)
+        thread.shutdown()

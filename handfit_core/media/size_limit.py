@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from handfit_core.errors import InputError
-from handfit_core.media.headers import read_picture_header, read_video_header
+from handfit_core.media.headers import Header, read_picture_header, read_video_header
 
 SMALL_FILE: Final = 10_000_000
 """Bytes; a smaller input may claim less than a larger one: what it may claim stays below 1 GB in the worker
@@ -42,7 +42,6 @@ cameras."""
 VIDEO: Final = Limit(12.0, 80.0)
 """4K has 8.3 to 12, 8K 36 and 12K 80. Decoders keep up to some 30 frames at once, of one and a half bytes a
 pixel."""
-
 LONGEST_SIDE: Final = 65_535
 """Pixels; no JPEG is longer"""
 
@@ -64,38 +63,34 @@ def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float |
 def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Check a picture's header. Raises InputError where it claims more than `max_megapixels`, or is no
     picture that can be read."""
-    with _opened(path) as stream:
-        if stream.seek(0, 2) == 0:
-            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
-        header = read_picture_header(stream)
+    header = _header(path, read_picture_header)
     if header is None:
+        if path.stat().st_size == 0:
+            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
         raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
-    _check(path, header.width, header.height, header.cost, max_megapixels or PICTURE)
+    _check(path, header, max_megapixels or PICTURE)
 
 
 def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None:
-    """Check a video's header; `max_megapixels` is the limit for each frame.
-
-    Raises InputError where a frame is larger, and where the file is no video that holds its frames itself: a
-    playlist would make FFmpeg open other files and addresses, and a name with %d in it other pictures.
-    """
+    """Raise InputError for a file that is no video which holds its frames itself: a playlist would make
+    FFmpeg open other files and addresses, and a name with %d in it other pictures. Of a GIF, whose header
+    says it, the size is checked, too; `max_megapixels` is the limit for each frame."""
     if re.search(r"%\d*d", str(path.absolute())):
         raise InputError(
             f"{path}: the names of a video and its folders must not have %d in them, which stands for other "
             "files; rename them"
         )
-    with _opened(path) as stream:
-        header = read_video_header(stream)
+    header = _header(path, read_video_header)
     if header is None:
         raise InputError(not_a_video(path))
-    check_frame_size(path, header.width, header.height, max_megapixels)
+    _check(path, header, max_megapixels or VIDEO)
 
 
 def check_frame_size(
     path: Path, width: int, height: int, max_megapixels: float | Limit | None = None
 ) -> None:
     """Raise InputError for a video whose frames are too large."""
-    _check(path, width, height, 1, max_megapixels or VIDEO)
+    _check(path, Header(width, height), max_megapixels or VIDEO)
 
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
@@ -106,24 +101,12 @@ def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -
 
 def is_picture(path: Path) -> bool:
     """Whether a file begins as a picture does. Raises InputError where it cannot be read."""
-    with _opened(path) as stream:
-        return read_picture_header(stream) is not None
+    return _header(path, read_picture_header) is not None
 
 
 def is_video(path: Path) -> bool:
     """Whether a file begins as a video does. Raises InputError where it cannot be read."""
-    with _opened(path) as stream:
-        return read_video_header(stream) is not None
-
-
-def claimed_frames(path: Path) -> int:
-    """How many frames a video claims to have; 0: it is unknown, or the file is no video that can be read."""
-    try:
-        with _opened(path) as stream:
-            header = read_video_header(stream)
-    except InputError:
-        return 0
-    return 0 if header is None else header.frames
+    return _header(path, read_video_header) is not None
 
 
 def not_a_video(path: Path) -> str:
@@ -134,41 +117,34 @@ def not_a_video(path: Path) -> str:
     )
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator[BinaryIO]:
+def _header(path: Path, read: Callable[[BinaryIO], Header | None]) -> Header | None:
     if not path.is_file():  # a named pipe would be waited for
         raise InputError(f"{path}: there is no such file")
     try:
         with open(path, "rb") as stream:
-            yield stream
+            return read(stream)
     except OSError as error:  # also where a header names a place that no file reaches
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _check(path: Path, width: int, height: int, cost: float, limit: Limit | float) -> None:
-    megapixels = width * height / 1e6
-    small = False
+def _check(path: Path, header: Header, limit: Limit | float) -> None:
+    pixels, cost, size = header.width * header.height, 1, path.stat().st_size
+    where = ""
     if isinstance(limit, Limit):
-        size = path.stat().st_size
         small = size < SMALL_FILE
-        deep = cost >= 2 and size < width * height
-        cost, limit = cost if small or deep else 1, limit.small_file if small else limit.large_file
-    else:
-        cost = 1
-    if max(width, height) > LONGEST_SIDE:
+        cost = header.cost if small or size < pixels else 1
+        where = f"in a file under {SMALL_FILE / 1e6:g} MB " if small else ""
+        limit = limit.small_file if small else limit.large_file
+    claims = f"{path}: claims {header.width} x {header.height} pixels"
+    if max(header.width, header.height) > LONGEST_SIDE:
+        raise InputError(f"{claims}, and no side of more than {LONGEST_SIDE} is read; save it smaller")
+    if pixels / 1e6 * cost > limit:
+        counted = f", which count as {_megapixels(pixels * cost)}" if cost > 1 else ""
         raise InputError(
-            f"{path}: claims {width} x {height} pixels, and no side of more than {LONGEST_SIDE} is read; "
-            "save it smaller"
+            f"{claims} ({_megapixels(pixels)} megapixels{counted}), and {where}no more than {limit:g} are "
+            "read; save it smaller, or allow more (max_megapixels)"
         )
-    if megapixels * cost <= limit:
-        return
-    counted = f", which count as {_rounded(megapixels * cost)}" if cost > 1 else ""
-    raise InputError(
-        f"{path}: claims {width} x {height} pixels ({_rounded(megapixels)} megapixels{counted}), and "
-        f"{f'in a file under {SMALL_FILE / 1e6:g} MB ' if small else ''}no more than {limit:g} are read; "
-        "save it smaller, or allow more (max_megapixels)"
-    )
 
 
-def _rounded(megapixels: float) -> str:
-    return f"{megapixels:.0f}" if megapixels >= 10 else f"{megapixels:.1f}"
+def _megapixels(pixels: float) -> str:
+    return f"{pixels / 1e6:.0f}" if pixels >= 1e7 else f"{pixels / 1e6:.1f}"

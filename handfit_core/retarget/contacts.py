@@ -276,8 +276,8 @@ class _Chains:
     skins: np.ndarray
     """(5, 2, 3) from the beginning of these to both ends of the axes of their skins, likewise: as far from
     the character's fingertip as the captured ones are from theirs"""
-    carries: np.ndarray
-    """(5, U) bool: whether an angle moves a fingertip"""
+    moves: np.ndarray
+    """(K, U) bool: whether an angle moves a bone"""
     bones: np.ndarray
     """(U,) the bone of each angle"""
     which: np.ndarray
@@ -323,22 +323,20 @@ class _Chains:
         bones, which, turn_cost, lower, upper = np.reshape(angles, (-1, 5)).T
         bones, which = bones.astype(int), which.astype(int)
 
-        last = np.full(len(FINGERS), -1)
-        ends, carries = np.zeros((len(FINGERS), 2, 3)), np.zeros((len(FINGERS), len(bones)), dtype=bool)
+        moves = np.arange(count)[:, None] == bones
+        for k, parent in enumerate(target.parents):
+            moves[k] |= moves[parent] if parent >= 0 else False
+        last, ends = np.full(len(FINGERS), -1), np.zeros((len(FINGERS), 2, 3))
         for f, finger in enumerate(FINGERS):
             bone = target.last(finger)
-            if bone is None:
-                continue
-            last[f] = bone
-            ends[f] = laid[bone] @ (target.tips[f] - target.heads[bone]) / target.scale
-            ends[f] += skins.ends[f] - source.tips[f]
-            while bone >= 0:
-                carries[f] |= bones == bone
-                bone = target.parents[bone]
+            if bone is not None:
+                last[f] = bone
+                ends[f] = laid[bone] @ (target.tips[f] - target.heads[bone]) / target.scale
+                ends[f] += skins.ends[f] - source.tips[f]
         first, second = last[PAIRS].T
         known_pairs = np.flatnonzero((first >= 0) & (second >= 0) & (first != second) & (len(bones) > 0))
         return cls(
-            *(target, axes, starts, last, skins.radii, ends, carries),
+            *(target, axes, starts, last, skins.radii, ends, moves),
             *(bones, which, turn_cost, lower, upper, known_pairs),
         )
 
@@ -374,20 +372,9 @@ class _Problem:
     def turned(self, standing: np.ndarray, x: np.ndarray) -> np.ndarray:
         """The bones (N, K, 3, 3) turned by x (N, U) more than they stand; the very same where x is 0."""
         chains, target = self.chains, self.chains.target
-        angles = self.angles.copy()
-        angles[:, chains.bones, chains.which] += x
-        local = chains.axes @ euler_to_rotmat(angles) @ np.swapaxes(chains.axes, -1, -2)
-        moved = np.zeros(local.shape[:2], dtype=bool)
-        for u, k in enumerate(chains.bones):
-            moved[:, k] |= x[:, u] != 0.0
-        whole, found = chains.whole(standing), standing.copy()
-        for k, parent in enumerate(target.parents):
-            moved[:, k] |= moved[:, parent] if parent >= 0 else False
-            here = moved[:, k]
-            whole[here, k] = whole[here, parent] @ local[here, k] if parent >= 0 else local[here, k]
-            turned = target.aligned @ whole[here, k] @ target.aligned.T
-            found[here, k] = turned @ target.corrected[k] @ target.rest[k]
-        return found
+        moved = (chains.moves & (x != 0.0)[:, None]).any(axis=-1)
+        stands = target.aligned @ self.posed(x)[0] @ target.aligned.T @ target.corrected @ target.rest
+        return np.where(moved[..., None, None], stands, standing)
 
     def apart(self, x: np.ndarray) -> np.ndarray:
         """(N,) metres by which the gap of skins that touch is another than the captured one, at the worst."""
@@ -438,7 +425,7 @@ class _Problem:
         for k, sign in enumerate((1.0, -1.0)):
             arms = points[:, :, k, None] - places[:, None, chains.bones]  # (N, P, U, 3)
             turned = cross(np.broadcast_to(axis[:, None], arms.shape), arms)
-            moves += sign * chains.carries[pairs[:, k], :, None] * turned
+            moves += sign * chains.moves[last[:, k], :, None] * turned
         return off, np.swapaxes(moves, -1, -2)
 
     def stiffness(self, slopes: np.ndarray, along: float) -> np.ndarray:

@@ -16,7 +16,7 @@ from handfit_core.errors import HandModelError
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, Found, HandMap
 from handfit_core.retarget.names import parsed
-from handfit_core.retarget.transfer import leaning
+from handfit_core.retarget.transfer import leaning, unit
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 LABEL = "By its structure"
@@ -98,7 +98,7 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     shortest = min(len(own) for _, own in chains)
     starts = [own[int(has_palm and not stem and len(own) > 2)] for stem, own in chains]
     ends = [own[-1] for _, own in chains]
-    along = [_unit(bones.heads[e] - bones.heads[start]) for e, start in zip(ends, starts, strict=True)]
+    along = [unit(bones.heads[e] - bones.heads[start]) for e, start in zip(ends, starts, strict=True)]
     likely = np.zeros(len(chains))
     for i, (_, own) in enumerate(chains):
         others = [j for j in range(len(chains)) if j != i]
@@ -106,7 +106,7 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
         if not usual > 0.0:
             raise HandModelError("two bones begin in one place")
         near = far(own[0]) / usual if len(own) == shortest else 1.0
-        aside = _unit(bones.heads[ends[i]] - bones.heads[own[0]]) @ _unit(
+        aside = unit(bones.heads[ends[i]] - bones.heads[own[0]]) @ unit(
             np.sum([along[j] for j in others], axis=0)
         )
         likely[i] = 2.0 * max(1.0 - near, 0.0) + np.arccos(np.clip(aside, -1.0, 1.0)) / (0.5 * np.pi)
@@ -114,10 +114,10 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     others = [i for i in range(len(chains)) if i != thumb]
 
     # By their directions from the wrist, as metacarpals differ in length.
-    rays = np.array([_unit(bones.heads[starts[i]] - wrist) for i in others])
+    rays = np.array([unit(bones.heads[starts[i]] - wrist) for i in others])
     row = np.linalg.svd(rays - rays.mean(axis=0))[2][0]
     start, end = bones.heads[chains[thumb][1][0]], bones.heads[ends[thumb]]
-    row = row * np.sign(row @ (_unit(0.5 * (start + end) - wrist) - rays.mean(axis=0)))
+    row = row * np.sign(row @ (unit(0.5 * (start + end) - wrist) - rays.mean(axis=0)))
     others = [others[i] for i in np.argsort(-rays @ row)]
 
     slots, palm = [""] * NUM_JOINTS, [""] * 4
@@ -144,7 +144,7 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
         "left", tuple(slots), (palm[0], palm[1], palm[2], palm[3]), rig=LABEL, thumb_roll=USUAL_THUMB_ROLL
     )
 
-    outwards = [_unit(bones.heads[starts[i]] - wrist) @ along[i] for i in others]
+    outwards = [unit(bones.heads[starts[i]] - wrist) @ along[i] for i in others]
     reach = [np.linalg.norm(bones.heads[ends[i]] - bones.heads[starts[i]]) for i in others]
     palm_size = np.median([far(starts[i]) for i in others]) / max(np.median(reach), 1e-9)
     sure = 0.6 * (0.6 + 0.08 * len(chains)) * min(1.0, likely[thumb] / 0.8)
@@ -160,10 +160,3 @@ def _hand(bones: Bones, hand: int, depth: np.ndarray) -> Found | None:
     if abs(lean) < 0.02:
         lean, sure = float(wrist[0]), sure * (1.0 if named else 0.7)
     return Found(replace(hand_map, side=named or ("left" if lean > 0.0 else "right")), sure)
-
-
-def _unit(vector: np.ndarray) -> np.ndarray:
-    length = np.linalg.norm(vector)
-    if not length > 0.0:
-        raise HandModelError("two bones begin in one place")
-    return vector / length

@@ -163,18 +163,21 @@ class TargetHand:
     def channels(self, standing: np.ndarray) -> np.ndarray:
         """(T, K, 3, 3) what bones that stand so have in their channels: bones between them rest."""
         found = np.empty_like(standing)
-        for k, parent in enumerate(self.parents):
-            carried = self.rest[k] if parent < 0 else standing[:, parent] @ self.rest[parent].T @ self.rest[k]
-            found[:, k] = np.swapaxes(carried, -1, -2) @ standing[:, k]
+        for k in range(len(self.bones)):
+            found[:, k] = np.swapaxes(self._carried(k, standing), -1, -2) @ standing[:, k]
         return found
+
+    def _carried(self, k: int, standing: np.ndarray) -> np.ndarray:
+        """(T, 3, 3) how a bone at rest stands under a parent that stands so."""
+        parent = self.parents[k]
+        return self.rest[k] if parent < 0 else standing[:, parent] @ self.rest[parent].T @ self.rest[k]
 
     def turns(self, local: np.ndarray) -> np.ndarray:
         """The inverse of `local`: (T, 16, 3, 3). Joints without a bone do not turn; what of a bone's rotation
         ours cannot show is left in."""
         standing = np.empty_like(local)
-        for k, parent in enumerate(self.parents):
-            carried = self.rest[k] if parent < 0 else standing[:, parent] @ self.rest[parent].T @ self.rest[k]
-            standing[:, k] = carried @ local[:, k]
+        for k in range(len(self.bones)):
+            standing[:, k] = self._carried(k, standing) @ local[:, k]
         whole = np.broadcast_to(np.eye(3), (len(local), NUM_JOINTS, 3, 3)).copy()
         known = {joint: k for k, joints in enumerate(self.joints) for joint in joints}
         for joint in range(1, NUM_JOINTS):
@@ -236,26 +239,26 @@ def target_hand(bones: Bones, hand_map: HandMap, source: SourceHand) -> TargetHa
     )
     corrected = np.broadcast_to(np.eye(3), (len(names), 3, 3)).copy()
     tips = np.full((len(FINGERS), 3), np.nan)
-    for f, finger in enumerate(FINGERS):
-        chain = [j for j in FINGER_JOINTS[finger] if hand_map.bones[j]]
+    segments: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # theirs and ours, (3,), by joint
+    for f, joints in enumerate(FINGER_JOINTS.values()):
+        chain = [j for j in joints if hand_map.bones[j]]
         if chain:
-            tips[f] = finger_end(bones, [bones.index[hand_map.bones[j]] for j in chain])
+            bones_there = [bones.index[hand_map.bones[j]] for j in chain]
+            tips[f] = finger_end(bones, bones_there)
+            to_next = np.diff([*bones.heads[bones_there], tips[f]], axis=0)
+            ours_to_next = np.diff([*source.joints[chain], source.tips[f]], axis=0)
+            for joint, their, our in zip(chain, to_next, ours_to_next, strict=True):
+                segments[joint] = unit(their), unit(our)
     for k, joints in enumerate(followed):
         if not joints:
             continue
-        theirs_along, ours_along = np.zeros(3), np.zeros(3)
-        for joint in joints:
-            f = next(f for f, finger in enumerate(FINGERS) if joint in FINGER_JOINTS[finger])
-            after = [j for j in FINGER_JOINTS[FINGERS[f]] if j > joint and hand_map.bones[j]]
-            end = bones.heads[bones.index[hand_map.bones[after[0]]]] if after else tips[f]
-            theirs_along += _unit(end - bones.heads[at[k]])
-            ours_along += _unit((source.joints[after[0]] if after else source.tips[f]) - source.joints[joint])
-        along = _unit(aligned @ ours_along)
+        theirs_along, ours_along = np.sum([segments[joint] for joint in joints], axis=0)
+        along = unit(aligned @ ours_along)
         if not hand_map.keep_rest:
-            corrected[k] = swing(_unit(theirs_along), along)
+            corrected[k] = swing(unit(theirs_along), along)
         if joints[0] in FINGER_JOINTS["thumb"] and hand_map.thumb_roll:
             sign = 1.0 if hand_map.side == "right" else -1.0
-            axis = along if not hand_map.keep_rest else _unit(theirs_along)
+            axis = unit(theirs_along) if hand_map.keep_rest else along
             corrected[k] = rotvec_to_rotmat(np.radians(sign * hand_map.thumb_roll) * axis) @ corrected[k]
     return TargetHand(
         hand_map,
@@ -325,7 +328,7 @@ def leaning(bones: Bones, hand_map: HandMap) -> float:
             others = [own[0] for other, own in lines.items() if other != finger]
             outwards += (np.mean(others, axis=0) - line[-1]) / size
         elif len(line) == 3:
-            outwards += 0.5 * (_unit(line[1] - line[0]) - _unit(line[2] - line[1]))
+            outwards += 0.5 * (unit(line[1] - line[0]) - unit(line[2] - line[1]))
     return float(frame[:, 2] @ outwards)
 
 
@@ -353,7 +356,7 @@ def swing(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """(3, 3) the smallest rotation between two unit vectors (3,); about any axis where they are opposite."""
     across, cosine = np.cross(start, end), float(start @ end)
     if cosine < -1.0 + 1e-9:
-        aside = _unit(np.cross(start, np.eye(3)[np.argmin(np.abs(start))]))
+        aside = unit(np.cross(start, np.eye(3)[np.argmin(np.abs(start))]))
         return 2.0 * np.outer(aside, aside) - np.eye(3)
     turn = skew(across)
     return np.eye(3) + turn + turn @ turn / (1.0 + cosine)
@@ -368,7 +371,9 @@ def _mean(rotations: np.ndarray) -> np.ndarray:
     return quat_to_rotmat((sign * quats).sum(axis=1))
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
+def unit(vector: np.ndarray) -> np.ndarray:
+    """The vector (3,) with length 1, from one bone's beginning to another's. Raises HandModelError where they
+    are the same."""
     length = np.linalg.norm(vector)
     if not length > 0.0:
         raise HandModelError(

@@ -8,8 +8,11 @@ from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
 from handfit_core.files import path_of
+from handfit_core.machine import usable_cores
 from handfit_core.options import add_options
 
+_MOST_A_CORE: Final = 4
+"""Processes that --jobs may ask for: more would only fill the memory and wait for each other"""
 STYLES: Final = ("text", "json", "none")
 
 _SHARE: Final = "give each machine a batch of its share of the inputs (docs/scale.md)"
@@ -71,7 +74,7 @@ def add_batch_arguments(
         "--flat", action="store_true", help="all results directly in DIR, without a folder per input"
     )
     parser.add_argument(
-        "--jobs", type=_count, metavar="N", help="inputs at a time (default: by cores and memory)"
+        "--jobs", type=_jobs, metavar="N", help="inputs at a time (default: by cores and memory)"
     )
     parser.add_argument(
         "--scheduler",
@@ -85,13 +88,15 @@ def add_batch_arguments(
         "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
     )
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
-    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
+    parser.add_argument(
+        "--progress", type=_style, choices=STYLES, default="text", help="how to tell (default: text)"
+    )
     for name, said in _GONE_OPTIONS.items():
         parser.add_argument(name, action=_Gone, nargs="?", help=argparse.SUPPRESS, said=said)
 
 
 WITH_PARENT: Final = "--with-parent"
-"""Has a batch end itself once the process that has started it has ended"""
+"""Has a batch end itself once its stdin ends, as it does with the process that has started it"""
 
 
 class _Gone(argparse.Action):
@@ -107,6 +112,16 @@ class _Gone(argparse.Action):
         parser.error(f"there is no option {option} any more; {self._said}")
 
 
+def _style(text: str) -> str:
+    """How to tell what becomes of inputs."""
+    if text == "openjd":
+        raise argparse.ArgumentTypeError(
+            "there is no style openjd any more; leave it out: docs/scale.md has a job file for Open Job "
+            "Description, in which each input is a task of its own, and a farm counts these"
+        )
+    return text
+
+
 def _seconds(text: str) -> float:
     """A time of more than 0 seconds."""
     number = float(text)
@@ -115,9 +130,9 @@ def _seconds(text: str) -> float:
     return number
 
 
-def _count(text: str) -> int:
-    """A number of at least 1."""
+def _jobs(text: str) -> int:
+    """A number of at least 1; more than `_MOST_A_CORE` for each core are as many as these."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError("at least 1 is needed")
-    return number
+    return min(number, _MOST_A_CORE * usable_cores())

@@ -8,7 +8,7 @@ import os
 import platform
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,15 @@ from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
-from handfit_core.tasks.record import move_results, read_record, results_folder, write_record
-from handfit_core.tasks.report import Result, attempt, result_of
+from handfit_core.tasks.record import (
+    Result,
+    attempt,
+    move_results,
+    read_record,
+    results_folder,
+    write_record,
+)
+from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task, fingerprint
 from handfit_core.version import __version__
 
@@ -58,10 +65,11 @@ def run_task(task: Task, output: Path, settings: Settings) -> Result:
             f"version {settings.version}; use the same version on all machines"
         )
     known = read_record(task.record(output))
-    if known is not None and known["key"] == task.key and known.get("run") == settings.run:
-        return result_of(task, known)  # whoever did it died before he could tell
-    if not settings.again and (result := result_of(task, known, task.folder(output))).status == "ok":
-        return result
+    earlier = result_of(task, known, task.folder(output))
+    if known is not None and known["key"] == task.key and known["run"] == settings.run:
+        return earlier  # whoever did it died before he could tell
+    if not settings.again and earlier.status == "ok":
+        return earlier
     result, started = Result(task.shown, task.name, id=task.key, host=platform.node()), time.perf_counter()
     try:
         with _ended_in_time(task, output, settings), _warnings_in(result), results_folder(output) as part:
@@ -69,7 +77,7 @@ def run_task(task: Task, output: Path, settings: Settings) -> Result:
             result.status, result.seconds = "ok", round(time.perf_counter() - started, 3)
             files = {path.name: path.stat().st_size for path in sorted(part.iterdir())}
             result.files += [task.folder(output).joinpath(n).relative_to(output).as_posix() for n in files]
-            write_record(part / task.record(output).name, task.key, vars(result), files, settings.run)
+            write_record(part / task.record(output).name, task.key, result, files, run=settings.run)
             if known is not None and known["key"] != task.key:
                 task.record(output).unlink(missing_ok=True)  # it says nothing of what comes in its place
             move_results(part, task.folder(output))
@@ -79,21 +87,26 @@ def run_task(task: Task, output: Path, settings: Settings) -> Result:
         kind, message = type(error).__name__, " ".join(str(error).split())
         if not isinstance(error, HandfitError):
             message = f"unexpected {kind}: {message}"
-        result = Result(task.shown, task.name, id=task.key, warnings=result.warnings)
-        fail(task, output, result, attempt(message, kind, time.perf_counter() - started), settings)
+        tried = [attempt(message, kind, time.perf_counter() - started)]
+        return note_failure(task, output, settings, tried, result.warnings)
     return result
 
 
-def fail(task: Task, output: Path, result: Result, last: dict[str, Any], settings: Settings) -> None:
-    """Note that a task has failed, in its result and, where nothing better stands there and it can be
-    written, in its record."""
-    result.status, result.error, result.seconds = "failed", last["error"], last["seconds"]
-    result.attempts.append(last)
-    record = task.record(output)
-    known = read_record(record)
-    if known is None or known["status"] != "done" or known["key"] != task.key:
-        with contextlib.suppress(OutputError):
-            write_record(record, task.key, vars(result), {}, settings.run)
+def note_failure(
+    task: Task,
+    output: Path,
+    settings: Settings,
+    attempts: Sequence[dict[str, Any]],
+    warnings: Sequence[str] = (),
+) -> Result:
+    """Note in the record of a task, if it can be written, that it has failed in these attempts. What an
+    earlier run has made of it stays noted there."""
+    known = read_record(task.record(output))
+    files = known["files"] if known is not None and known["key"] == task.key else {}
+    result = result_of(task, known).failed(attempts, warnings)
+    with contextlib.suppress(OutputError):
+        write_record(task.record(output), task.key, result, files, run=settings.run)
+    return result
 
 
 def _capture(task: Task, output: Path, part: Path, settings: Settings, result: Result) -> None:
@@ -144,9 +157,8 @@ def _ended_in_time(task: Task, output: Path, settings: Settings) -> Iterator[Non
         return
 
     def overrun() -> None:
-        result = Result(task.shown, task.name, id=task.key)
         message = f"{task.shown}: took longer than {settings.timeout:g} seconds (--timeout), and was ended"
-        fail(task, output, result, attempt(message, "Timeout", settings.timeout or 0.0), settings)
+        note_failure(task, output, settings, [attempt(message, "Timeout", settings.timeout or 0.0)])
         os._exit(1)
 
     timer = threading.Timer(settings.timeout, overrun)

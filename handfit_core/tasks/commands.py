@@ -20,15 +20,15 @@ from handfit_core.pipeline import check_options
 from handfit_core.tasks.arguments import WITH_PARENT, add_batch_arguments
 from handfit_core.tasks.capture import Settings
 from handfit_core.tasks.progress import Progress
-from handfit_core.tasks.report import REPORT, Result, read_results
+from handfit_core.tasks.record import Result
+from handfit_core.tasks.report import REPORT, read_results
 from handfit_core.tasks.run import run_tasks
 from handfit_core.tasks.task import Task, make_tasks
 from handfit_core.tasks.workers import (
     DaskWorkers,
-    InThisProcess,
     LocalProcesses,
     Workers,
-    end_with,
+    end_after,
     terminated_as_interrupted,
 )
 
@@ -47,7 +47,7 @@ def add_batch_command(commands: Any) -> None:
 def _batch(args: argparse.Namespace) -> int:
     with terminated_as_interrupted():
         if args.with_parent:
-            end_with(os.getppid())  # which may be a script around this Python
+            end_after(lambda: os.read(0, 1))
         try:
             return _run(args)
         except OptionError as error:
@@ -118,11 +118,11 @@ def _is_left(result: Result, args: argparse.Namespace) -> bool:
 def _workers(args: argparse.Namespace, jobs: int) -> Workers:
     """Who does the tasks. Raises OptionError."""
     if args.scheduler is not None:
-        return DaskWorkers(args.scheduler, args.jobs or jobs)
+        return DaskWorkers(args.scheduler, jobs)
     # A process that dies or takes too long must not be this one, unless somebody wants it so.
     chosen = args.jobs == 1 or (args.jobs is None and importlib.util.find_spec("loky") is None)
     if chosen and args.timeout is None:
-        return InThisProcess()
+        return Workers()
     return LocalProcesses(jobs)
 
 

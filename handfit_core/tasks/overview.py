@@ -7,7 +7,6 @@ as they come into view.
 from __future__ import annotations
 
 import html
-import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,6 +17,7 @@ from urllib.parse import quote
 from handfit_core.files import storable, written_whole
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, Scale, expected_scale
 from handfit_core.sheet import SUFFIX
+from handfit_core.tasks.record import Result
 
 _SEEN: Final = 0.8
 """Share of a clip's frames in which a hand was found, below which the clip is doubtful"""
@@ -25,9 +25,6 @@ _DOUBTED: Final = 0.2
 """Share of a hand's frames that are doubtful, above which the clip is, too"""
 _SHOWN: Final = 3
 """Warnings and attempts that are seen without a click"""
-
-Entry = Mapping[str, Any]
-"""One of report.json's inputs, as docs/batch.md describes them"""
 
 _SECTIONS: Final = {
     "failed": ("Failed", "These are not done. What went wrong, and in which attempts:"),
@@ -87,32 +84,40 @@ section.hidden=!some}});
 
 
 def write_overview(
-    path: str | os.PathLike[str], title: str, entries: Sequence[Entry], *, at: datetime | None = None
+    path: str | os.PathLike[str], title: str, results: Sequence[Result], *, at: datetime | None = None
 ) -> None:
-    """Write the overview of a batch's entries, whole or not at all.
+    """Write the overview of a batch's results, whole or not at all.
 
-    It belongs into the output folder: links are relative to its own. `at` is when things stood as the entries
+    It belongs into the output folder: links are relative to its own. `at` is when things stood as the results
     say; now, where it is missing. Raises OutputError.
     """
     with written_whole(path) as beside:
-        beside.write_text("".join(_page(title, entries, at)), encoding="utf-8")
+        beside.write_text("".join(_page(title, results, at)), encoding="utf-8")
 
 
-def section_of(entry: Entry) -> str:
-    """Where an entry stands on the page: one of `_SECTIONS`."""
-    status = entry.get("status")
-    if status == "ok":
-        hands, frames = _hands(entry), _number(entry, "frames")
-        doubted = not hands or _list(entry, "warnings") or any(_hand(hand, frames)[1] for hand in hands)
-        unknown = any(hand.get("error_known") is False for hand in hands)
+def scale_and_error(hand: Mapping[str, Any]) -> tuple[Scale | None, float]:
+    """How far off a hand of a result is likely to be, or lies from the picture where nobody looked; and in
+    what."""
+    likely = expected_scale(hand["detected"])
+    for scale, key in ((likely, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
+        if hand["error_known"] and hand[key] is not None:
+            return scale, hand[key]
+    return None, 0.0
+
+
+def _section_of(result: Result) -> str:
+    """Where a result stands on the page: one of `_SECTIONS`."""
+    if result.status == "ok":
+        doubted = not result.hands or result.warnings or any(_hand(h, result.frames)[1] for h in result.hands)
+        unknown = not all(hand["error_known"] for hand in result.hands)
         return "doubtful" if doubted else "unknown" if unknown else "good"
-    return "failed" if status == "failed" else "pending"
+    return "failed" if result.status == "failed" else "pending"
 
 
-def _page(title: str, entries: Sequence[Entry], at: datetime | None) -> Iterator[str]:
-    sections: dict[str, list[Entry]] = {name: [] for name in _SECTIONS}
-    for entry in entries:
-        sections[section_of(entry)].append(entry)
+def _page(title: str, results: Sequence[Result], at: datetime | None) -> Iterator[str]:
+    sections: dict[str, list[Result]] = {name: [] for name in _SECTIONS}
+    for result in results:
+        sections[_section_of(result)].append(result)
     when = (at or datetime.now(UTC)).astimezone(UTC)
     yield (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -129,12 +134,12 @@ def _page(title: str, entries: Sequence[Entry], at: datetime | None) -> Iterator
             heading, below = _SECTIONS[name]
             yield f"<section id={name}><h2 class={name}>{heading} ({_count(len(found))})</h2>"
             yield f"<p class=faint>{below}</p>\n"
-            yield from (_card(name, entry) for entry in sorted(found, key=_badness, reverse=True))
+            yield from (_card(name, result) for result in sorted(found, key=_badness, reverse=True))
             yield "</section>\n"
     yield f"</main><script>{_SCRIPT}</script></body></html>\n"
 
 
-def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
+def _summary(sections: Mapping[str, Sequence[Result]]) -> Iterator[str]:
     """What there is of each kind, what it took, and what is left."""
     links = (
         f'<a class={name} href="#{name}">{_count(len(found))} {_SECTIONS[name][0].lower()}</a>'
@@ -142,111 +147,84 @@ def _summary(sections: Mapping[str, Sequence[Entry]]) -> Iterator[str]:
         if found
     )
     yield f"<nav>{''.join(links) or 'There is nothing in this batch.'}</nav>"
-    done = [entry for name in _DONE for entry in sections[name]]
-    frames, seconds = (sum(_number(entry, key) for entry in done) for key in ("frames", "seconds"))
+    done = [result for name in _DONE for result in sections[name]]
+    frames, seconds = sum(result.frames for result in done), sum(result.seconds for result in done)
     if seconds:
         yield f"<p>{_count(frames)} frames in {_duration(seconds)}, {frames / seconds:.1f} a second.</p>"
     if left := len(sections["pending"]):
-        work = (
+        each = (
             f", about {_duration(left * seconds / len(done))} of work by the mean so far" if seconds else ""
         )
-        yield f"<p>{_count(left)} left{work}.</p>"
+        yield f"<p>{_count(left)} left{each}.</p>"
     yield "\n"
 
 
-def _card(section: str, entry: Entry) -> str:
-    """One entry as an article: what it is, what came out of it, and why it is where it is."""
-    files = [file for file in _list(entry, "files") if isinstance(file, str)]
-    sheets = [file for file in files if file.endswith(SUFFIX)]
-    name, given = _said(entry, "name"), _said(entry, "input")
-    facts = [_text(_host(entry))] if _host(entry) else []
-    if section in (*_DONE, "failed"):
-        facts.insert(0, _duration(_number(entry, "seconds")))
-    if section in _DONE:
-        frames = _number(entry, "frames")
-        facts.insert(0, f"{_count(frames)} frames" if frames != 1 else "1 frame")
-    parts = [f"<h3>{_name(name)}</h3>"]
+def _card(section: str, result: Result) -> str:
+    """One result as an article: what it is, what came out of it, and why it is where it is."""
+    name, given = _name(result.name), _name(result.input)
     if section == "pending":
-        parts.append(f"<small>{_name(given)}</small>")
-        return f'<article class="{section} line">{"".join(parts)}</article>\n'
-    parts.append(f"<small>{_name(given)}</small><p class=faint>{' · '.join(facts)}</p>")
+        return f'<article class="{section} line"><h3>{name}</h3><small>{given}</small></article>\n'
+    host = result.host or (result.attempts[-1]["host"] if result.attempts else "")
+    facts = [_duration(result.seconds), *([_text(host)] if host else [])]
+    if section != "failed":
+        facts.insert(0, "1 frame" if result.frames == 1 else f"{_count(result.frames)} frames")
+    parts = [f"<h3>{name}</h3><small>{given}</small><p class=faint>{' · '.join(facts)}</p>"]
     if section == "failed":
-        parts.append(f"<p class=failed>{_text(_said(entry, 'error'))}</p>")
-    attempts = [_attempt(n, a) for n, a in enumerate(_list(entry, "attempts"), 1)]
-    parts.append(_listed(attempts) if len(attempts) > (section == "failed") else "")
-    hands = [_hand(hand, _number(entry, "frames")) for hand in _hands(entry)]
+        parts.append(f"<p class=failed>{_text(result.error)}</p>")
+    if len(result.attempts) > (section == "failed"):
+        parts.append(_listed([_attempt(n, a) for n, a in enumerate(result.attempts, 1)]))
+    hands = [_hand(hand, result.frames) for hand in result.hands]
     parts.append(_listed([f"<span class=doubtful>{h}</span>" if bad else h for h, bad in hands], len(hands)))
     if section == "doubtful":
-        warnings = [_text(str(warning)) for warning in _list(entry, "warnings")]
+        warnings = [_text(warning) for warning in result.warnings]
         parts.append(_listed(warnings if hands else ["No hand was captured.", *warnings]))
+    sheets = [file for file in result.files if file.endswith(SUFFIX)]
     links = (
-        f'<a href="{_link(file)}">{_text(_label(file, name))}</a>' for file in files if file not in sheets
+        f'<a href="{_link(file)}">{_text(_label(file, result.name))}</a>'
+        for file in result.files
+        if file not in sheets
     )
-    parts.append(f"<p class=files>{''.join(links)}</p>" if files else "")
+    parts.append(f"<p class=files>{''.join(links)}</p>" if result.files else "")
     strips = "".join(
         f'<div class=strip><a href="{_link(file)}"><img loading="lazy" src="{_link(file)}" '
-        f'alt="Frames of {_text(name)} with the captured hands over them"></a></div>'
+        f'alt="Frames of {_text(result.name)} with the captured hands over them"></a></div>'
         for file in sheets[:1]
     )
     kind = f"{section} sheet" if strips else section
     return f'<article class="{kind}"><div>{"".join(parts)}</div>{strips}</article>\n'
 
 
-def _hand(hand: Entry, frames: float) -> tuple[str, bool]:
+def _hand(hand: Mapping[str, Any], frames: float) -> tuple[str, bool]:
     """A hand in words, and whether somebody should look at it."""
-    detected, doubtful, said = _number(hand, "detected"), _number(hand, "doubtful"), ""
-    scale, error = _error(hand)
+    detected, doubtful, said = hand["detected"], hand["doubtful"] or 0, ""
+    scale, error = scale_and_error(hand)
     quality = scale.quality(error) if scale else "good"
     if frames > 1:
         said = f" in {_count(detected)} of {_count(frames)} frames"
         said += f", {_count(doubtful)} of them doubtful" if doubtful else ""
-    if hand.get("error_known") is False:
+    if not hand["error_known"]:
         said += f", {NOT_KNOWN}"
     elif scale is not None:
         said += f", {scale.title.lower()} {scale.said(error)} (<span class={quality}>{quality}</span>)"
     doubted = quality == "poor" or detected < _SEEN * frames or doubtful > _DOUBTED * detected
-    return f"{_text(_said(hand, 'side'))} hand{said}", doubted
+    return f"{_text(hand['side'])} hand{said}", doubted
 
 
-def _attempt(number: int, attempt: object) -> str:
+def _attempt(number: int, attempt: Mapping[str, Any]) -> str:
     """A failed attempt: where, after how long, and what it ended in."""
-    if not isinstance(attempt, Mapping):
-        return _text(str(attempt))
-    where = f"on {_text(host)} " if (host := _said(attempt, "host")) else ""
-    after = _duration(_number(attempt, "seconds"))
-    return f"attempt {number} {where}failed after {after}: {_text(_said(attempt, 'error'))}"
+    where, after = _text(attempt["host"]), _duration(attempt["seconds"])
+    return f"attempt {number} on {where} failed after {after}: {_text(attempt['error'])}"
 
 
-def _hands(entry: Entry) -> list[Entry]:
-    return [hand for hand in _list(entry, "hands") if isinstance(hand, Mapping)]
-
-
-def _badness(entry: Entry) -> tuple[float, int]:
+def _badness(result: Result) -> tuple[float, int]:
     """The more, the higher on the page: how wrong the worst hand is likely to be, by the limit of poor ones,
     and how much of the clip is missing or doubtful; then how many warnings there are."""
-    frames, worst = max(1.0, _number(entry, "frames")), 0.0
-    for hand in _hands(entry):
-        scale, error = _error(hand)
-        missing = 1.0 - _number(hand, "detected") / frames + _number(hand, "doubtful") / frames
+    frames, worst = max(1.0, result.frames), 0.0
+    for hand in result.hands:
+        scale, error = scale_and_error(hand)
+        missing = 1.0 - hand["detected"] / frames + (hand["doubtful"] or 0) / frames
         worst = max(worst, missing + (error / scale.fair_below if scale else 0.0))
-    return worst, len(_list(entry, "warnings"))
-
-
-def _error(hand: Entry) -> tuple[Scale | None, float]:
-    """How far off a hand is likely to be, or lies from the picture where nobody looked; and in what."""
-    if hand.get("error_known") is False:
-        return None, 0.0
-    likely = expected_scale(_number(hand, "detected"))
-    for scale, key in ((likely, "mean_expected_error"), (IN_PICTURE, "mean_error_of_hand")):
-        if isinstance(hand.get(key), int | float):
-            return scale, _number(hand, key)
-    return None, 0.0
-
-
-def _host(entry: Entry) -> str:
-    """Where it was done, or tried last."""
-    tried = [attempt for attempt in _list(entry, "attempts") if isinstance(attempt, Mapping)]
-    return _said(entry, "host") or (_said(tried[-1], "host") if tried else "")
+    return worst, len(result.warnings)
 
 
 def _listed(items: Sequence[str], shown: int = _SHOWN) -> str:
@@ -280,21 +258,6 @@ def _text(text: str) -> str:
 def _name(text: str) -> str:
     """A name of any alphabet, which does not turn around what stands beside it."""
     return f"<bdi>{_text(text)}</bdi>"
-
-
-def _said(entry: Entry, key: str) -> str:
-    value = entry.get(key)
-    return value if isinstance(value, str) else ""
-
-
-def _list(entry: Entry, key: str) -> Sequence[Any]:
-    value = entry.get(key)
-    return value if isinstance(value, list | tuple) else ()
-
-
-def _number(entry: Entry, key: str) -> float:
-    value = entry.get(key)
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else 0.0
 
 
 def _count(number: float) -> str:

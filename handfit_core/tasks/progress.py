@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Final, TextIO
 
 from handfit_core.errors import HandfitError
-from handfit_core.tasks.report import Result, line, write_report
+from handfit_core.tasks.record import Result
+from handfit_core.tasks.report import line, write_report
 from handfit_core.tasks.task import Task
 
 _OFTEN: Final = 1.0

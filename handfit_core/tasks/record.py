@@ -3,49 +3,142 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import json
 import os
 import platform
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 from handfit_core.errors import OutputError
-from handfit_core.files import PART, read_file, shown, why, written_whole
-from handfit_core.version import __version__
+from handfit_core.files import part_of, read_file, shown, why, written_whole
+from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
+from handfit_core.take import Take
 
 _LARGEST: Final = 16 << 20
-_KINDS: Final = {"key": str, "status": str, "result": dict, "files": dict}
+FINAL: Final = ("InputError", "NoHandFoundError", "TakeError")
+"""Kinds of errors that lie in an input: it is tried again only where somebody asks for it"""
+
+
+@dataclass
+class Result:
+    """One entry of report.json, as docs/batch.md describes its fields."""
+
+    input: str
+    name: str
+    status: str = "pending"
+    """pending, ok or failed"""
+    seconds: float = 0.0
+    frames: int = 0
+    hands: list[dict[str, Any]] = field(default_factory=list)
+    character: dict[str, Any] | None = None
+    files: list[str] = field(default_factory=list)
+    """relative to the report's folder"""
+    warnings: list[str] = field(default_factory=list)
+    error: str = ""
+    id: str = ""
+    """of the task"""
+    host: str = ""
+    """where it was done"""
+    attempts: list[dict[str, Any]] = field(default_factory=list)
+    """what went wrong before, or at last"""
+
+    @classmethod
+    def of_entry(cls, entry: Mapping[str, Any], **known: Any) -> Self:
+        """From an entry of a record, with some fields as they are `known`."""
+        return cls(**{each.name: entry[each.name] for each in fields(cls)} | known)
+
+    def describe(self, take: Take) -> None:
+        """Fill in `frames` and `hands`."""
+        self.frames = len(take.frame_numbers)
+        for track in take.hands:
+            error = track.reprojection_error[track.detected]
+            share, likely = mean_relative_error(track, take.intrinsics), mean_expected_error(track)
+            self.hands.append(
+                {
+                    "side": track.side,
+                    "detected": int(track.detected.sum()),
+                    "doubtful": None if track.doubtful is None else int(track.doubtful.sum()),
+                    "mean_reprojection_error_px": round(float(error.mean()), 3) if len(error) else None,
+                    "mean_error_of_hand": None if share is None else round(share, 4),
+                    "mean_expected_error": None if likely is None else round(likely, 5),
+                    "error_known": error_is_known(track),
+                }
+            )
+
+    def failed(self, attempts: Sequence[dict[str, Any]], warnings: Sequence[str]) -> Self:
+        """The same after these attempts, of which the last one failed, too."""
+        said = {"error": attempts[-1]["error"], "seconds": attempts[-1]["seconds"]}
+        return replace(self, status="failed", attempts=[*attempts], warnings=[*warnings], **said)
+
+    @property
+    def is_final(self) -> bool:
+        """Whether it failed for a reason that lies in its input."""
+        return self.status == "failed" and bool(self.attempts) and self.attempts[-1]["kind"] in FINAL
+
+
+def attempt(error: str, kind: str, seconds: float) -> dict[str, Any]:
+    """An entry of `attempts`: what went wrong, where, when, after how long."""
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    said = {"error": error, "kind": kind, "host": platform.node()}
+    return {**said, "seconds": round(seconds, 3), "at": now}
+
+
+_NUMBER: Final = int | float
+_HAND: Final = {"side": str, "detected": _NUMBER, "error_known": bool} | dict.fromkeys(
+    ("doubtful", "mean_reprojection_error_px", "mean_error_of_hand", "mean_expected_error"), _NUMBER | None
+)
+_ATTEMPT: Final = {"error": str, "kind": str, "host": str, "seconds": _NUMBER}
+_RECORD: Final[Mapping[str, Any]] = {
+    "key": str,
+    "run": str,
+    "files": dict,
+    "formats": dict,
+    "result": {
+        **dict.fromkeys(("input", "name", "status", "error", "id", "host"), str),
+        **dict.fromkeys(("seconds", "frames"), _NUMBER),
+        **{"files": [str], "warnings": [str], "hands": [_HAND], "attempts": [_ATTEMPT]},
+        "character": dict | None,
+    },
+}
+"""What records hold; a list has elements of one kind"""
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    if isinstance(kind, list):
+        return isinstance(value, list) and all(_fits(each, kind[0]) for each in value)
+    if isinstance(kind, Mapping):
+        return isinstance(value, dict) and all(_fits(value.get(name), k) for name, k in kind.items())
+    return isinstance(value, kind)
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
     """What a record says; None where there is none that can be understood."""
     try:
-        record = json.loads(read_file(path, _LARGEST), parse_int=_whole)
+        # More digits no float could tell.
+        record = json.loads(read_file(path, _LARGEST), parse_int=lambda digits: int(digits[:16]))
         json.dumps(record, allow_nan=False)
     except (OSError, ValueError, RecursionError):
         return None
-    fits = isinstance(record, dict) and all(isinstance(record.get(n), kind) for n, kind in _KINDS.items())
-    return record if fits else None
-
-
-def _whole(digits: str) -> int:
-    """A whole number, as far as floats can tell it from others."""
-    if len(digits) > 16:
-        raise ValueError(f"{digits[:16]}... is too large")
-    return int(digits)
+    return record if _fits(record, _RECORD) else None
 
 
 def write_record(
-    path: Path, key: str, result: Mapping[str, Any], files: Mapping[str, int], run: str = ""
+    path: Path,
+    key: str,
+    result: Result,
+    files: Mapping[str, int],
+    *,
+    run: str = "",
+    formats: Mapping[str, Sequence[str]] = {},
 ) -> None:
-    """Write a record whole. `result` is the input's entry of report.json, `files` gives the bytes of each
-    file beside the record, and `run` says which command did it. Raises OutputError."""
-    status = "done" if result["status"] == "ok" else "failed"
-    record = {"key": key, "status": status, "result": dict(result), "files": dict(files)}
-    record |= {"versions": {"manient": __version__}, "seconds": result["seconds"], "run": run}
+    """Write a record whole. `files` gives the bytes of each file beside it, `run` says which command did it,
+    and `formats` which of the files are of which format. Raises OutputError."""
+    record = {"key": key, "run": run, "result": vars(result), "files": files, "formats": formats}
     with written_whole(path) as beside:
         beside.write_text(json.dumps(record, indent=1) + "\n", encoding="ascii")
 
@@ -55,20 +148,23 @@ def missing_and_changed(folder: Path, record: Mapping[str, Any]) -> tuple[list[s
     missing, changed = [], []
     for name, size in record["files"].items():
         try:
-            found = (folder / Path(name).name).stat().st_size
+            if (folder / Path(name).name).stat().st_size != size:
+                changed.append(name)
         except (OSError, ValueError):
             missing.append(name)
-        else:
-            if found != size:
-                changed.append(name)
     return missing, changed
+
+
+def said_of_changed(names: Sequence[str]) -> str:
+    """The warning about files that somebody has changed."""
+    return f"{', '.join(names)}: changed since the batch wrote it, and left alone; --again makes all anew"
 
 
 @contextlib.contextmanager
 def results_folder(output: Path) -> Iterator[Path]:
     """A new folder in the folder of results, for what is not whole yet; it is removed at the end. Raises
     OutputError."""
-    path = output / f"{_begin()}{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    path = output / f"{part_of(os.getpid())}{uuid.uuid4().hex[:8]}"
     try:
         path.mkdir(parents=True)
     except OSError as error:
@@ -94,17 +190,16 @@ def move_results(part: Path, folder: Path) -> None:
         raise OutputError(f"{shown(folder)}: could not be written ({why(error)})") from error
 
 
-def remove_abandoned(output: Path) -> None:
+def remove_abandoned(folder: Path) -> None:
     """Take away the unfinished results of processes of this machine that were killed."""
     with contextlib.suppress(OSError):
-        for path in output.glob(f"{_begin()}*"):
-            pid = path.name.removeprefix(_begin()).partition("-")[0]
+        for path in folder.glob(f"{part_of('*')}*"):
+            pid = path.name.removeprefix(part_of("").removesuffix("-")).partition("-")[0]
             if pid.isdecimal() and not _lives(int(pid)):
-                shutil.rmtree(path, ignore_errors=True)
-
-
-def _begin() -> str:
-    return f"{PART}{platform.node()[:40]}-"
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
 
 
 def _lives(pid: int) -> bool:

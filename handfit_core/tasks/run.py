@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Future, wait
-from dataclasses import dataclass, field
+from concurrent.futures import BrokenExecutor, CancelledError, Future
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from handfit_core.errors import OptionError
-from handfit_core.tasks.capture import Settings, fail
-from handfit_core.tasks.record import read_record, remove_abandoned
-from handfit_core.tasks.report import Result, attempt, result_of
+from handfit_core.tasks.capture import Settings, note_failure
+from handfit_core.tasks.record import Result, attempt, read_record, remove_abandoned
+from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task
 from handfit_core.tasks.workers import SchedulerGone, Workers
-
-
-@dataclass(eq=False)
-class _Try:
-    """A task that is not over, and how often its process has died."""
-
-    task: Task
-    attempts: list[dict[str, Any]] = field(default_factory=list)
 
 
 def run_tasks(
@@ -33,58 +25,48 @@ def run_tasks(
     A task whose process dies is tried again, the last time with nothing beside it, and has failed then.
     Raises OptionError where nobody can do any.
     """
-    waiting = deque(map(_Try, sorted(tasks, key=lambda task: -task.frames)))
-    last: list[_Try] = []
-    running: dict[Future[Result], _Try] = {}
+    waiting, last = deque(sorted(tasks, key=lambda task: -task.frames)), list[Task]()
+    attempts = defaultdict[str, list[dict[str, Any]]](list)
+    """By the keys of tasks, how their processes have died"""
+    running, ended = dict[Future[Result], Task](), SimpleQueue[Future[Result]]()
     remove_abandoned(output)
     try:
         while waiting or last or running:
-            _hand_out(waiting, last, running, output, settings, workers)
-            ended = wait(running, return_when="FIRST_COMPLETED").done
-            if any(isinstance(_error(future), BrokenExecutor) for future in ended):
-                ended = wait(running).done  # one has died, and the others were ended with it
-                workers.renew()
-            over = [(running.pop(future), future) for future in ended]
-            results = [(this, future, _result(this.task, future, output, settings)) for this, future in over]
-            overran = any(result is not None and _overran(result) for *_, result in results)
-            for this, future, result in results:
-                if result is None and not overran:
-                    this.attempts.append(_death(future))
-                if result is not None:
-                    result.attempts = [*this.attempts, *result.attempts]
-                elif len(this.attempts) >= workers.tries:
-                    result = _lost(this, output, settings)
-                if result is not None:
-                    yield this.task, result
-                elif len(this.attempts) == workers.tries - 1:
-                    last.append(this)
+            while not running or (waiting and len(running) < workers.room):
+                task = waiting.popleft() if waiting else last.pop()
+                try:
+                    future = workers.submit(task, output, settings)
+                except BrokenExecutor:  # a process has died while it was idle, or those at hand tell
+                    waiting.appendleft(task)
+                    if running:
+                        break
+                    workers.renew()
                 else:
-                    waiting.append(this)
+                    running[future] = task
+                    future.add_done_callback(ended.put)
+            over = [ended.get()]
+            if isinstance(_error(over[0]), BrokenExecutor):
+                over += [ended.get() for _ in range(len(running) - 1)]  # one has died, and with it the others
+                workers.renew()
+            results = [(task := running.pop(f), f, _result(task, f, output, settings)) for f in over]
+            overran = any(result and _overran(result) for *_, result in results)
+            for task, future, result in results:
+                tried = attempts[task.key]
+                if result is not None:
+                    result.attempts = [*tried, *result.attempts]
+                    yield task, result
+                    continue
+                if not overran:
+                    tried.append(_death(future))
+                if len(tried) >= workers.tries:
+                    yield task, _lost(task, tried, output, settings)
+                elif len(tried) == workers.tries - 1:
+                    last.append(task)
+                else:
+                    waiting.append(task)
     finally:
         workers.close()
         remove_abandoned(output)
-
-
-def _hand_out(
-    waiting: deque[_Try],
-    last: list[_Try],
-    running: dict[Future[Result], _Try],
-    output: Path,
-    settings: Settings,
-    workers: Workers,
-) -> None:
-    """Hand out as many tasks as there is room for; the last tries once nothing else is left."""
-    room = workers.room
-    while not running or (waiting and len(running) < room):
-        this = waiting[0] if waiting else last[-1]
-        try:
-            running[workers.submit(this.task, output, settings)] = this
-        except BrokenExecutor:  # a process has died while it was idle, or those at hand tell
-            if running:
-                return
-            workers.renew()
-        else:
-            waiting.popleft() if waiting else last.pop()
 
 
 def _error(future: Future[Result]) -> BaseException | None:
@@ -104,13 +86,13 @@ def _result(task: Task, future: Future[Result], output: Path, settings: Settings
     if isinstance(error, OptionError):
         raise error
     record = read_record(task.record(output))
-    if record is not None and record["key"] == task.key and record.get("run") == settings.run:
+    if record is not None and record["key"] == task.key and record["run"] == settings.run:
         return result_of(task, record)
     return None
 
 
 def _overran(result: Result) -> bool:
-    return bool(result.attempts) and result.attempts[-1].get("kind") == "Timeout"
+    return bool(result.attempts) and result.attempts[-1]["kind"] == "Timeout"
 
 
 def _death(future: Future[Result]) -> dict[str, Any]:
@@ -122,11 +104,9 @@ def _death(future: Future[Result]) -> dict[str, Any]:
     return attempt(said, type(error).__name__, 0.0)
 
 
-def _lost(this: _Try, output: Path, settings: Settings) -> Result:
+def _lost(task: Task, tried: Sequence[dict[str, Any]], output: Path, settings: Settings) -> Result:
     """A task is given up."""
-    *before, last = this.attempts
-    result = Result(this.task.shown, this.task.name, id=this.task.key, attempts=before)
-    times = f" {len(this.attempts)} times" if before else ""
-    sentence = f"{this.task.shown}: {last['error']}{times}; the input is damaged, or needs more memory"
-    fail(this.task, output, result, {**last, "error": sentence}, settings)
-    return result
+    *before, last = tried
+    times = f" {len(tried)} times" if before else ""
+    sentence = f"{task.shown}: {last['error']}{times}; the input is damaged, or needs more memory"
+    return note_failure(task, output, settings, [*before, {**last, "error": sentence}])

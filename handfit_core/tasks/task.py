@@ -17,7 +17,6 @@ from handfit_core.files import is_file, is_folder, read_file, samples
 from handfit_core.hand_model.files import files_of_model
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
-from handfit_core.media.size_limit import claimed_frames
 from handfit_core.options import CaptureOptions
 from handfit_core.sheet import SUFFIX
 from handfit_core.tasks.inputs import Input, expand
@@ -33,7 +32,7 @@ _READ_NAMED: Final = 64 << 20
 _MOST_FILES: Final = 100_000
 """Files of a folder and its folders that are looked at"""
 _BYTES_OF_FRAME: Final = 15_000
-"""Bytes of a frame in a video whose header does not tell its frames"""
+"""Bytes of a video's frame, roughly"""
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Task:
     made_of: str = ""
     """The `fingerprint` of the input's files"""
     frames: float = 0.0
-    """How many frames it may have, by what its headers claim: long inputs are begun first"""
+    """How many frames it may have, by its files' sizes: long inputs are begun first"""
     flat: bool = False
     """Whether the results of all tasks lie in one folder"""
 
@@ -212,11 +211,11 @@ def _size_and_time(file: Path) -> tuple[int, int]:
 
 
 def _frames(files: Sequence[Path], wanted: FrameRange) -> float:
-    """How many frames of some files may be wanted; headers of videos are believed."""
+    """How many frames of some files may be wanted; those of videos by their sizes."""
     there = 0.0
     for file in files:
         claimed = 1
         if file.suffix.lower() not in PHOTO_SUFFIXES:
-            claimed = claimed_frames(file) or _size_and_time(file)[0] / _BYTES_OF_FRAME
+            claimed = _size_and_time(file)[0] / _BYTES_OF_FRAME
         there += max(claimed, 0)
     return len(wanted.within(1, round(there))) or there

@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import platform
 import signal
 import sys
 import threading
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.machine import usable_cores
 from handfit_core.tasks.capture import Settings, run_task
-from handfit_core.tasks.report import Result
+from handfit_core.tasks.record import Result
 from handfit_core.tasks.task import Task
 from handfit_core.version import __version__
 from handfit_core.worker.events import THREAD_VARIABLES
 
 _CONNECT: Final = 10.0
 """Seconds in which a scheduler must answer"""
-_PYTHON: Final = platform.python_version().rpartition(".")[0]
+CHECK: Final = "handfit-core"
+"""What Dask calls the check of its workers"""
+_PYTHON: Final = platform.python_version()
 _LEAKED: Final = {"LOKY_MAX_MEMORY_LEAK_SIZE": "1e9"}
 """Bytes beyond which loky replaces a process between two tasks; a first clip alone leaves 0.3e9"""
-_LOOK: Final = 1.0
-"""Seconds between two looks at whether the parent is still there"""
 
 
 class SchedulerGone(HandfitError):
@@ -41,20 +41,24 @@ class SchedulerGone(HandfitError):
         )
 
 
-class Workers(Protocol):
-    """Something that does tasks."""
+class Workers:
+    """Does tasks one after another in this process; what is made of it has others do them."""
 
-    tries: int
+    tries = 1
     """How often a task is tried whose process dies"""
-
-    @property
-    def room(self) -> int:
-        """How many tasks may be handed out at a time."""
-        ...
+    room = 1
+    """How many tasks may be handed out at a time"""
+    run: Callable[[Task, Path, Settings], Result] = staticmethod(run_task)
+    """What is done"""
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """Have a task done. Raises BrokenExecutor where a process has died."""
-        ...
+        future = Future[Result]()
+        try:
+            future.set_result(self.run(task, output, settings))
+        except MemoryError as error:
+            future.set_exception(error)
+        return future
 
     def renew(self) -> None:
         """Start new processes once one has died."""
@@ -63,28 +67,7 @@ class Workers(Protocol):
         """End whatever runs."""
 
 
-class InThisProcess:
-    """Does one task after another here."""
-
-    tries, room = 1, 1
-
-    def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
-        """As `Workers.submit`; the task is over when it returns."""
-        future = Future[Result]()
-        try:
-            future.set_result(run_task(task, output, settings))
-        except MemoryError as error:
-            future.set_exception(error)
-        return future
-
-    def renew(self) -> None:
-        """As `Workers.renew`."""
-
-    def close(self) -> None:
-        """As `Workers.close`."""
-
-
-class LocalProcesses:
+class LocalProcesses(Workers):
     """Has processes of this machine do tasks, as many as there is room for, each with its share of the
     cores."""
 
@@ -94,22 +77,25 @@ class LocalProcesses:
         """Raises OptionError where loky is missing."""
         _check_installed("loky", "--jobs 1")
         self.room = jobs
-        self._threads = str(max(1, usable_cores() // jobs))
         self._executor: Any = None
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
         if self._executor is None:
             from loky import ProcessPoolExecutor, process_executor
+            from loky.backend import get_context
 
             process_executor.kill_process_tree = _kill
+            theirs, self._ours = get_context().Pipe(duplex=False)
+            code = _SET_UP.format(folder=str(Path(__file__).resolve().parents[1]))
+            threads = str(max(1, usable_cores() // self.room))
             self._executor = ProcessPoolExecutor(
                 self.room,
                 initializer=exec,
-                initargs=(_SET_UP.format(folder=str(_CORE_FOLDER), parent=os.getpid()), {}),
-                env=dict.fromkeys(THREAD_VARIABLES, self._threads) | _LEAKED,
+                initargs=(code, {"parent": theirs}),
+                env=dict.fromkeys(THREAD_VARIABLES, threads) | _LEAKED,
             )
-        return self._executor.submit(run_task, task, output, settings)
+        return self._executor.submit(self.run, task, output, settings)
 
     def renew(self) -> None:
         """As `Workers.renew`."""
@@ -122,10 +108,51 @@ class LocalProcesses:
             self._executor = None
 
 
-class DaskWorkers:
+_SET_UP: Final = """
+import runpy, sys
+if "handfit_core" not in sys.modules:
+    launch = runpy.run_path({folder!r} + "/worker/launch.py")
+    launch["import_package"]("handfit_core", {folder!r})
+from handfit_core.tasks.workers import set_up
+set_up(parent)
+"""
+"""What a new process does first. It has to find handfit_core as this one has found it, which may be by the
+launcher; no function of ours can be sent there before"""
+
+
+def set_up(parent: Any) -> None:
+    """Make a process ready for tasks: who has started it ends it, and not the terminal."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_after(parent.recv)
+
+
+def end_after(wait: Callable[[], object]) -> None:
+    """Have this process end itself, as SIGTERM would, once a call returns, such as one that reads from a pipe
+    of which the parent has the other end."""
+
+    def end() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            wait()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    threading.Thread(target=end, daemon=True).start()
+
+
+def _kill(process: Any, **_: Any) -> None:
+    """End a process at once. Loky's own way needs psutil or pgrep, and waits for ever where neither is there;
+    captures start no processes that it would have to find."""
+    with contextlib.suppress(OSError):
+        os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+    process.join()
+
+
+class DaskWorkers(Workers):
     """Has the workers of a Dask cluster do tasks; the scheduler tries a task again whose worker has died."""
 
-    tries = 1
+    tries = 2
+    """The scheduler tries by itself, and blames what waited at a worker that died, too; alone nothing does"""
+    room = 10_000
+    """More than there are threads: the scheduler knows best who is free"""
 
     def __init__(self, address: str, jobs: int) -> None:
         """Connect to the scheduler of that address; `local`: to one of this machine, with `jobs` workers.
@@ -137,8 +164,11 @@ class DaskWorkers:
         self._cluster: Any = None
         try:
             if address == "local":
-                with config.set({"distributed.scheduler.allowed-failures": 2}):
-                    self._cluster = LocalCluster(n_workers=jobs, threads_per_worker=1)
+                self.tries = 3
+                with config.set({"distributed.scheduler.allowed-failures": 0}):
+                    self._cluster = LocalCluster(
+                        n_workers=jobs, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+                    )
             self._client = Client(self._cluster or address, timeout=_CONNECT)
         except (OSError, TypeError, ValueError) as error:  # also what is no address, or needs certificates
             raise OptionError(
@@ -151,67 +181,40 @@ class DaskWorkers:
         except BaseException:
             self.close()
             raise
-        self.executor = self._client.get_executor(pure=False)
+        self._executor = self._client.get_executor(pure=False, retries=2)  # where memory ran out
 
     def _check_workers(self) -> None:
+        """Have all workers checked, and those that join later."""
+        from handfit_core.tasks.dask_check import SameVersions
+
         if not self._client.nthreads():
             print("no worker is there yet: start one with 'dask worker'", file=sys.stderr, flush=True)
-        self._client.wait_for_workers(1, timeout=None)
-        for worker, python in self._client.run(platform.python_version).items():
-            found = python.rpartition(".")[0]
-            if found != _PYTHON:
-                raise OptionError(f"{worker} runs Python {found}, and this is {_PYTHON}; use one everywhere")
+        self._check_no_more()  # as a batch asked for that was killed
+        self._client.wait_for_workers(1)
         try:
-            versions = self._client.run(own_version)
+            self._client.register_plugin(SameVersions(__version__, _PYTHON), CHECK)
+        except OptionError:
+            raise
         except Exception as error:  # whatever another version may lack
             raise OptionError(
                 f"the workers of the Dask cluster have no handfit_core of version {__version__} ({error}); "
                 "install it there"
             ) from error
-        for worker, version in versions.items():
-            if version != __version__:
-                raise OptionError(
-                    f"{worker} has version {version} of handfit_core, and this is version {__version__}; use "
-                    "the same version on all machines"
-                )
 
-    @property
-    def room(self) -> int:
-        """As `Workers.room`: one task to do and one to go on with for each thread."""
-        try:
-            return max(2, 2 * sum(self._client.nthreads().values()))
-        except OSError as error:
-            raise SchedulerGone from error
+    def _check_no_more(self) -> None:
+        with contextlib.suppress(Exception):  # there is none, or the scheduler has gone
+            self._client.unregister_worker_plugin(CHECK)
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
-        return self.executor.submit(run_task, task, output, settings)
-
-    def renew(self) -> None:
-        """As `Workers.renew`."""
+        return self._executor.submit(self.run, task, output, settings)
 
     def close(self) -> None:
         """As `Workers.close`."""
+        self._check_no_more()
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
-
-
-def own_version() -> str:
-    """The version of handfit_core where it is called."""
-    return __version__
-
-
-def end_with(parent: int) -> None:
-    """Have this process end itself, as SIGTERM would, soon after that parent has ended; Windows does not tell
-    of it."""
-
-    def look() -> None:
-        while os.getppid() == parent:
-            time.sleep(_LOOK)
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)  # which may be waiting
-
-    threading.Thread(target=look, daemon=True).start()
 
 
 @contextlib.contextmanager
@@ -231,36 +234,7 @@ def terminated_as_interrupted() -> Iterator[None]:
             signal.signal(each, handler)
 
 
-_CORE_FOLDER: Final = Path(__file__).resolve().parents[1]
-_SET_UP: Final = """
-import runpy, sys
-if "handfit_core" not in sys.modules:
-    launch = runpy.run_path({folder!r} + "/worker/launch.py")
-    launch["import_package"]("handfit_core", {folder!r})
-from handfit_core.tasks.workers import set_up
-set_up({parent})
-"""
-"""What a new process does first. It has to find handfit_core as this one has found it, which may be by the
-launcher; no function of ours can be sent there before"""
-
-
-def _kill(process: Any, **_: Any) -> None:
-    """End a process at once. Loky's own way needs psutil or pgrep, and waits for ever where neither is there;
-    captures start no processes that it would have to find."""
-    with contextlib.suppress(OSError):
-        os.kill(process.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
-    process.join()
-
-
-def set_up(parent: int) -> None:
-    """Make a process ready for tasks: who has started it ends it, and not the terminal."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with(parent)
-
-
 def _check_installed(package: str, instead: str) -> None:
-    import importlib
-
     try:
         importlib.import_module(package)
     except ImportError as error:

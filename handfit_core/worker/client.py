@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from handfit_core.errors import Cancelled
 from handfit_core.version import __version__
-from handfit_core.worker.events import Event, MemoryRanOut, WorkerDied, WorkerError, as_error
+from handfit_core.worker.events import Event, WorkerError, as_error, encode
 from handfit_core.worker.interpreter import (
     EXIT_UNFIT,
     find_python,
@@ -26,12 +26,9 @@ from handfit_core.worker.interpreter import (
     worker_environment,
 )
 from handfit_core.worker.process import ChildProcess, out_of_memory_kills
-from handfit_core.worker.protocol import encode
 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
-_MAX_NOISE_BYTES = 100_000
-"""what a process may say before it is ready"""
 _POLL_SECONDS = 0.05
 """seconds that one look at a process waits for news"""
 _STOP_SECONDS = 0.03
@@ -232,7 +229,7 @@ class Worker:
         if child is None:
             return ""
         code = child.exit_code
-        how = "" if code is None else f"the process ended {ending(code)}"
+        how = "" if code is None else f"the process ended {_ending(code)}"
         return "\n".join(filter(None, (child.stderr_tail().strip(), how)))
 
     def _collect(self, wait: float) -> None:
@@ -252,11 +249,7 @@ class Worker:
             if self._child is None:
                 return
         if ended:
-            ran_out = ran_out_of_memory(child, self._kills_before)
-            kind = MemoryRanOut if ran_out else WorkerError if self._ready_event is None else WorkerDied
-            self._give_up(self._death_message(child, ran_out), kind.__name__)
-        elif self._ready_event is None and child.bytes_read > _MAX_NOISE_BYTES:
-            self._give_up(f"the Python '{self.python}' is not one; {self._advice.python}")
+            self._give_up(self._death_message(child))
         elif self._ready_event is None and time.monotonic() > self._start_deadline:
             self._give_up(
                 f"the Python '{self.python}' did not answer within {_START_SECONDS:g} seconds; "
@@ -282,7 +275,9 @@ class Worker:
         if kind in ("done", "error"):
             del self._open[message["id"]]
         if kind == "error" and message["type"] in ("ModuleNotFoundError", "ImportError"):
-            message = {**message, "type": WorkerError.__name__, "message": self._import_message(message)}
+            otherwise = f"{message['message'].rstrip('.')} {self._advice.where}"
+            said = self._import_message(_last_line(message["details"]), otherwise)
+            message = {**message, "type": WorkerError.__name__, "message": said}
         self._events.append(message)
 
     def _take_events(self, ids: tuple[int, ...]) -> list[Event]:
@@ -296,40 +291,36 @@ class Worker:
         self._events += [{**fields, "id": request} for request in self._open]
         self._open.clear()
 
-    def _give_up(self, why: str, kind: str = WorkerError.__name__) -> None:
-        """Kill the process and answer every open request with an error of this kind."""
+    def _give_up(self, why: str) -> None:
+        """Kill the process and answer every open request with a WorkerError."""
         child, self._child, self._ready_event = self._child, None, None
         if child is not None:
             child.kill()
-        self._fail_all(kind, why, self.details())
+        self._fail_all(WorkerError.__name__, why, self.details())
 
-    def _import_message(self, message: Event) -> str:
-        """One sentence about a package that the process could not import."""
+    def _import_message(self, reason: str, otherwise: str) -> str:
+        """One sentence about a package that does not load: `otherwise` where nobody brought it along."""
         if self.uses_current_interpreter and self._advice.broken:
-            return self._broken_package_message(_last_line(message["details"]))
-        return f"{message['message'].rstrip('.')} {self._advice.where}"
+            return f"a package that capturing needs does not load ({reason}): {self._advice.broken}"
+        return otherwise
 
-    def _broken_package_message(self, reason: str) -> str:
-        """One sentence for a package that does not load although it was brought along."""
-        return f"a package that capturing needs does not load ({reason}): {self._advice.broken}"
-
-    def _death_message(self, child: ChildProcess, ran_out: bool) -> str:
+    def _death_message(self, child: ChildProcess) -> str:
         """One sentence for a process that ended without saying why."""
-        code = child.exit_code or 0
-        last = _last_line(child.stderr_tail())
+        code, words = child.exit_code or 0, child.stderr_tail()
+        last = _last_line(words)
         if code == EXIT_UNFIT and self._ready_event is None and not self.uses_current_interpreter:
             return f"the Python '{self.python}' {last}; {self._advice.python}"
         if "No module named" in last:
-            if self.uses_current_interpreter and self._advice.broken:
-                return self._broken_package_message(last)
-            return f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
+            cannot = f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
+            return self._import_message(last, cannot)
         said = f", last saying: {last}" if last else ""
         if child.hung:
             return f"the worker process closed its output and did not end{said}; {self._advice.crash}"
-        signal_name = _signal_name(code)
-        if ran_out:
+        signal_name, kills = _signal_name(code), out_of_memory_kills()
+        by_system = None not in (kills, self._kills_before) and kills != self._kills_before
+        if _says_memory_ran_out(words) or (by_system and signal_name == "SIGKILL"):
             return (
-                f"memory ran out, and the worker process ended {ending(code)}{said}; capture fewer frames "
+                f"memory ran out, and the worker process ended {_ending(code)}{said}; capture fewer frames "
                 "at a time, or smaller pictures"
             )
         if signal_name and signal_name not in _CRASH_SIGNALS:
@@ -338,27 +329,19 @@ class Worker:
             return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
         if self._ready_event is None and not self.uses_current_interpreter:
             return (
-                f"'{self.python}' is not a Python that can capture (it ended {ending(code)}{said}); "
+                f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
                 f"{self._advice.python}"
             )
         advice = self._advice.crash
         if self._open:
             advice = f"if only this input does that, save it anew with another program; otherwise {advice}"
-        return f"the worker process ended {ending(code)}{said}; {advice}"
+        return f"the worker process ended {_ending(code)}{said}; {advice}"
 
 
 def _last_line(words: str) -> str:
     """What a process said last; of a crash, its kind rather than the lines about where it was."""
     lines = [line.strip() for line in words.splitlines() if line.strip()]
     return next((line for line in lines if line.startswith("Fatal Python error")), lines[-1] if lines else "")
-
-
-def ran_out_of_memory(child: ChildProcess, kills_before: int | None) -> bool:
-    """Whether that ended a process: it said so, or the system killed it, and has counted that."""
-    kills = out_of_memory_kills()
-    counted = kills is not None and kills_before is not None and kills > kills_before
-    by_system = counted and _signal_name(child.exit_code or 0) == "SIGKILL"
-    return by_system or _says_memory_ran_out(child.stderr_tail())
 
 
 def _says_memory_ran_out(words: str) -> bool:
@@ -373,7 +356,7 @@ def _signal_name(code: int) -> str:
     return f"{-code}"
 
 
-def ending(code: int) -> str:
+def _ending(code: int) -> str:
     """How a process ended, by its exit code; part of a sentence."""
     if code < 0:
         return f"by signal {_signal_name(code)}"

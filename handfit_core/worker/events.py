@@ -1,16 +1,21 @@
-"""What becomes of requests: their events, the errors among them, and the exceptions that these stand for."""
+"""The messages between Blender and its worker: JSON lines, with arrays packed into them by `arrays`.
+
+docs/worker-protocol.md lists them. Both sides are of one version, which the first message tells, and believe
+each other from then on. What becomes of a request are its events, the last of which may be an error.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from handfit_core import errors
-from handfit_core.errors import Cancelled, HandfitError
+from handfit_core.errors import Cancelled, HandfitError, ProtocolError
 
 THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS",
@@ -38,16 +43,16 @@ class WorkerError(HandfitError):
         self.details = details
 
 
-class WorkerDied(WorkerError):
-    """The process that captures worked, and then died: another one may do better."""
+def encode(message: Mapping[str, Any]) -> bytes:
+    """One message -> one line, its end included.
 
-
-class MemoryRanOut(WorkerDied):
-    """There was not enough memory: alone on its machine, it may be enough."""
-
-
-_WORKER_ERRORS: Final = {"WorkerDied": WorkerDied, "MemoryRanOut": MemoryRanOut, "MemoryError": MemoryRanOut}
-"""the errors of `error` events that are defined here, not in errors.py"""
+    Plain ASCII: whatever a file is called, the line is valid UTF-8 and comes back as it was. Raises
+    ProtocolError for what JSON cannot hold: NaN outside a packed array, and objects.
+    """
+    try:
+        return json.dumps(message, allow_nan=False, separators=(",", ":")).encode("ascii") + b"\n"
+    except (TypeError, ValueError) as error:
+        raise ProtocolError(f"a message must hold JSON's types only ({error}); pack arrays") from error
 
 
 @contextlib.contextmanager
@@ -88,7 +93,7 @@ def as_error(event: Event) -> HandfitError:
     if isinstance(of_core, type) and issubclass(of_core, HandfitError):
         error = of_core(message)
     else:
-        error = _WORKER_ERRORS.get(kind, WorkerError)(message, details)
+        error = WorkerError(message, details)
     if details:
         error.add_note(details)
     return error

@@ -1,8 +1,8 @@
 """One child process that speaks JSON lines; nobody here ever waits for it, and no thread runs for it.
 
 Threads are out of the question: Blender up to 5.0 can crash when one runs Python during an operator. So the
-child's stdin and stdout are one end of a pair of connected sockets, which can be used without waiting on all
-systems, and its stderr is a file without a name, which nobody has to read in time.
+child inherits one end of a pair of connected sockets, which can be used without waiting on all systems, and
+what it prints goes to a file without a name, which nobody has to read in time.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import selectors
-import signal
 import socket
 import subprocess
 import sys
@@ -19,7 +18,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import IO, Any, BinaryIO
+from typing import Any, BinaryIO
 
 _READ_BYTES = 1 << 16
 """bytes of the child's output that are read between two looks at the clock"""
@@ -31,10 +30,11 @@ _STDERR_TAIL_BYTES = 16_384
 """bytes of the child's stderr that are told of"""
 _EXIT_SECONDS = 1.0
 """seconds after the end of its output in which the child must end; else it is killed"""
-_POLL_SECONDS = 0.005
-"""seconds between two looks at whether a child has ended"""
 _KILL_WAIT_SECONDS = 0.01
 """seconds that a killed process gets to disappear; a large one needs more, and is asked for later"""
+
+_CONNECTION = "HANDFIT_CONNECTION"
+"""Tells a child the number of its end of the connection"""
 
 _NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
 """Has the system not kill Blender, which leaves SIGPIPE deadly, for writing to a child that is gone"""
@@ -66,13 +66,16 @@ class ChildProcess:
                 if sys.platform == "darwin":
                     self._socket.setsockopt(socket.SOL_SOCKET, _SO_NOSIGPIPE, 1)
                 self._socket.setblocking(False)
-                self._process = _started(command, environment, theirs, self._stderr)
+                self._process = subprocess.Popen(
+                    command,
+                    env={**environment, _CONNECTION: str(theirs.fileno())},
+                    **{"stdin": subprocess.DEVNULL, "stdout": self._stderr, "stderr": self._stderr},
+                    **_inherits(theirs),
+                )
             except OSError:
                 self._socket.close()
                 raise
         self.pid = self._process.pid
-        self.bytes_read = 0
-        """How much it has said so far"""
         self.hung = False
         """Whether the child was killed because it had closed its output and did not end"""
         self._echoed: int | None = 0 if echo else None
@@ -89,12 +92,7 @@ class ChildProcess:
 
     @property
     def exit_code(self) -> int | None:
-        """None while it runs; -N where signal N ended it. What it has started ends with it."""
-        if self._process.returncode is None and "start_new_session" in _own_group() and hasattr(os, "waitid"):
-            with contextlib.suppress(OSError):
-                # Until we ask for its end, nobody else's group can have its number.
-                if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
-                    os.killpg(self.pid, signal.SIGKILL)
+        """None while it runs; -N where signal N ended it."""
         return self._process.poll()
 
     def send(self, line: bytes) -> None:
@@ -130,7 +128,8 @@ class ChildProcess:
     def wait_for_io(self, seconds: float) -> None:
         """Wait until `exchange` has something to read or write, at most for `seconds`."""
         if self._closed:
-            time.sleep(min(seconds, _POLL_SECONDS))
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(min(seconds, _EXIT_SECONDS))
             return
         with selectors.DefaultSelector() as selector:
             writing = selectors.EVENT_WRITE if self._to_send else 0
@@ -151,38 +150,25 @@ class ChildProcess:
         end = os.fstat(self._stderr.fileno()).st_size
         return self._read_stderr(max(0, end - _STDERR_TAIL_BYTES), end)
 
-    def close_stdin(self) -> None:
-        """Let the child read the end of its stdin, after which a worker ends by itself."""
+    def stop(self, seconds: float) -> None:
+        """Close its end of the connection for requests, after which a worker ends by itself, and kill it when
+        that takes longer than `seconds`."""
         self._to_send.clear()
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_WR)
-
-    def stop(self, seconds: float) -> None:
-        """Close its stdin, which ends it, and kill it when that takes longer than `seconds`."""
-        self.close_stdin()
         until = time.monotonic() + seconds
         while self.exit_code is None and (left := until - time.monotonic()) > 0:
             self.exchange()
-            self.wait_for_io(min(_POLL_SECONDS, left))
+            self.wait_for_io(left)
         self.kill()
 
     def kill(self) -> None:
-        """End it at once, with whatever it started; what it said last is read."""
+        """End it at once; what it said last is read."""
         self.exchange()
         self._to_send.clear()
         self._socket.close()
         self._closed = True
-        if self.exit_code is not None:
-            return
-        with contextlib.suppress(OSError):
-            if sys.platform == "win32":
-                subprocess.run(
-                    ["taskkill", "/T", "/F", "/PID", str(self.pid)], capture_output=True, check=False
-                )
-            elif os.getpgid(self.pid) == self.pid:
-                os.killpg(self.pid, signal.SIGKILL)
-            else:
-                self._process.kill()
+        self._process.kill()
         try:
             self._process.wait(_KILL_WAIT_SECONDS)
         except subprocess.TimeoutExpired:
@@ -202,17 +188,11 @@ class ChildProcess:
                 self._to_send.appendleft(rest)
 
     def _take(self, chunk: bytes) -> None:
-        self.bytes_read += len(chunk)
         first, *others = chunk.split(b"\n")
         self._line.append(first)
         for other in others:
-            line = b"".join(self._line)
+            self._received.append(json.loads(b"".join(self._line)))
             self._line = [other]
-            # Another line is what something prints before the worker has its stdout to itself.
-            with contextlib.suppress(ValueError):
-                message = json.loads(line)
-                if isinstance(message, dict):
-                    self._received.append(message)
 
     def _read_stderr(self, begin: int, end: int) -> str:
         if hasattr(os, "pread"):
@@ -224,41 +204,25 @@ class ChildProcess:
         return said.decode("utf-8", errors="replace")
 
 
-def _started(
-    command: Sequence[str], environment: dict[str, str], end: socket.socket, stderr: IO[bytes]
-) -> subprocess.Popen[Any]:
-    """Start a process whose stdin and stdout are that end of a connection. Raises OSError."""
+def _inherits(end: socket.socket) -> dict[str, Any]:
+    """Popen's options for a child that has this end of a connection, and a process group of its own: no
+    console window, and no share in a terminal's Ctrl-C, because ending the child is up to us.
+
+    On Windows a virtual environment's Python starts another one, which inherits it in its turn.
+    """
     if sys.platform == "win32":
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=stderr, stderr=stderr, env=environment, **_own_group()
-        )
-        assert process.stdin is not None
-        with process.stdin as stdin:
-            stdin.write(end.share(process.pid))
-        return process
-    number = end.fileno()
-    return subprocess.Popen(
-        command, stdin=number, stdout=number, stderr=stderr, env=environment, **_own_group()
-    )
+        end.set_inheritable(True)
+        start = subprocess.STARTUPINFO(lpAttributeList={"handle_list": [end.fileno()]})
+        flags = subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP
+        return {"startupinfo": start, "creationflags": flags}
+    return {"pass_fds": [end.fileno()], "start_new_session": True}
 
 
 def own_streams() -> tuple[BinaryIO, BinaryIO]:
-    """The stdin and stdout of a process that `ChildProcess` has started, for its messages alone.
-
-    What a library prints goes to stderr. Descriptor 0 gets an empty file: on Windows a library that asks
-    about stdin while it loads would wait for the thread that reads there.
-    """
-    sys.stdout.flush()
-    if sys.platform == "win32":
-        connection = socket.fromshare(sys.stdin.buffer.read())
-        requests, events = connection.makefile("rb"), connection.makefile("wb")
-    else:
-        requests, events = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    with open(os.devnull, "rb") as nothing:
-        os.dup2(nothing.fileno(), 0)
-    os.dup2(2, 1)
-    sys.stdout = sys.stderr
-    return requests, events
+    """The requests and the events of a process that `ChildProcess` has started."""
+    connection = socket.socket(fileno=int(os.environ.pop(_CONNECTION)))
+    connection.set_inheritable(False)
+    return connection.makefile("rb"), connection.makefile("wb")
 
 
 def out_of_memory_kills() -> int | None:
@@ -279,16 +243,8 @@ def reap() -> None:
 def wait_for_killed(seconds: float) -> bool:
     """Wait until all killed processes are gone, which frees the files they had open; whether they are."""
     until = time.monotonic() + seconds
-    while True:
-        reap()
-        if not _killed or time.monotonic() > until:
-            return not _killed
-        time.sleep(_POLL_SECONDS)
-
-
-def _own_group() -> dict[str, Any]:
-    """Popen's options for a process group of its own: no console window, and no share in a terminal's Ctrl-C,
-    because ending the child is up to us."""
-    if sys.platform == "win32":
-        return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
-    return {"start_new_session": True}
+    for process in _killed:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(max(0.0, until - time.monotonic()))
+    reap()
+    return not _killed

@@ -1,7 +1,7 @@
-"""The worker's loop: requests come in on stdin, events go out on stdout (docs/worker-protocol.md).
+"""The worker's loop: requests come in, events go out on one connection (docs/worker-protocol.md).
 
-A thread reads, so that a cancel and the end of stdin are noticed at once; the work is done on the main
-thread, one request at a time. Nothing heavy loads before a request needs it.
+A thread reads, so that a cancel and the end of the connection are noticed at once; the work is done on the
+main thread, one request at a time. Nothing heavy loads before a request needs it.
 """
 
 from __future__ import annotations
@@ -25,9 +25,8 @@ from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.solvers import SOLVERS
 from handfit_core.version import __version__
 from handfit_core.worker.answering import answer
-from handfit_core.worker.events import THREAD_VARIABLES, OnProgress, error_fields, log_warnings_to
+from handfit_core.worker.events import THREAD_VARIABLES, OnProgress, encode, error_fields, log_warnings_to
 from handfit_core.worker.process import own_streams
-from handfit_core.worker.protocol import encode
 
 PROGRESS_SECONDS: Final = 0.05
 """seconds between two progress events; a stage's first and the one that completes it are always sent"""
@@ -186,14 +185,14 @@ class Server:
 
 
 def serve(threads: int | None = None) -> None:
-    """Be the worker on this process's stdin and stdout; never returns.
+    """Be the worker on the connection that this process has inherited; never returns.
 
     `threads`: how many OpenBLAS, OpenMP, torch and OpenCV use at most; none of them may have loaded, but for
     NumPy's own OpenBLAS, which has one. Raises OptionError if it is below 1.
     """
     if threads is not None and threads < 1:
         raise OptionError(f"a worker needs at least 1 thread, not {threads}")
-    # Ctrl-C in the terminal that Blender was started from is Blender's; the worker ends with its stdin.
+    # Ctrl-C in the terminal that Blender was started from is Blender's; the worker ends with its connection.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     requests, events = own_streams()
     faulthandler.enable(sys.stderr)

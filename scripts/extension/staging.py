@@ -66,18 +66,15 @@ def inventory(version: str, platform: str, wheels: Sequence[Wheel]) -> str:
             "file": wheel.path.name,
             "name": wheel.name,
             "version": wheel.version,
-            "sha256": wheel.sha256,
             "size": wheel.size,
             "pythons": list(wheel.pythons),
         }
         for wheel in wheels
     ]
     content = {
-        "schema": 1,
         "version": version,
         "platform": platform,
         "pythons": PYTHONS,
-        "torch": "cpu" if any(wheel.name == "torch" for wheel in wheels) else "none",
         "wheels": listed,
     }
     return json.dumps(content, indent=2) + "\n"

@@ -60,7 +60,11 @@ def peer(tmp_path):
 
     def make(code: str) -> str:
         path = tmp_path / "peer"
-        path.write_text(f"#!{sys.executable}\nimport json, os, signal, sys, time\n{code}")
+        connected = (
+            "c = socket.socket(fileno=int(os.environ['HANDFIT_CONNECTION']))\n"
+            "sys.stdin, sys.stdout = c.makefile('r'), c.makefile('w')\n"
+        )
+        path.write_text(f"#!{sys.executable}\nimport json, os, signal, socket, sys, time\n{connected}{code}")
         path.chmod(0o755)
         return str(path)
 

@@ -47,11 +47,9 @@ def small_zip(
         for (name, content), package, number, fits in wheels
     ]
     contents = {
-        "schema": 1,
         "version": version,
         "platform": platform,
         "pythons": list(pythons),
-        "torch": "none",
         "wheels": listed,
     }
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

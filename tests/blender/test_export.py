@@ -38,10 +38,17 @@ def test_it_comes_back(make_take, model, picture, tmp_path, fmt):
     build_take(make_take(sides=("left",), seed=7, frame_numbers=np.arange(1, 40), fps=25.0).take)
     made = make_take(model=model)
     built = build_take(made.take)
-    bpy.context.scene.frame_end = 900  # the user's range is not the take's
+    bpy.context.scene.frame_end = 900  # the user's range and rate are not the take's
+    bpy.context.scene.render.fps = 12
     bpy.context.scene.frame_set(77)
     before = sorted(o.name for o in bpy.data.objects), len(bpy.data.scenes)
+    opened = set()
+    bpy.app.handlers.frame_change_post.append(
+        lambda *_: opened.add(bpy.data.window_managers[0].windows[0].scene)
+    )
     files = export_take(built, made.take, tmp_path, "hand of take", fmt)
+    bpy.app.handlers.frame_change_post.pop()
+    assert opened == {bpy.context.scene}, "exports happen where no window shows them"
     assert (sorted(o.name for o in bpy.data.objects), len(bpy.data.scenes)) == before
     assert bpy.context.scene.frame_current == 77
     assert sorted(tmp_path.iterdir()) == sorted(files), "nothing half-written is left"

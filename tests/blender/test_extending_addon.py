@@ -203,7 +203,7 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     plugins = tmp_path / "user" / "manient" / folder
     plugins.mkdir(parents=True)
     make(heading, plugins)
-    (plugins / "fbx.py" if folder == "exporters" else plugins / "rigify.py").write_text(BROKEN)
+    (plugins / "vrma.py" if folder == "exporters" else plugins / "rigify.py").write_text(BROKEN)
     take = make_take(sides=("right",)).take.save(tmp_path / "hand.take.npz")
     done = subprocess.run(
         [sys.executable, "-c", script + END, str(take), str(tmp_path / "out")],

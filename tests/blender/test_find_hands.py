@@ -11,7 +11,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from blender_manient import jobs, shared_worker  # noqa: E402
-from blender_manient.find_mode.choice import MAX_ZOOM, Choice, FoundHand, PictureView  # noqa: E402
+from blender_manient.modes.choice import Choice, FoundHand  # noqa: E402
+from blender_manient.modes.view import MAX_ZOOM, PictureView  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402

@@ -82,7 +82,7 @@ def test_no_beginning_of_a_file_is_taken_for_the_whole(make_take, tmp_path, fmt)
 def test_what_alembic_needs_is_not_underestimated(make_take, imitation_mano, tmp_path, shading, monkeypatch):
     if EXPORTERS["abc"].why_not():
         pytest.skip("this Blender cannot write abc")
-    from blender_manient.exporters import alembic
+    from blender_manient.exporters import blender_formats
 
     made = make_take(model="open-hand" if shading == "subdivided" else str(imitation_mano))
     built = build_take(made.take)
@@ -93,9 +93,9 @@ def test_what_alembic_needs_is_not_underestimated(make_take, imitation_mano, tmp
             finer.levels, finer.render_levels = 0, 1
             hand.mesh.modifiers.new("Last", "SIMPLE_DEFORM")  # what is last is not subdivided by Alembic
     asked = []
-    check_room = alembic.check_room
+    check_room = blender_formats.check_room
     monkeypatch.setattr(
-        alembic, "check_room", lambda path, size: (asked.append(size), check_room(path, size))
+        blender_formats, "check_room", lambda path, size: (asked.append(size), check_room(path, size))
     )
     (path,) = export_take(built, made.take, tmp_path, "hand", "abc")
     assert path.stat().st_size <= asked[0] <= 3 * path.stat().st_size

@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.keypoint_mode import mode as keypoint_mode
-from blender_manient.keypoint_mode.drawing import RADIUS, Picture, handle_sizes
-from blender_manient.keypoint_mode.mode import REACH, KeypointMode, forget_views
+from blender_manient.modes import keypoints, view
+from blender_manient.modes.drawing import RADIUS, Picture, handle_sizes
+from blender_manient.modes.keypoints import REACH, KeypointMode, forget_views
 from blender_manient.operators import edit_keypoints
 from blender_manient.refiner import Refiner
 from blender_manient.scene.build import build_take
@@ -53,9 +53,9 @@ class FakeViewport:
 @pytest.fixture
 def viewport(monkeypatch) -> FakeViewport:
     made = FakeViewport()
-    monkeypatch.setattr(keypoint_mode.view, "viewport_at", lambda *_: made)
-    monkeypatch.setattr(keypoint_mode.view, "picture_matrix", lambda *_: made.matrix)
-    monkeypatch.setattr(keypoint_mode.screen, "ui_scale", lambda: 1.0)
+    monkeypatch.setattr(view, "viewport_at", lambda *_: made)
+    monkeypatch.setattr(view, "picture_matrix", lambda *_: made.matrix)
+    monkeypatch.setattr(keypoints.screen, "ui_scale", lambda: 1.0)
     forget_views()
     return made
 
@@ -65,7 +65,7 @@ class Begun(KeypointMode):
 
     def __init__(self, armature, viewport, places) -> None:
         self.refiner, self.places, self.drag, self._warming = Refiner(armature), places, None, 0
-        self.view = SimpleNamespace(address=0, face=lambda _: None, shows=lambda _: True)
+        self.address, self.view = 0, SimpleNamespace(face=lambda _: None, shows=lambda _: True)
         self._frame, self._places = bpy.context.scene.frame_current_final, places
         viewport.show_picture(None, None)
         self._restore_view(viewport)
@@ -75,7 +75,7 @@ class Begun(KeypointMode):
 
     def leave(self, viewport) -> None:
         viewport.view.view_camera_zoom = viewport.matrix
-        self._save_view(bpy.context)
+        self._save_view()
 
 
 @pytest.fixture

@@ -12,7 +12,6 @@ from blender_manient.scene.keys import (
     PoseKeys,
     align_signs,
     displayed_pose,
-    keyed_bones,
     pose_at,
     read_pose_keys,
     remove_pose_keys,
@@ -147,10 +146,10 @@ def test_other_rotation_modes(armature, mode):
 
 def test_without_an_action_one_is_made(armature):
     armature.animation_data_clear()
-    assert not keyed_bones(rig_of(armature)).any()
+    assert not read_pose_keys(rig_of(armature)).rotation_keyed.any()
     quats = random_quats(2)
     write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([1.0, 2.0]), quats, np.ones((2, 3))))
-    assert keyed_bones(rig_of(armature)).all()
+    assert read_pose_keys(rig_of(armature)).rotation_keyed.all()
     bpy.context.scene.frame_set(2)
     same_rotation(displayed_pose(rig_of(armature)), quats[1])
 

@@ -8,9 +8,9 @@ import pytest
 from mathutils import Matrix
 
 from blender_manient.rigs import rig_of
+from blender_manient.scene.actions import BELOW, strip_below
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import clear_corrections, correct_frames, displaced
-from blender_manient.scene.editable import BELOW, strip_below
 from blender_manient.scene.keys import pose_at, read_pose_keys
 from blender_manient.scene.layer import add_layer, end_layer
 from blender_manient.scene.retake import retaken

@@ -15,7 +15,7 @@ import pytest
 
 import blender_manient
 from blender_manient import preferences, shared_worker
-from blender_manient.keypoint_mode.mode import KeypointMode
+from blender_manient.modes.keypoints import KeypointMode
 from blender_manient.operators import edit_keypoints
 from blender_manient.operators import touch as touching
 from blender_manient.operators.refit_range import replaced
@@ -352,7 +352,7 @@ def touch(**others) -> None:
     [((0.0128, 0.0131), "13 mm"), ((0.0124, 0.0131, np.nan), "12 to 13 mm"), ((-0.002, 0.0001), "0 mm")],
 )
 def test_how_far_apart(monkeypatch, gaps, said):
-    monkeypatch.setattr(touching, "_TouchTask", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
+    monkeypatch.setattr(touching, "_TouchFit", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
     count = f"{len(gaps)} frames. The points are {said} apart there"
     assert MANIENT_OT_touch.summary(SimpleNamespace(), bpy.context) == (count, False)
 
@@ -485,7 +485,7 @@ def test_in_pose_mode_with_another_rotation_mode(armature):
 def mode_without_a_window(armature) -> KeypointMode:
     """The mode's state as it is once it has begun, but for what it draws."""
     mode = KeypointMode.__new__(KeypointMode)
-    mode.refiner, mode.view = Refiner(armature), SimpleNamespace(address=0)
+    mode.refiner, mode.address = Refiner(armature), 0
     mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
     mode._warming, mode._solved_in = 0, 0.0
     mode._frame, mode._places = bpy.context.scene.frame_current_final, mode.picture_places()
@@ -494,7 +494,7 @@ def mode_without_a_window(armature) -> KeypointMode:
 
 def until_answered(mode: KeypointMode) -> None:
     deadline = time.monotonic() + 120.0
-    while (mode.drag.request or mode.drag.needs_request) and time.monotonic() < deadline:
+    while (mode.drag.waiting or mode.drag.needs_request) and time.monotonic() < deadline:
         mode.tick(bpy.context)
         time.sleep(0.005)
     assert mode.drag.answer is not None
@@ -506,7 +506,7 @@ def test_another_frame_while_dragging_shows_its_own_pose(armature):
     expected = displayed_pose(rig_of(armature))
     scene.frame_set(FRAME)
     before = all_keys(armature)
-    mode.drag = mode._new_drag(TIP, mode.row(), (0, 0), np.zeros(2))
+    mode.drag = mode._new_drag(TIP, mode.row())
     mode.drag.place, mode.drag.moved = landmarks(armature)[TIP] + FARTHER, True
     until_answered(mode)
     scene.frame_set(FRAME + 4)
@@ -519,18 +519,17 @@ def test_another_frame_while_dragging_shows_its_own_pose(armature):
 def test_pins_are_those_of_the_pose_that_is_kept(armature):
     """Where the last place of a drag could not be fitted, the pin stays where it could."""
     mode = mode_without_a_window(armature)
-    mode.drag = drag = mode._new_drag(TIP, mode.row(), (0, 0), np.zeros(2))
+    mode.drag = drag = mode._new_drag(TIP, mode.row())
     fitted = landmarks(armature)[TIP] + 0.5 * FARTHER
     drag.place, drag.moved = fitted, True
     until_answered(mode)
     drag.place = fitted + [300.0, 300.0]
     mode.release()
-    mode._send(drag)
-    worker = shared_worker.worker()
-    worker.wait(drag.request, timeout=120)
-    drag.request = 0
+    mode.tick(bpy.context)
+    shared_worker.worker().wait(drag.asked.number, timeout=120)
+    drag.waiting = False
     nothing = np.full((1, 16, 4), np.nan), np.full((1, 3), np.nan), np.full((1, 21, 2), np.nan)
-    mode._show(bpy.context, drag, BonePoses(*nothing))
+    mode._show(bpy.context, drag, drag.asked, BonePoses(*nothing))
     mode.tick(bpy.context)
     assert mode.drag is None
     np.testing.assert_allclose(mode.refiner.pins(mode.row())[TIP], fitted, atol=1e-3)

@@ -7,6 +7,8 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -16,15 +18,15 @@ from blender_manient.blender_versions import assign_action
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of
+from blender_manient.rigs.vrm import VrmCharacter
 from blender_manient.scene.build import build_take
 from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
-from handfit_core.errors import HandModelError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
+from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES
 from handfit_core.slices import run_to_completion
 from tests.core.retarget.rigs import Built, add_hand, body, names_of, source
 from tests.drawn import drawn
@@ -302,6 +304,14 @@ def test_rigify_tells_what_would_spoil_the_fingers(generated):
     master.keyframe_insert("scale", frame=9)
     master.scale.y = 1.0
     assert [said.partition(" would")[0] for said in troubles(rig, hand)] == [master.name]
+    data, action = rig.animation_data, rig.animation_data.action
+    data.action, track = None, data.nla_tracks.new()
+    strip = track.strips.new("bent", 1, action)
+    assert len(troubles(rig, hand)) == 1
+    for muted in (strip, track):
+        muted.mute = True
+        assert troubles(rig, hand) == []
+        muted.mute = False
     rig.animation_data_clear()
     pose["f_index.01_ik.L"]["FK_IK"] = 1.0
     assert troubles(rig, hand)[0].startswith("fingers follow IK by f_index.01_ik.L: set Finger IK")
@@ -312,24 +322,6 @@ def test_rigify_tells_what_would_spoil_the_fingers(generated):
     ):
         arm["IK_FK"] = value
         assert [said in sentence for sentence in troubles(rig, hand)] == [True]
-
-
-def test_what_is_muted_in_the_nla_spoils_nothing(generated):
-    rig = opened(generated, "rig")
-    hand = found_hand(rig, "left").hand_map
-    rig.pose.bones["f_ring.01_master.L"].scale.y = 0.5
-    rig.pose.bones["f_ring.01_master.L"].keyframe_insert("scale", frame=5)
-    rig.pose.bones["f_ring.01_master.L"].scale.y = 1.0
-    data, action = rig.animation_data, rig.animation_data.action
-    data.action = None
-    track = data.nla_tracks.new()
-    strip = track.strips.new("bent", 1, action)
-    assert len(troubles(rig, hand)) == 1
-    for muted in (strip, track):
-        muted.mute = True
-        assert troubles(rig, hand) == []
-        muted.mute = False
-    assert len(troubles(rig, hand)) == 1
 
 
 def test_keys_of_the_body_cost_a_redraw_nothing(generated):
@@ -404,83 +396,34 @@ def test_makehumans_rigs(file, label, side):
     assert all(hand_map.bones)
 
 
-def test_what_the_vrm_addon_has_noted_is_believed():
+@pytest.mark.parametrize(
+    ("version", "thumb", "called"),
+    [
+        ("1.0", ("metacarpal", "proximal", "distal"), lambda part: f"left_{part}"),
+        ("0.0", ("proximal", "intermediate", "distal"), lambda p: "left" + p.title().replace("_", "")),
+    ],
+)
+def test_what_the_vrm_addon_has_noted_is_believed(version, thumb, called):
     """Properties of the shape that the add-on has, whatever the bones are called."""
-    classes = []
-
-    def group(name, **annotations):
-        made = type(name, (bpy.types.PropertyGroup,), {"__annotations__": annotations})
-        bpy.utils.register_class(made)
-        classes.append(made)
-        return made
-
-    text, held = bpy.props.StringProperty, lambda kind: bpy.props.PointerProperty(type=kind)
     names = {slot: f"q{slot}" for slot in range(NUM_JOINTS)}
-    node = group("NamesNode", bone_name=text())
-    human = group("NamesHuman", node=held(node))
-    parts = [f"{f}_{p}" for f in FINGERS[1:] for p in ("proximal", "intermediate", "distal")]
-    parts += [f"thumb_{p}" for p in ("metacarpal", "proximal", "distal")] + ["hand"]
-    bones = group("NamesBones", **{f"left_{part}": held(human) for part in parts})
-    old = group("NamesOld", bone=text(), node=held(node))
-    new_humanoid = group("NamesNewHumanoid", human_bones=held(bones))
-    old_humanoid = group("NamesOldHumanoid", human_bones=bpy.props.CollectionProperty(type=old))
-    new, older = (
-        group("NamesNew", humanoid=held(new_humanoid)),
-        group("NamesOlder", humanoid=held(old_humanoid)),
+    parts = {"hand": names[0]}
+    for finger, joints in FINGER_JOINTS.items():
+        own = thumb if finger == "thumb" else ("proximal", "intermediate", "distal")
+        parts |= {f"{finger}_{part}": names[joint] for part, joint in zip(own, joints, strict=True)}
+    nodes = {called(part): SimpleNamespace(bone_name=name) for part, name in parts.items()}
+    older = [SimpleNamespace(bone=bone, node=node) for bone, node in nodes.items()]
+    newer = SimpleNamespace(**{bone: SimpleNamespace(node=node) for bone, node in nodes.items()})
+    noted = SimpleNamespace(
+        spec_version=version,
+        vrm0=SimpleNamespace(humanoid=SimpleNamespace(human_bones=older)),
+        vrm1=SimpleNamespace(humanoid=SimpleNamespace(human_bones=newer)),
     )
-    bpy.types.Armature.vrm_addon_extension = held(
-        group("NamesAll", spec_version=text(), vrm1=held(new), vrm0=held(older))
-    )
-    try:
-        built = Built()
-        fore, place = body(built, "left")
-        add_hand(built, "left", names, np.random.default_rng(1), parent=fore, place=place)
-        armature = upright(built)
-        noted = armature.data.vrm_addon_extension
-        assert found_hand(armature, "left").hand_map.rig == NAMELESS
-        wanted = {"hand": 0} | {
-            f"{finger}_{part}": joint
-            for finger, joints in FINGER_JOINTS.items()
-            for part, joint in zip(
-                ("metacarpal", "proximal", "distal")
-                if finger == "thumb"
-                else ("proximal", "intermediate", "distal"),
-                joints,
-                strict=True,
-            )
-        }
-        noted.spec_version = "1.0"
-        for part, joint in wanted.items():
-            getattr(noted.vrm1.humanoid.human_bones, f"left_{part}").node.bone_name = names[joint]
-        assert check(armature, "left", 7, "VRM", sure=0.99).bones == tuple(names.values())
-        noted.spec_version = "0.0"
-        assert found_hand(armature, "left").hand_map.rig == NAMELESS
-        thumb = dict(zip(("Proximal", "Intermediate", "Distal"), FINGER_JOINTS["thumb"], strict=True))
-        older_names = {f"leftThumb{part}": joint for part, joint in thumb.items()} | {
-            "left" + part.title().replace("_", ""): joint
-            for part, joint in wanted.items()
-            if not part.startswith("thumb")
-        }
-        for name, joint in older_names.items():
-            entry = noted.vrm0.humanoid.human_bones.add()
-            entry.bone, entry.node.bone_name = name, names[joint]
-        assert check(armature, "left", 8, "VRM", sure=0.99).bones == tuple(names.values())
-    finally:
-        del bpy.types.Armature.vrm_addon_extension
-        for made in reversed(classes):
-            bpy.utils.unregister_class(made)
-
-
-def test_two_characters_in_one_armature_are_told():
-    built, rng = Built(), np.random.default_rng(1)
-    mixamo = next(rig for rig in RIGS if rig.label == "Mixamo")
-    for number, prefix in enumerate(("mixamorig:", "mixamorig7:")):
-        fore, place = body(built, "left", name=f"b{number}")
-        add_hand(built, "left", names_of(mixamo, "left", prefix), rng, parent=fore, place=place + number)
-    armature = upright(built)
-    with pytest.raises(
-        HandModelError, match="several left hands here, 'mixamorig:LeftHand', 'mixamorig7:LeftHand'"
-    ):
-        found_hand(armature, "left")
-    with pytest.raises(HandModelError, match="no right hand was found among the "):
-        found_hand(armature, "right")
+    built = Built()
+    fore, place = body(built, "left")
+    add_hand(built, "left", names, np.random.default_rng(1), parent=fore, place=place)
+    armature: Any = SimpleNamespace(data=SimpleNamespace(vrm_addon_extension=noted))
+    found = VrmCharacter.find(armature, built.bones(), "left")
+    assert found is not None
+    assert (found.hand_map.bones, found.hand_map.rig, found.sure) == (tuple(names.values()), "VRM", 1.0)
+    nodes[called("hand")].bone_name = ""
+    assert VrmCharacter.find(armature, built.bones(), "left") is None

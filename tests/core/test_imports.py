@@ -121,10 +121,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
             assert module.split(".")[0] not in (*HEAVY, *THREADED), name
 
 
-ASSEMBLIES = (
-    *("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take"),
-    "scene.smoothing",
-)
+ASSEMBLIES = ("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take")
 PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.commands")
 """Modules of the add-on that work without Blender"""
 
@@ -163,8 +160,33 @@ def test_rooms_know_only_what_comes_before_them(room: str) -> None:
     assert known <= set(ARROWS[room])
 
 
+ROOMS = (
+    "block_reference blender_versions installation plugins preferences screen section wording",
+    "rigs",
+    "scene exporters",  # which know each other: scene/export.py and scene/clean_rig.py ask for formats
+    "cache details error_graph hand_adjusting hand_table jobs key_preview live_link properties refiner "
+    "shared_worker source_info steady",
+    "modes",
+    "operators",
+    "panels",
+    "batch",
+    "command modules registration unusable",
+)
+"""The add-on's folders and single modules, from the bottom up: each may import its own line
+and those before"""
+
+
+def test_no_arrow_leads_up_in_the_addon() -> None:
+    rank = {room: at for at, line in enumerate(ROOMS) for room in line.split()}
+    addon = {name: name.split(".")[1] for name in MODULES if name.startswith("blender_manient.")}
+    assert set(addon.values()) == set(rank)
+    assert len([room for room in rank if (ROOT / "blender_manient" / room).is_dir()]) <= 8
+    arrows = [(name, other) for name in addon for other in local_imports(name, everywhere=True)]
+    assert [a for a in arrows if a[1] in addon and rank[addon[a[1]]] > rank[addon[a[0]]]] == []
+
+
 @pytest.mark.parametrize(
-    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("bpy.ops.export_", "exporters")]
+    ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("export_scene.", "exporters")]
 )
 def test_bones_and_formats_are_known_in_one_place(word: str, room: str) -> None:
     """Everything else asks a rig, or a format, whatever else is added to the two folders."""

@@ -79,14 +79,14 @@ def test_nothing_in_the_zip_talks_to_the_network():
     """Only `send` does, which a checkout has: see test_core_wheel for what is in the zip. Blender and the
     worker hold a pair of sockets that were connected when they were made."""
     assert imports_any_of(NETWORK) == [
-        "handfit_core/network/commands.py: socket",
+        "handfit_core/interchange/send.py: socket",
         "handfit_core/worker/process.py: socket",
     ]
     worker = (ROOT / "handfit_core" / "worker" / "process.py").read_text(encoding="utf-8")
     assert not re.search(r"\b(bind|listen|connect|create_connection|create_server)\(", worker)
-    assert imports_any_of({"handfit_core.network"}) == [
-        "handfit_core/__main__.py: handfit_core.network.commands",
-        "handfit_core/__main__.py: handfit_core.network.commands.add_send_command",
+    assert imports_any_of({"handfit_core.interchange.send"}) == [
+        "handfit_core/__main__.py: handfit_core.interchange.send",
+        "handfit_core/__main__.py: handfit_core.interchange.send.add_send_command",
     ]
     assert uses_attribute("url_open") == []
     assert uses_attribute("url_open_preset") == []

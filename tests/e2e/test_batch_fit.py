@@ -147,6 +147,7 @@ def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
     assert [entry["files"][1:] for entry in report(out)] == [
         [f"{name}/{name}.{ending}" for ending in ("glb", "bvh", "fbx")] for name in ("wave", "nod")
     ]
+    assert [len(entry["warnings"]) for entry in report(out)] == [1, 1], "they are not repeated"
 
     (out / "nod" / "nod.glb").write_bytes(b"somebody's work")
     done = wheel(*line, "glb", "--no-correctives")

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.hostile import models, pickles, pictures, recordings, takes, videos
-from tests.hostile.engine import Case, Place
+from tests.hostile.engine import RESULTS, Case, Place
 from tests.hostile.names import TEXTS
 from tests.hostile.npz import bomb
 
@@ -73,6 +73,12 @@ def outputs() -> Iterator[Case]:
             name = f"output-{verb.replace(' ', '-')}-to-{where}"
             known = verb in ("capture", "convert") and where in ("pipe", "device", "input")
             yield Case(name, "core.command", make, refused=True, known=known)
+
+    def home(place: Place) -> dict[str, Any]:
+        place.write("a.points.json", _points())
+        return {"argv": ["convert", "a.points.json", "-o", "~/x.npz"], "HOME": str(place.folder / RESULTS)}
+
+    yield Case("output-convert-to-home", "core.process", home, known=True)
 
 
 def _points() -> bytes:

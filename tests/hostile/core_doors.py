@@ -37,7 +37,7 @@ from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from handfit_core.tasks.report import line, read_results, write_report
 from handfit_core.tasks.task import Task
-from handfit_core.worker import answering, protocol
+from handfit_core.worker import answering, events
 from tests.core.interchange.known_hands import own_mano
 from tests.hostile.engine import MOST_BYTES
 
@@ -132,7 +132,7 @@ def model(path: str, side: str) -> None:
 def media(path: str | list[str]) -> None:
     """Probe an input as the panel does, and read its first frames."""
     answer = answering.probe({"input": [path] if isinstance(path, str) else path})
-    protocol.encode(answer)
+    events.encode(answer)
     assert 0 < answer["fps"] <= 1000
     opened = open_media(path)
     for frame in itertools.islice(opened.frames(), FRAMES):
@@ -165,11 +165,12 @@ def command(argv: list[str]) -> None:
     check_ending(code, said.getvalue())
 
 
-def process(argv: list[str]) -> None:
+def process(argv: list[str], **environment: str) -> None:
     """The same as a process of its own, whose memory the kernel tells when it has ended."""
     command = [sys.executable, "-m", "handfit_core", *argv]
     with tempfile.TemporaryFile() as said:
-        started = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said)
+        env = {**os.environ, **environment}
+        started = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=said, env=env)
         _, status, used = os.wait4(started.pid, 0)
         code = started.returncode = os.waitstatus_to_exitcode(status)
         assert used.ru_maxrss * 1024 < MOST_BYTES, f"memory: {used.ru_maxrss // 1000} MB"

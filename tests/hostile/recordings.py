@@ -80,6 +80,7 @@ CELLS = {
 TABLES: dict[str, Callable[[], bytes]] = {
     "columns-2-million": lambda: b"x,y," * 1_000_000 + b"z\n" + b"1,2," * 1_000_000 + b"3\n",
     "columns-9999": lambda: b",".join(b"left_hand_%d_x" % n for n in range(9999)) + b"\n" + b"1," * 9998 + b"1\n",
+    "hands-by-thousands": lambda: b",".join(b"hand%d_landmark%d_%c" % (n // 12, n // 2 % 6, b"xy"[n % 2]) for n in range(9600)) + b"\n" + (b"0.5," * 9599 + b"0.5\n") * 1500,
     "rows-30-million": lambda: b"frame,x\n" + b"1,2\n" * 30_000_000,
     "cells-60-million": lambda: b"frame,x\n" + b"," * 60_000_000,
     "cell-of-130000": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,%s,0,1,2\n" % (n, b"x" * (130_000 if n == 9 else 1)) for n in range(20_000)),
@@ -142,6 +143,17 @@ ODD_NAMES = (
     "%n",
 )
 """What files of a folder may be called besides"""
+
+
+ROOT = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n%s}\nMOTION\nFrames: %d\nFrame Time: 0.04\n"
+LONG_BONES: dict[str, Callable[[], bytes]] = {
+    "words-in-one-line": lambda: b"HIERARCHY " + b"a " * 60_000_000 + b"\nMOTION\nFrames: 1\nFrame Time: 1\n0\n",
+    "numbers-in-one-line": lambda: (ROOT % ("", 1)).encode() + b"0 " * 60_000_000,
+    "frames-in-one-line": lambda: (ROOT % ("", 20_000_000)).encode() + b"0 " * 60_000_000,
+    "one-number": lambda: (ROOT % ("", 1)).encode() + b"1" * 120_000_000,
+    "one-time": lambda: (ROOT % ("", 1)).encode()[:-5] + b"1" * 120_000_000,
+    "bones-and-frames": lambda: (ROOT % ("JOINT b\n{\nOFFSET 0 0 0\n}\n" * 1500, 5500)).encode() + b"0 0 0\n" * 5500,
+}  # fmt: skip
 
 
 def _places(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
@@ -210,6 +222,11 @@ def cases() -> Iterator[Case]:
         if _some(name, 3):
             in_npy = lambda _, data=data: raw_member("()", "'|O'", data())  # noqa: E731
             yield file_case(f"recording-npy-{name}", DOOR, "a.mano.npy", in_npy, refused=True)
+    for name, data in LONG_BONES.items():
+        yield file_case(f"bvh-{name}", DOOR, "a.bvh", lambda _, data=data: data())
+    for count in (50_000, 150_000, 1_000_000):
+        hands = lambda _, count=count: raw_member(f"({count}, 21, 3)", "'<f4'", bytes(count * 252))  # noqa: E731
+        yield file_case(f"freemocap-{count}", DOOR, "mediapipe_left_hand_3d_xyz.npy", hands, refused=True)
     bvh = content("bvh").decode()
     for name, (pattern, text) in BONES.items():
         changed = partial(

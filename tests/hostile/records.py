@@ -17,9 +17,9 @@ RECORD = f"{RESULTS}/a/a.json"
 SECRET = "kept.npz"
 """The artist's file beside the folder of results"""
 FIELDS = (
-    "key status result result.name result.status result.hands result.hands.0 result.hands.0.side "
+    "key result result.name result.status result.hands result.hands.0 result.hands.0.side "
     "result.hands.0.detected result.frames result.files result.warnings result.attempts result.attempts.0.kind "
-    "result.error result.character files files.a&txt seconds run"
+    "result.error result.character files files.a&txt formats run"
 )
 """Fields of a record, of which every one is to hold each of VALUES; & stands for a dot in a name"""
 NAMES = {
@@ -32,19 +32,12 @@ NAMES = {
 def good(status: str = "ok") -> dict[str, Any]:
     """A record of the task `a`."""
     hand = {"side": "left", "detected": 3, "doubtful": 1, "mean_reprojection_error_px": 2.5}
-    hand |= {"mean_error_of_hand": 0.02, "mean_expected_error": 0.01}
+    hand |= {"mean_error_of_hand": 0.02, "mean_expected_error": 0.01, "error_known": True}
     attempt = {"error": "no hand", "kind": "InputError", "host": "a", "seconds": 1.5, "at": "2026-01-01"}
     result = {"input": "a.mp4", "name": "a", "status": status, "seconds": 2.5, "frames": 3, "hands": [hand]}
     result |= {"character": None, "files": ["a/a.txt"], "warnings": ["a"], "error": "", "attempts": [attempt]}
-    done = {"ok": "done"}.get(status, "failed")
-    return {
-        "key": "key",
-        "status": done,
-        "result": result,
-        "files": {"a.txt": 3},
-        "seconds": 2.5,
-        "run": "",
-    }
+    result |= {"id": "key", "host": "a"}
+    return {"key": "key", "run": "", "result": result, "files": {"a.txt": 3}, "formats": {}}
 
 
 def _pipe(path: Path) -> None:

@@ -24,14 +24,13 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame
-from handfit_core.interchange.humanoid import BODY, bone_names, t_pose
+from handfit_core.interchange.humanoid import bone_names, humanoid_bones, t_pose
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import (
     UP_AXES,
     AnimatedBones,
-    HandOfBones,
     hand_of_bones,
     name_of_unit,
     no_hand,
@@ -40,14 +39,16 @@ from handfit_core.interchange.writers import Writer
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS, Take
 
-_AXES: Final = {"x": 0, "y": 1, "z": 2}
-MOTION: Final = re.compile(r"^[ \t]*MOTION[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
+_MOTION: Final = re.compile(r"^[ \t]*MOTION[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)
 """Within its line: blank lines before it are not gone through again for each of them"""
-_END: Final = " end"
+_HEADER: Final = re.compile(r"\s*Frames:?\s*(\d{1,9})\s+Frame\s+Time:?\s*(\S{1,40})", re.IGNORECASE)
+_CHANNEL: Final = re.compile("[xyz](position|rotation)")
 _HEAD: Final = re.compile("head|neck", re.IGNORECASE)
+_LONGEST: Final = 1 << 22
+"""Letters of the hierarchy, each word of which takes fifty bytes"""
 
 
 @dataclass
@@ -56,53 +57,48 @@ class _Skeleton:
 
     names: list[str] = field(default_factory=list)
     parents: list[int] = field(default_factory=list)
-    offsets: list[tuple[float, float, float]] = field(default_factory=list)
+    offsets: list[list[float]] = field(default_factory=list)
     channels: list[list[str]] = field(default_factory=list)
 
 
 def _recognises(document: Document) -> bool:
-    return not document.is_folder and document.bytes[:64].lstrip(b"\xef\xbb\xbf \t\r\n").upper().startswith(
-        b"HIERARCHY"
-    )
+    return document.bytes[:64].lstrip(b"\xef\xbb\xbf \t\r\n").upper().startswith(b"HIERARCHY")
 
 
 def _read(document: Document, asked: Asked) -> Recording:
+    path = shown(document.path)
     try:
-        animated, seconds, degrees = _animated(document)
+        skeleton, numbers, seconds = _parsed(document)
+        animated, largest = _posed(skeleton, numbers)
     except _Wrong as error:
-        raise InputError(f"{shown(document.path)}: this BVH file {error}") from error
-    bones = animated.bones
-    assumed, up = [], _up_axis(bones)
-    hands: list[HandOfBones] = []
+        raise InputError(f"{path}: this BVH file {error}") from error
+    up = _up_axis(animated.bones)
     try:
-        for side in SIDES:
-            hand = hand_of_bones(animated, load_model(asked.model, side), UP_AXES[up])
-            hands += [hand] if hand is not None else []
+        made = (hand_of_bones(animated, load_model(asked.model, side), UP_AXES[up]) for side in SIDES)
+        hands = [hand for hand in made if hand is not None]
     except HandModelError as error:
-        raise InputError(f"{shown(document.path)}: {error}") from error
+        raise InputError(f"{path}: {error}") from error
     if not hands:
-        raise InputError(f"{shown(document.path)}: {no_hand(bones)}")
+        raise InputError(f"{path}: {no_hand(animated.bones)}")
     units = dict.fromkeys(name_of_unit(hand.unit) for hand in hands)
-    assumed.append(f"its numbers are {' and '.join(units)}, as its hands' size tells, and {up} is up")
+    assumed = [f"its numbers are {' and '.join(units)}, as its hands' size tells, and {up} is up"]
     for hand in hands:
         assumed.append(f"the {hand.posed.side} hand's bones are those of {hand.hand_map.rig}")
-        if np.ptp(hand.posed.hand_pose, axis=0).max() == 0.0 and len(hand.posed.hand_pose) > 1:
+        if np.ptp(hand.posed.hand_pose, axis=0).max() == 0.0 and len(numbers) > 1:
             assumed.append(f"the {hand.posed.side} hand's fingers do not move in this file")
-    if 0.0 < degrees <= 2.0 * np.pi:
+    if 0.0 < largest <= 2.0 * np.pi:
         assumed.append(
-            f"no angle exceeds {degrees:.2g}: BVH has degrees; if these are radians, write them as degrees"
+            f"no angle exceeds {largest:.2g}: BVH has degrees; if these are radians, write them as degrees"
         )
-    fps = asked.fps
-    if fps is None:
-        told = 1.0 / seconds if seconds > 0.0 else 0.0
-        fps = told if TAKE_LIMITS.min_fps <= told <= TAKE_LIMITS.max_fps else DEFAULT_FPS
-        if fps != told:
-            assumed.append(f"{DEFAULT_FPS:g} frames per second, as its frame time is {seconds:g}")
+    told = 1.0 / seconds if seconds > 0.0 else 0.0
+    fps = told if TAKE_LIMITS.min_fps <= told <= TAKE_LIMITS.max_fps else DEFAULT_FPS
+    if fps != told and asked.fps is None:
+        assumed.append(f"{DEFAULT_FPS:g} frames per second, as its frame time is {seconds:g}")
     return Recording(
         "bvh",
         (str(document.path.absolute()),),
-        fps,
-        np.arange(1, len(animated.turned) + 1),
+        asked.fps or fps,
+        np.arange(1, len(numbers) + 1),
         posed=tuple(hand.posed for hand in hands),
         assumed=tuple(assumed),
     )
@@ -112,48 +108,47 @@ class _Wrong(Exception):
     """What is wrong with a file, to be put after its name."""
 
 
-def _animated(document: Document) -> tuple[AnimatedBones, float, float]:
-    """The bones, the seconds of a frame, and the largest angle that is written down."""
+def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
+    """The bones, what their channels are in T frames (T, channels), and the seconds of a frame."""
     if len(document.bytes) > LIMITS.bvh_bytes:
         size = len(document.bytes)
         raise _Wrong(f"has {size} bytes, and at most {LIMITS.bvh_bytes} are read; cut it into parts")
     text = document.text
     if text is None:
         text = document.bytes.decode("latin-1")
-    motion = MOTION.search(text)
+    motion = _MOTION.search(text)
     if not motion:
         raise _Wrong("has no MOTION, so that it is only a part of one")
-    head, tail = text[: motion.start()], text[motion.end() :]
-    skeleton = _hierarchy(iter(head.split()))
-    said = re.match(r"\s*Frames:?\s*(\d{1,9})\s+Frame\s+Time:?\s*(\S+)", tail, re.IGNORECASE)
+    if motion.start() > _LONGEST:
+        raise _Wrong(f"has a HIERARCHY of more than {LIMITS.bvh_bones} bones")
+    skeleton = _hierarchy(iter(text[: motion.start()].split()))
+    said = _HEADER.match(text, motion.end())
     if not said:
         raise _Wrong("does not say Frames and Frame Time after MOTION")
     count, width = int(said[1]), sum(map(len, skeleton.channels))
-    if not width or count * len(skeleton.names) > LIMITS.bvh_turns:
-        raise _Wrong(
-            f"has {count} frames of {len(skeleton.names)} bones and {width} channels, and at most "
-            f"{LIMITS.bvh_turns // len(skeleton.names)} frames of so many bones are read; cut it into parts"
-        )
+    LIMITS.check(document.path, count, points=max(len(skeleton.names), width // 3))
+    if len(text) - said.end() > 64 * (count * width + 100):
+        raise _Wrong(f"says {count} frames of {width} channels, and has far more numbers")
     try:
         seconds = float(said[2])
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)
-            numbers = np.fromstring(tail[said.end() :], sep=" ")
+            numbers = np.fromstring(text[said.end() :], sep=" ")
     except (ValueError, DeprecationWarning) as error:
         raise _Wrong("holds what is no number among its frames") from error
-    if not count or len(numbers) != count * width:
+    if not count * width or len(numbers) != count * width:
         raise _Wrong(
             f"says {count} frames of {width} channels, which are {count * width} numbers, and has "
             f"{len(numbers)}; it may be cut off"
         )
     if not (np.abs(numbers) <= LARGEST).all():
         raise _Wrong("holds numbers that are none, or too large")
-    return _posed(skeleton, numbers.reshape(count, width), seconds)
+    return skeleton, numbers.reshape(count, width), seconds
 
 
 def _hierarchy(words: Iterator[str]) -> _Skeleton:
     """What stands before MOTION. Raises _Wrong."""
-    skeleton, open_bones, name = _Skeleton(), [], []
+    skeleton, open_bones = _Skeleton(), []
     taken: dict[str, int] = {}
     try:
         if next(words).upper() != "HIERARCHY":
@@ -161,31 +156,24 @@ def _hierarchy(words: Iterator[str]) -> _Skeleton:
         for word in words:
             match word.upper():
                 case "ROOT" | "JOINT" | "END":
-                    name = []
-                    while (part := next(words)) != "{":
-                        name.append(part)
+                    name = " ".join(iter(lambda: next(words), "{"))
                     parent = open_bones[-1] if open_bones else -1
-                    called = " ".join(name)
                     if word.upper() == "END":
-                        called = skeleton.names[parent] + _END if parent >= 0 else _END
-                    if len(skeleton.names) >= LIMITS.bvh_bones or not 0 < len(called) <= 256 + len(_END):
+                        name = f"{skeleton.names[parent] if parent >= 0 else ''} end"
+                    if len(skeleton.names) >= LIMITS.bvh_bones or not 0 < len(name) <= 260:
                         raise _Wrong(
                             f"has more than {LIMITS.bvh_bones} bones, or one without a name of its own"
                         )
-                    called = _unlike(called, taken)
                     open_bones.append(len(skeleton.names))
-                    skeleton.names.append(called)
+                    skeleton.names.append(_unlike(name, taken))
                     skeleton.parents.append(parent)
-                    skeleton.offsets.append((0.0, 0.0, 0.0))
+                    skeleton.offsets.append([0.0] * 3)
                     skeleton.channels.append([])
                 case "OFFSET":
-                    x, y, z = (float(next(words)) for _ in range(3))
-                    skeleton.offsets[open_bones[-1]] = x, y, z
+                    skeleton.offsets[open_bones[-1]] = [float(next(words)) for _ in range(3)]
                 case "CHANNELS":
                     named = [next(words).lower() for _ in range(min(int(next(words)), 7))]
-                    if len(set(named)) != len(named) or not all(
-                        n[:1] in _AXES and n[1:] in ("position", "rotation") for n in named
-                    ):
+                    if len(set(named)) != len(named) or not all(map(_CHANNEL.fullmatch, named)):
                         raise _Wrong(
                             f"has the channels {' '.join(named)[:100]}, expected Xposition, Zrotation..."
                         )
@@ -213,8 +201,9 @@ def _unlike(called: str, taken: dict[str, int]) -> str:
     return name
 
 
-def _posed(skeleton: _Skeleton, numbers: np.ndarray, seconds: float) -> tuple[AnimatedBones, float, float]:
-    """Every bone in every frame. Positions stand for a bone's offset, where it has such channels."""
+def _posed(skeleton: _Skeleton, numbers: np.ndarray) -> tuple[AnimatedBones, float]:
+    """Every bone in every frame, and the largest angle that is written down. Positions stand for a bone's
+    offset, where it has such channels."""
     offsets, parents = np.array(skeleton.offsets), skeleton.parents
     count, bones = len(numbers), len(parents)
     rest = np.zeros((bones, 3))
@@ -222,41 +211,29 @@ def _posed(skeleton: _Skeleton, numbers: np.ndarray, seconds: float) -> tuple[An
     heads = np.empty((count, bones, 3))
     column, largest = 0, 0.0
     for bone, parent in enumerate(parents):
-        step = np.broadcast_to(offsets[bone], (count, 3)).copy()
-        turn = np.broadcast_to(np.eye(3), (count, 3, 3))
+        above = turned[:, parent] if parent >= 0 else np.broadcast_to(np.eye(3), (count, 3, 3))
+        step, turn = np.broadcast_to(offsets[bone], (count, 3)).copy(), above
         for channel in skeleton.channels[bone]:
-            values, axis = numbers[:, column], _AXES[channel[0]]
+            values, axis = numbers[:, column], "xyz".index(channel[0])
             column += 1
             if channel.endswith("position"):
                 step[:, axis] = values
             else:
                 largest = max(largest, float(np.abs(values).max()))
-                turn = turn @ _about(axis, np.radians(values))
+                turn = turn @ rotvec_to_rotmat(np.radians(values)[:, None] * np.eye(3)[axis])
         rest[bone] = offsets[bone] + (rest[parent] if parent >= 0 else 0.0)
-        turned[:, bone] = turn if parent < 0 else turned[:, parent] @ turn
-        heads[:, bone] = (
-            step if parent < 0 else heads[:, parent] + (turned[:, parent] @ step[..., None])[..., 0]
-        )
-    children = [next((c for c, p in enumerate(parents) if p == bone), bone) for bone in range(bones)]
+        turned[:, bone] = turn
+        heads[:, bone] = (above @ step[..., None])[..., 0] + (heads[:, parent] if parent >= 0 else 0.0)
+    first_children = {parent: bone for bone, parent in reversed([*enumerate(parents)])}
     found = Bones(
         tuple(skeleton.names),
         np.array(parents),
         rest,
-        rest[children],
+        rest[[first_children.get(bone, bone) for bone in range(bones)]],
         np.broadcast_to(np.eye(3), (bones, 3, 3)),
         np.ones(bones, dtype=bool),
     )
-    return AnimatedBones(found, turned, heads), seconds, largest
-
-
-def _about(axis: int, angles: np.ndarray) -> np.ndarray:
-    """(T,) radians about an axis -> (T, 3, 3)."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.broadcast_to(np.eye(3), (len(angles), 3, 3)).copy()
-    turn[:, i, i] = turn[:, j, j] = np.cos(angles)
-    turn[:, j, i] = np.sin(angles)
-    turn[:, i, j] = -turn[:, j, i]
-    return turn
+    return AnimatedBones(found, turned, heads), largest
 
 
 def _up_axis(bones: Bones) -> str:
@@ -273,27 +250,24 @@ _CALLED: Final = {
     **{"hips": "Hips", "spine": "Spine", "chest": "Spine1", "upperChest": "Spine2"},
     **{"neck": "Neck", "head": "Head", "Shoulder": "Shoulder", "UpperArm": "Arm", "LowerArm": "ForeArm"},
     **{"Hand": "Hand", "UpperLeg": "UpLeg", "LowerLeg": "Leg", "Foot": "Foot"},
+    **{finger.title(): f"Hand{'Pinky' if finger == 'little' else finger.title()}" for finger in FINGERS},
 }
-"""MotionBuilder's names of a body's bones by VRM's, without the side"""
-_FINGERS: Final = {"little": "Pinky"}
+"""MotionBuilder's names by VRM's, without the side and the number of a finger's bone"""
 _CENTIMETRES: Final = 100.0
 _GROUND: Final = (0.0, -120.0, -40.0)
 """centimetres from the hands to the ground under a person who may have them"""
 
 
-def _hand_names(side: Side) -> list[str]:
-    """MotionBuilder's names of a hand's bones, by MANO's joints."""
-    names = [f"{side.title()}Hand"] * NUM_JOINTS
+def _called(name: str) -> str:
+    """MotionBuilder's name of a bone that VRM calls so."""
+    side: Side | None = next((side for side in SIDES if name.startswith(side)), None)
+    if side is None:
+        return _CALLED[name]
+    joint = bone_names(side).index(name) if name in bone_names(side) else 0
     for finger, joints in FINGER_JOINTS.items():
-        for number, joint in enumerate(joints, start=1):
-            names[joint] += f"{_FINGERS.get(finger, finger.title())}{number}"
-    return names
-
-
-def _body_name(name: str) -> str:
-    """MotionBuilder's name of a bone that VRM calls so; the empty one's own."""
-    side = next((side for side in SIDES if name.startswith(side)), "")
-    return side.title() + _CALLED[name[len(side) :]] if name else ""
+        if joint in joints:
+            return f"{side.title()}{_CALLED[finger.title()]}{joints.index(joint) + 1}"
+    return side.title() + _CALLED[name[len(side) :]]
 
 
 def _write(take: Take, path: Path) -> None:
@@ -308,48 +282,44 @@ def _write(take: Take, path: Path) -> None:
         )
     frames = EveryFrame.of(take)
     count = len(frames.numbers)
-    places = {
-        _body_name(name): (_body_name(parent), _CENTIMETRES * np.array(place))
-        for name, (parent, place) in BODY.items()
-    }
     turned: dict[str, np.ndarray] = {}
     wrists: dict[str, np.ndarray] = {}
-    ends: dict[str, np.ndarray] = {"Head": np.array([0.0, 10.0, 0.0])}
+    heads: dict[Side, np.ndarray] = {}
+    ends: dict[str, np.ndarray] = {"head": np.array([0.0, 10.0, 0.0])}
     up = UP_AXES["y"].T
     for side, hand in frames.hands.items():
         shaped = load_model(take.model, side).shaped(hand.betas)
-        target, heads = t_pose(SourceHand.of(shaped, side))
-        names, index = _hand_names(side), [*map(target.bones.index, bone_names(side)[1:])]
+        target, heads[side] = t_pose(SourceHand.of(shaped, side))
+        names, index = bone_names(side), [*map(target.bones.index, bone_names(side)[1:])]
         turns = np.broadcast_to(np.eye(3), (count, NUM_JOINTS, 3, 3)).copy()
         turns[:, 1:] = rotvec_to_rotmat(hand.hand_pose.reshape(-1, NUM_JOINTS - 1, 3))
         local = target.local(REST_FROM_MODEL @ turns @ REST_FROM_MODEL.T)
         orient = rotvec_to_rotmat(hand.global_orient)
         turned[names[0]] = up @ orient @ REST_FROM_MODEL.T @ target.aligned.T
+        turned |= {names[joint]: local[:, bone] for joint, bone in enumerate(index, start=1)}
         wrists[names[0]] = (hand.transl + shaped.joints[0]) @ up.T * _CENTIMETRES
-        for joint, bone in enumerate(index, start=1):
-            turned[names[joint]] = local[:, bone]
-            places[names[joint]] = names[PARENTS[joint]], _CENTIMETRES * heads[joint]
         for finger, tip in zip(FINGERS, target.tips, strict=True):
             last = FINGER_JOINTS[finger][2]
             ends[names[last]] = _CENTIMETRES * (tip - target.heads[index[last - 1]])
+    bones = {name: (parent, _CENTIMETRES * place) for name, (parent, place) in humanoid_bones(heads).items()}
     ground = np.median(np.concatenate([*wrists.values()]), axis=0) + _GROUND
     lines = ["HIERARCHY"]
     columns: list[np.ndarray] = []
 
     def add(name: str, depth: int) -> None:
-        parent, place = places[name]
-        step = place - places[parent][1] if parent else place
+        parent, place = bones[name]
+        step = place - bones[parent][1] if parent else place
         before = "\t" * depth
         moved = name in wrists or not parent
-        lines.extend([f"{before}{'JOINT' if parent else 'ROOT'} {name}", before + "{"])
+        lines.extend([f"{before}{'JOINT' if parent else 'ROOT'} {_called(name)}", before + "{"])
         lines.append(f"{before}\tOFFSET {_words(step)}")
         channels = "6 Xposition Yposition Zposition" if moved else "3"
         lines.append(f"{before}\tCHANNELS {channels} Zrotation Xrotation Yrotation")
         if moved:
-            there = wrists[name] - ground - places[parent][1] if parent else place + ground
+            there = wrists[name] - ground - bones[parent][1] if parent else place + ground
             columns.append(np.broadcast_to(there, (count, 3)))
         columns.append(_degrees(turned[name]) if name in turned else np.zeros((count, 3)))
-        children = [other for other, (of, _) in places.items() if of == name]
+        children = [other for other, (of, _) in bones.items() if of == name]
         for child in children:
             add(child, depth + 1)
         if not children:
@@ -357,7 +327,7 @@ def _write(take: Take, path: Path) -> None:
             lines.extend([f"{before}\tEnd Site", before + "\t{", f"{before}\t\tOFFSET {end}", before + "\t}"])
         lines.append(before + "}")
 
-    add("Hips", 0)
+    add("hips", 0)
     lines += ["MOTION", f"Frames: {count}", f"Frame Time: {1.0 / frames.fps:.9g}"]
     lines += map(_words, np.concatenate(columns, axis=1))
     path.write_text("\n".join(lines) + "\n", encoding="ascii")

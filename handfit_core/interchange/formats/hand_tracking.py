@@ -9,16 +9,14 @@ frames whose joints are named or in the standards' order.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from handfit_core.arrays import LARGEST
 from handfit_core.batch import scatter
-from handfit_core.doors.values import Unfit, number, shortly
+from handfit_core.doors.values import number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
@@ -27,14 +25,12 @@ from handfit_core.hand_model.axes import REST_FROM_MODEL, bone_frames
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.numbered import check_count, told_twice
+from handfit_core.interchange.json_points import frames_of, several_hands
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
-from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.transfer import palm_frame
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, SIDES, Side
-from handfit_core.take import TAKE_LIMITS
 
 _FINGER: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 JOINTS: Final = (
@@ -51,12 +47,8 @@ _OURS: Final = {
 } | {0: 0}
 """Their joint by MANO's, whose bones begin there"""
 _NOISE: Final = re.compile(r"xr|hand|joint|ext|finger|phalanx|left|right|[^a-z]")
-_NAMES: Final = {
-    "position": ("position", "pos", "p", "translation"),
-    "orientation": ("orientation", "rotation", "quaternion", "rot", "q"),
-    "nested": ("pose", "transform"),
-    "time": ("timestamp", "time", "t", "predictedDisplayTime"),
-}
+_POSITION: Final = "position", "pos", "p", "translation"
+_ORIENTATION: Final = "orientation", "rotation", "quaternion", "rot", "q"
 
 
 def _plain(name: str) -> str:
@@ -65,92 +57,63 @@ def _plain(name: str) -> str:
 
 
 def _recognises(document: Document) -> bool:
-    return any(any(True for _ in _hands(frame)) for frame in _frames(document.json))
-
-
-def _frames(content: Any) -> list[Any]:
-    if isinstance(content, dict):
-        content = content.get("frames", [content])
-    return content if isinstance(content, list) else []
+    content = document.json
+    frames = content.get("frames", [content]) if isinstance(content, dict) else content
+    return isinstance(frames, list) and any(any(True for _ in _hands(frame)) for frame in frames)
 
 
 def _hands(frame: Any) -> Iterator[tuple[Side, dict[str, Any]]]:
     """The hands of a frame: `{"left": joints}`, maybe in `hands`, or a list of `{"handedness", "joints"}`."""
-    if not isinstance(frame, dict):
-        return
-    hands = frame.get("hands", frame)
-    listed: list[tuple[Any, Any]] = []
-    if isinstance(hands, dict):
-        listed = [(name, hand) for name, hand in hands.items() if name in SIDES]
-    elif isinstance(hands, list):
+    hands = frame.get("hands", frame) if isinstance(frame, dict) else []
+    listed = list(hands.items()) if isinstance(hands, dict) else []
+    if isinstance(hands, list):
         listed = [
             (h.get("handedness", h.get("hand", h.get("side"))), h) for h in hands if isinstance(h, dict)
         ]
     for side, hand in listed:
-        if isinstance(hand, dict):
-            hand = hand.get("joints", hand)
-        if isinstance(hand, list) and len(hand) in (len(JOINTS), len(JOINTS) + 1):
-            hand = dict(zip(JOINTS, hand[-len(JOINTS) :], strict=True))
-        if not isinstance(hand, dict) or str(side).lower() not in SIDES:
-            continue
-        named = {_plain(str(name)): joint for name, joint in hand.items()}
-        if {"wrist", "indexproximal", "thumbmetacarpal"} <= set(named):
-            yield "left" if str(side).lower() == "left" else "right", named
-
-
-@dataclass(frozen=True, eq=False)
-class _Tracked:
-    """One hand over T frames; NaN where it is not tracked."""
-
-    places: np.ndarray
-    """(T, 25, 3) metres, y up"""
-    quats: np.ndarray
-    """(T, 25, 4) as they are in the file"""
+        joints = hand.get("joints", hand) if isinstance(hand, dict) else hand
+        if isinstance(joints, list) and len(joints) in (len(JOINTS), len(JOINTS) + 1):
+            joints = dict(zip(JOINTS, joints[-len(JOINTS) :], strict=True))
+        if isinstance(joints, dict) and str(side).lower() in SIDES:
+            named = {_plain(name): joint for name, joint in joints.items()}
+            if {"wrist", "indexproximal", "thumbmetacarpal"} <= set(named):
+                yield SIDES[SIDES.index(str(side).lower())], named
 
 
 def _read(document: Document, asked: Asked) -> Recording:
-    frames = _frames(document.json)
-    check_count(document, frames)
-    tracked: dict[Side, _Tracked] = {
-        side: _Tracked(np.full((len(frames), 25, 3), np.nan), np.full((len(frames), 25, 4), np.nan))
-        for side in SIDES
-    }
-    twice: Counter[Side] = Counter()
-    for row, frame in enumerate(frames):
-        seen: Counter[Side] = Counter()
+    path = shown(document.path)
+    frames = frames_of(document, lambda _: False)
+    count = len(frames.numbers)
+    told: dict[Side, np.ndarray] = {side: np.full((count, len(JOINTS), 7), np.nan) for side in SIDES}
+    seen: dict[Side, np.ndarray] = {side: np.zeros(count, dtype=int) for side in SIDES}
+    for row, frame in enumerate(frames.contents):
         for side, joints in _hands(frame):
-            seen[side] += 1
-            if seen[side] > 1:
-                continue
-            for at, name in enumerate(JOINTS):
+            seen[side][row] += 1
+            if seen[side][row] == 1:
                 try:
-                    told = _joint(joints.get(name))
-                except Unfit as error:
+                    told[side][row] = [_joint(name, joints.get(name)) for name in JOINTS]
+                    if np.any(np.abs(told[side][row]) > LARGEST):
+                        raise ValueError(f"a number lies beyond {LARGEST:g}")
+                except (TypeError, ValueError, OverflowError) as error:
                     raise InputError(
-                        f"{shown(document.path)}: the {side} hand's {name} in frame {row + 1} is no joint "
-                        f"({error})"
+                        f"{path}: the {side} hand in frame {row + 1} has something that is no joint "
+                        f"({str(error)[:200]})"
                     ) from error
-                if told is not None:
-                    tracked[side].places[row, at], tracked[side].quats[row, at] = told
-        twice.update(side for side, count in seen.items() if count > 1)
-    assumed = told_twice(twice)
+    assumed = several_hands({side: int((times > 1).sum()) for side, times in seen.items()})
     posed = []
-    for side, hand in tracked.items():
-        if known(hand.quats).any():
-            model = load_model(asked.model, side)
+    for side, joints in told.items():
+        if known(joints).any():
             try:
-                posed.append(_posed(hand, side, model, assumed))
+                posed.append(_posed(joints, side, load_model(asked.model, side), assumed))
             except _Wrong as error:
-                raise InputError(f"{shown(document.path)}: the {side} hand {error}") from error
+                raise InputError(f"{path}: the {side} hand {error}") from error
     if not posed:
-        raise InputError(
-            f"{shown(document.path)}: no frame has a hand with positions and orientations of joints"
-        )
+        raise InputError(f"{path}: no frame has a hand with positions and orientations of joints")
     return Recording(
         "hand-tracking",
         (str(document.path.absolute()),),
-        asked.fps or _rate(frames, assumed),
-        np.arange(1, len(frames) + 1),
+        asked.fps or frames.fps,
+        np.arange(1, count + 1),
         posed=tuple(posed),
         assumed=tuple(dict.fromkeys(assumed)),
     )
@@ -160,43 +123,43 @@ class _Wrong(Exception):
     """What is wrong with a hand, to be put after it."""
 
 
-def _joint(told: Any) -> tuple[list[float], list[float]] | None:
-    """Where a joint is and how it is turned; None where it is not tracked. Raises Unfit."""
-    if told is None:
-        return None
-    if isinstance(told, list):
-        if len(told) != 7:
-            raise Unfit(f"expected x, y, z and a quaternion x, y, z, w, found {shortly(told)}")
-        return _numbers(told[:3], "xyz"), _numbers(told[3:], "xyzw")
-    for name in _NAMES["nested"]:
-        if isinstance(told, dict) and isinstance(told.get(name), dict):
-            told = told[name]
-    if not isinstance(told, dict):
-        raise Unfit(f"expected a position and an orientation, found {shortly(told)}")
-    place = next((told[name] for name in _NAMES["position"] if told.get(name) is not None), None)
-    turn = next((told[name] for name in _NAMES["orientation"] if told.get(name) is not None), None)
-    if place is None and turn is None:
-        return None
-    return _numbers(place, "xyz"), _numbers(turn, "xyzw")
-
-
-def _numbers(told: Any, names: str) -> list[float]:
+def _joint(name: str, told: Any) -> list[Any]:
+    """Where a joint is and how it is turned, x, y, z and a quaternion; NaN where it is not tracked. Raises
+    ValueError."""
     if isinstance(told, dict):
-        told = [told.get(name, told.get(f"_{name}")) for name in names]
-    if not isinstance(told, list) or len(told) not in (len(names), 4) or len(told) < len(names):
-        raise Unfit(f"expected {', '.join(names)}, found {shortly(told)}")
-    return [number(name, value, -LARGEST, LARGEST) for name, value in zip(names, told, strict=False)]
+        told = next(
+            (told[nested] for nested in ("pose", "transform") if isinstance(told.get(nested), dict)), told
+        )
+        place, turn = (
+            next((told[key] for key in keys if told.get(key) is not None), None)
+            for keys in (_POSITION, _ORIENTATION)
+        )
+        told = None if place is None and turn is None else [*_axes(place, "xyz"), *_axes(turn, "xyzw")]
+    if told is None:
+        return [np.nan] * 7
+    if not isinstance(told, list) or len(told) != 7:
+        raise ValueError(f"{name} is {shortly(told)}; expected x, y, z and a quaternion x, y, z, w")
+    return [number(name, value) for value in told]
 
 
-def _posed(hand: _Tracked, side: Side, model: HandModel, assumed: list[str]) -> HandMotion:
-    """The pose of tracked joints. Directions and twists of fingers are the joints' own; how the hand is
-    turned is told by where its knuckles and its wrist are, as wrists' axes differ between makers."""
+def _axes(told: Any, names: str) -> list[Any]:
+    """The numbers of an object or a list, which may have a fourth one beside a position."""
+    if isinstance(told, dict):
+        return [told.get(name, told.get(f"_{name}")) for name in names]
+    return told[: len(names)] if isinstance(told, list) else []
+
+
+def _posed(joints_told: np.ndarray, side: Side, model: HandModel, assumed: list[str]) -> HandMotion:
+    """The pose of joints (T, 25, 7) in metres, y up, and quaternions; NaN: not tracked.
+
+    Directions and twists of fingers are the joints' own; how the hand is turned is told by where its knuckles
+    and its wrist are, as wrists' axes differ between makers.
+    """
     needed = list(_OURS.values())
-    told = known(hand.places[:, needed]) & known(hand.quats[:, needed])
-    there = np.asarray(told.all(axis=1))
+    there = np.asarray(known(joints_told[:, needed]).all(axis=1))
     if not there.any():
         raise _Wrong("lacks joints in every frame")
-    places, quats = hand.places[there], hand.quats[there]
+    places, quats = joints_told[there, :, :3], joints_told[there, :, 3:]
     if np.linalg.norm(quats[:, needed], axis=-1).min() < 0.5:
         raise _Wrong("has quaternions that are no rotations")
     frames, wxyz = _frames_of(places, quats)
@@ -257,22 +220,6 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, bool]
             "WebXR's axes and quaternions x, y, z, w"
         )
     return frames[best], bool(best)
-
-
-def _rate(frames: list[Any], assumed: list[str]) -> float:
-    """Frames per second, by the time stamps: seconds, milliseconds, microseconds or nanoseconds, whichever
-    gives between 5 and 500."""
-    times = [
-        next((f[name] for name in _NAMES["time"] if name in f), None) for f in frames if isinstance(f, dict)
-    ]
-    if len(times) > 1 and all(isinstance(t, int | float) and abs(t) < 1e300 for t in times):
-        step = float(np.median(np.diff(np.array(times, dtype=np.float64))))
-        for unit in (1.0, 1e-3, 1e-6, 1e-9):
-            if step > 0.0 and 5.0 <= 1.0 / (step * unit) <= 500.0:
-                return float(np.clip(1.0 / (step * unit), TAKE_LIMITS.min_fps, TAKE_LIMITS.max_fps))
-    if len(frames) > 1:
-        assumed.append(f"{DEFAULT_FPS:g} frames per second, as no times tell")
-    return DEFAULT_FPS
 
 
 READER = Reader("OpenXR and WebXR", "JSON of frames with 25 or 26 joints a hand", _recognises, _read)

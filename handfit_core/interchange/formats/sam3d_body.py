@@ -23,100 +23,77 @@ from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording
-from handfit_core.media.source import DEFAULT_FPS
+from handfit_core.interchange.settings import LIMITS
 from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
 
-_FIRST: Final[dict[Side, int]] = {"right": 21, "left": 42}
-"""Of a hand's 21 keypoints, the wrist last"""
-_OURS: Final = (20, *(4 * f + 3 - k for f in range(len(FINGERS)) for k in range(4)))
-"""Our 21 keypoints among them"""
-_POINTS: Final = 70
+_OURS: Final = np.array([20, *(4 * f + 3 - k for f in range(len(FINGERS)) for k in range(4))])
+"""Our 21 keypoints among a hand's, the wrist last"""
+_FIRST: Final[dict[Side, int]] = {"left": 42, "right": 21}
+_SHAPES: Final = {"pred_keypoints_3d": (70, 3), "pred_cam_t": (1, 3), "pred_keypoints_2d": (70, 2)}
 _PERSON: Final = re.compile(r"(?:subj|subject|person|human|id)_?(\d+)", re.IGNORECASE)
 
-
-def _offsets() -> Landmarks:
-    """Where on our hand MHR's joints lie: its wrist a centimetre nearer the knuckles, and its thumb's base
-    farther out and towards the palm. Means over the eight hands of four real results, each laid over by the
-    open hand in size and pose; single hands differ from them by 0.4 to 1.1 mm. The other joints are ours."""
-    offsets = np.zeros((NUM_KEYPOINTS, 3))
-    offsets[0] = -0.110, 0.028, -0.037
-    offsets[1] = -0.103, -0.033, 0.061
-    return Landmarks(offsets)
-
-
-MHR_LANDMARKS: Final = _offsets()
+_OFFSETS: Final = np.zeros((NUM_KEYPOINTS, 3))
+_OFFSETS[:2] = [[-0.110, 0.028, -0.037], [-0.103, -0.033, 0.061]]
+MHR_LANDMARKS: Final = Landmarks(_OFFSETS)
+"""Where on our hand MHR's joints lie: its wrist a centimetre nearer the knuckles, and its thumb's base
+farther out and towards the palm. Means over the eight hands of four real results, each laid over by the open
+hand in size and pose; single hands differ from them by 0.4 to 1.1 mm. The other joints are ours."""
 
 
 def _recognises(document: Document) -> bool:
-    if document.is_folder:
-        files = document.files(".npz")
-        return bool(files) and _is_one(Document(files[0]))
-    return _is_one(document)
+    files = document.files(".npz")[:1] or [document.path]
+    return _is_one(Document(files[0]) if document.is_folder else document)
 
 
 def _is_one(document: Document) -> bool:
-    return document.npz is not None and {"pred_keypoints_3d", "pred_cam_t", "mhr_model_params"} <= set(
-        document.npz.names
-    )
+    return {"pred_keypoints_3d", "pred_cam_t", "mhr_model_params"} <= set(document.names)
 
 
 def _read(document: Document, asked: Asked) -> Recording:
+    path = shown(document.path)
     files = document.files(".npz") or [document.path]
-    people: dict[int, dict[int, Document]] = {}
+    found: dict[tuple[int, int], Path] = {}
     for row, file in enumerate(files):
-        person, frame = _numbers(file, row, len(files))
-        if people.setdefault(person, {}).setdefault(frame, one := Document(file)) is not one:
+        other = found.setdefault(_person_and_frame(file, row, len(files)), file)
+        if other is not file:
             raise InputError(
-                f"{shown(document.path)}: {shown(people[person][frame].path.name)} and {shown(file.name)} "
-                "are of one frame and person; name the files FRAME_personNUMBER.npz"
+                f"{path}: {shown(other.name)} and {shown(file.name)} are of one frame and person; name the "
+                "files FRAME_personNUMBER.npz"
             )
+    people = sorted({person for person, _ in found})
     if asked.person is not None:
-        chosen = sorted(people)
-        if asked.person > len(chosen):
-            raise OptionError(
-                f"{shown(document.path)}: there is no person {asked.person}; there are {len(chosen)}"
-            )
-        people = {chosen[asked.person - 1]: people[chosen[asked.person - 1]]}
-    numbers = np.array(sorted({frame for frames in people.values() for frame in frames}))
-    hands: list[PointsHand] = []
-    cameras: list[np.ndarray] = []
-    for _, frames in sorted(people.items()):
-        points = {side: np.full((len(numbers), NUM_KEYPOINTS, 3), np.nan) for side in SIDES}
-        for frame, one in frames.items():
-            body, seen = _body(one)
-            if seen is not None:
-                cameras.append(_camera(one, body, seen))
-            row = int(np.searchsorted(numbers, frame))
-            for side in SIDES:
-                points[side][row] = body[_FIRST[side] :][:NUM_KEYPOINTS][list(_OURS)]
+        if asked.person > len(people):
+            raise OptionError(f"{path}: there is no person {asked.person}; there are {len(people)}")
+        people = people[asked.person - 1 : asked.person]
+    numbers = np.array(sorted({frame for person, frame in found if person in people}))
+    LIMITS.check(document.path, len(numbers), 2 * len(people))
+    points = np.full((len(people), len(numbers), 2, NUM_KEYPOINTS, 3), np.nan)
+    cameras: list[np.ndarray | None] = []
+    for (person, frame), file in found.items():
+        if person in people:
+            body, camera = _body(Document(file))
+            cameras.append(camera)
+            row = np.searchsorted(numbers, frame)
+            points[people.index(person), row] = [body[_FIRST[side] + _OURS] for side in SIDES]
+    camera, size = _shared(cameras)
+    said = "the camera is not told: the hands are put before one of their own"
+    if size is not None:
+        said = f"its pictures have {size[0]}x{size[1]} pixels, about the middle of its camera"
+    hands = [
         # Metres that MHR's joints lie off ours once a hand is laid over them
-        hands += [PointsHand(side, points[side], landmarks=MHR_LANDMARKS, sigma=0.002) for side in SIDES]
-    assumed, camera, size = [], None, None
-    if len(cameras) == sum(map(len, people.values())):
-        focal, x, y = np.median(cameras, axis=0)
-        if np.abs(np.array(cameras) - [focal, x, y]).max() < 0.01 * focal and focal > 0.0:
-            camera = Intrinsics(float(focal), float(focal), float(x), float(y))
-            size = max(1, round(2.0 * x)), max(1, round(2.0 * y))
-            assumed.append(f"its pictures have {size[0]}x{size[1]} pixels, about the middle of its camera")
-    if camera is None:
-        assumed.append("the camera is not told: the hands are put before one of their own")
-    if len(numbers) > 1 and asked.fps is None:
-        assumed.append(f"{DEFAULT_FPS:g} frames per second")
+        PointsHand(side, points[person, :, which], landmarks=MHR_LANDMARKS, sigma=0.002)
+        for person in range(len(people))
+        for which, side in enumerate(SIDES)
+    ]
+    named = tuple(str(file.absolute()) for file in files)
     return Recording(
-        "sam3d-body",
-        tuple(str(file.absolute()) for file in files),
-        asked.fps or DEFAULT_FPS,
-        numbers,
-        points=tuple(hands),
-        size=size,
-        intrinsics=camera,
-        assumed=tuple(assumed),
+        "sam3d-body", named, asked.rate, numbers, None, tuple(hands), (), size, camera, assumed=(said,)
     )
 
 
-def _numbers(file: Path, row: int, count: int) -> tuple[int, int]:
-    """Which person of which frame a file is, by its name: `0007_person1`, `img_subj01`, `0007`. The only
-    number of a name that tells the person leaves the frame at 1; names without numbers go by their order."""
+def _person_and_frame(file: Path, row: int, count: int) -> tuple[int, int]:
+    """What a file is of, by its name: `0007_person1`, `img_subj01`, `0007`. The only number of a name that
+    tells the person leaves the frame at 1; names without numbers go by their order."""
     found = _PERSON.search(file.stem)
     person = int(found[1]) if found else 0
     rest = file.stem[: found.start()] + file.stem[found.end() :] if found else file.stem
@@ -128,53 +105,53 @@ def _numbers(file: Path, row: int, count: int) -> tuple[int, int]:
 
 
 def _body(document: Document) -> tuple[np.ndarray, np.ndarray | None]:
-    """(70, 3) metres in the camera frame, and (70, 2) pixels where the file has them."""
-    if not _is_one(document):
+    """(70, 3) metres in the camera frame, and (3,) focal length and principal point, pixels, of the camera
+    that sees them where the file says; None where it does not."""
+    path = shown(document.path)
+    if document.npz is None or not _is_one(document):
         raise InputError(
-            f"{shown(document.path)}: expected a result of SAM 3D Body, with pred_keypoints_3d, pred_cam_t "
-            f"and mhr_model_params; this is {document.found}"
+            f"{path}: expected a result of SAM 3D Body, with pred_keypoints_3d, pred_cam_t and "
+            f"mhr_model_params; this is {document.found}"
         )
-    body, place = document.array("pred_keypoints_3d"), document.array("pred_cam_t")
-    told = document.npz is not None and "pred_keypoints_2d" in document.npz
-    seen = document.array("pred_keypoints_2d") if told else None
-    for name, array, shape in (
-        ("pred_keypoints_3d", body, (_POINTS, 3)),
-        ("pred_cam_t", place, (3,)),
-        ("pred_keypoints_2d", seen, (_POINTS, 2)),
-    ):
-        if array is None:
-            continue
-        if array.shape not in (shape, (1, *shape)):
+    told = {name: document.array(name) for name in _SHAPES if name in document.npz}
+    for name, array in told.items():
+        if array.size != np.prod(_SHAPES[name]) or array.shape[-1] != _SHAPES[name][-1]:
             raise InputError(
-                f"{shown(document.path)}: {name} has the shape {array.shape}, expected {shape}, one person's "
-                "of one picture"
+                f"{path}: {name} has the shape {array.shape}, expected {_SHAPES[name]}, one person's of one "
+                "picture"
             )
         if not (np.abs(array) <= LARGEST).all():
-            raise InputError(f"{shown(document.path)}: {name} holds numbers that are none, or too large")
-    body = body.reshape(_POINTS, 3) + place.reshape(3)
-    return body, None if seen is None else seen.reshape(_POINTS, 2)
-
-
-def _camera(document: Document, body: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(3,) focal length and principal point, pixels, of the camera that sees the body's points there."""
+            raise InputError(f"{path}: {name} holds numbers that are none, or too large")
+    body = told["pred_keypoints_3d"].reshape(70, 3) + told["pred_cam_t"].reshape(3)
+    if "pred_keypoints_2d" not in told:
+        return body, None
     if not (body[:, 2] > 0.0).all():
         raise InputError(
-            f"{shown(document.path)}: pred_keypoints_3d + pred_cam_t lie behind the camera, expected metres "
-            "with z forward"
+            f"{path}: pred_keypoints_3d + pred_cam_t lie behind the camera, expected metres with z forward"
         )
-    rays = body[:, :2] / body[:, 2:]
-    ones, nothing = np.ones(_POINTS), np.zeros(_POINTS)
-    equations = np.concatenate(
-        [np.stack([rays[:, 0], ones, nothing], axis=1), np.stack([rays[:, 1], nothing, ones], axis=1)]
-    )
-    camera = np.linalg.lstsq(equations, seen.T.ravel(), rcond=None)[0]
+    seen = told["pred_keypoints_2d"].reshape(70, 2).T.ravel()
+    rays = (body[:, :2] / body[:, 2:]).T.ravel()
+    equations = np.column_stack([rays, np.repeat(np.eye(2), 70, axis=0)])
+    camera = np.linalg.lstsq(equations, seen, rcond=None)[0]
     # Pixels that points in the plane may lie off those in space seen through one camera
-    if np.abs(equations @ camera - seen.T.ravel()).max() > 2.0:
+    if np.abs(equations @ camera - seen).max() > 2.0:
         raise InputError(
-            f"{shown(document.path)}: pred_keypoints_2d are not where one camera sees pred_keypoints_3d + "
-            "pred_cam_t; are both of the same person and picture?"
+            f"{path}: pred_keypoints_2d are not where one camera sees pred_keypoints_3d + pred_cam_t; are "
+            "both of the same person and picture?"
         )
-    return np.asarray(camera)
+    return body, np.asarray(camera)
+
+
+def _shared(cameras: list[np.ndarray | None]) -> tuple[Intrinsics | None, tuple[int, int] | None]:
+    """The camera of all files, and the size of its picture about its middle; None where they do not tell one
+    and the same."""
+    told = np.array([camera for camera in cameras if camera is not None])
+    if len(told) < len(cameras):
+        return None, None
+    focal, x, y = np.median(told, axis=0).tolist()
+    if focal <= 0.0 or np.abs(told - [focal, x, y]).max() >= 0.01 * focal:
+        return None, None
+    return Intrinsics(focal, focal, x, y), (max(1, round(2.0 * x)), max(1, round(2.0 * y)))
 
 
 READER = Reader("SAM 3D Body", "an .npz a person, or a folder of them", _recognises, _read)

@@ -105,7 +105,6 @@ FALSE_MEMBERS: dict[str, bytes] = {
     "texts": described(NUMBERS, descr="<U8"),
     "nothing at all": described(NUMBERS, descr="|V8"),
     "complex numbers": described(NUMBERS, descr="<c16", shape=(2,)),
-    "long floats": described(NUMBERS, descr="<f16", shape=(2,)),
     "a long description": b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31) + b"{" * 2000,
     "no description": b"hello",
     "code for a description": b"\x93NUMPY\x01\x00"
@@ -155,42 +154,27 @@ def patched(data: bytes, *changes: tuple[int, bytes]) -> bytes:
     return bytes(made)
 
 
-def central(data: bytes) -> int:
-    """Where the table of contents begins, counted from the end."""
-    return len(data) - data.index(b"PK\x01\x02")
-
-
-TWO = zipped(("a.npy", described(NUMBERS)), ("b.npy", described(NUMBERS)))
-SECOND = len(TWO) - TWO.rindex(b"PK\x01\x02")
-
 FALSE_ZIPS: dict[str, Callable[[], bytes]] = {
     "nothing": lambda: b"",
     "a text": lambda: b"hello" * 10,
     "cut off": lambda: TWO[:-1],
     "a comment, which may hold another end": lambda: patched(TWO, (2, b"\x05\x00")) + b"12345",
-    "members that lie in each other": lambda: patched(TWO, (SECOND - 42, b"\0\0\0\0")),
-    "a member that reaches beyond the members": lambda: patched(TWO, (SECOND - 20, b"\xff\xff\xff\x00")),
-    "a member that is encrypted": lambda: patched(TWO, (SECOND - 8, b"\x01\x00")),
-    "a member of another method": lambda: zipped(("a.npy", described(NUMBERS)), method=zipfile.ZIP_LZMA),
-    "two members of one name": lambda: TWO.replace(b"b.npy", b"a.npy"),
-    "too many members": lambda: zipped(*((f"{i}.npy", b"") for i in range(5000))),
-    "members with long names": lambda: zipped(*((f"{i:09000}.npy", b"") for i in range(3))),
+    "members with long names": lambda: zipped(*((f"{i:060000}.npy", b"") for i in range(40))),
     "the record of very large zips": lambda: TWO[:-22] + b"PK\x06\x07" + bytes(16) + TWO[-22:],
+    "a member that is encrypted": lambda: patched(TWO, (CENTRAL - 8, b"\x01\x00")),
+    "a member of another method": lambda: zipped(("a.npy", described(NUMBERS)), method=zipfile.ZIP_LZMA),
+    "a member that is shorter": lambda: patched(TWO, (CENTRAL - 24, struct.pack("<I", 10))),
+    "a member that is longer": lambda: patched(TWO, (CENTRAL - 24, struct.pack("<I", 2**31))),
+    "a member elsewhere": lambda: patched(TWO, (CENTRAL - 42, struct.pack("<I", 50))),
 }
+TWO = zipped(("a.npy", described(NUMBERS)), ("b.npy", described(NUMBERS)))
+CENTRAL = len(TWO) - TWO.index(b"PK\x01\x02")
 
 
 @pytest.mark.parametrize("make", FALSE_ZIPS.values(), ids=FALSE_ZIPS.keys())
-def test_a_zip_that_is_not_what_numpy_writes_is_not_opened(make: Callable[[], bytes]) -> None:
-    with np.errstate(all="ignore"), pytest.raises(NotNpz):
-        NpzArchive(make(), ENOUGH)
-
-
-def test_a_size_that_the_zip_lies_about() -> None:
-    data = zipped(("a.npy", described(NUMBERS)))
-    for size in (10, 200, 2**31):
-        false = patched(data, (central(data) - 24, struct.pack("<I", size)))
-        with pytest.raises(NotNpz):
-            NpzArchive(false, ENOUGH).array("a", "f")
+def test_a_zip_that_is_not_what_numpy_writes_is_not_read(make: Callable[[], bytes]) -> None:
+    with pytest.raises(NotNpz):
+        NpzArchive(make(), ENOUGH).array("a", "f")
 
 
 def test_damaged_numbers_are_noticed() -> None:
@@ -219,7 +203,7 @@ def test_an_npy_is_read_like_a_member() -> None:
         b"": "damaged",
         npy(np.array({"a": 1}, dtype=object)): "none of its kinds",
         npy(np.array(["text"])): "none of its kinds",
-        described(array, shape=(1 << 60,)): "impossible",
+        described(array, shape=(1 << 60,)): "another size",
     }.items():
         with pytest.raises(NotNpz, match=said):
             npy_array(data, "f", ENOUGH)

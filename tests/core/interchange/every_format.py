@@ -11,16 +11,11 @@ import numpy as np
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
 from tests.core.interchange import (
-    test_apple_vision,
+    point_files,
     test_dyn_hamr,
-    test_freemocap,
     test_hamer,
     test_hand_tracking,
     test_hawor,
-    test_leap,
-    test_mediapipe,
-    test_mmpose,
-    test_openpose,
     test_sam3d_body,
     test_smplx,
 )
@@ -44,28 +39,29 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     ):
         writer_for(folder / name).write(take, folder / name)
         found.setdefault(kind, []).append(folder / name)
-    saved("b.json", "openpose", {"people": [test_openpose.person(0)]})
-    found["openpose"].append(test_openpose.folder(folder / "openpose", [[], [test_openpose.person(0)]]))
-    saved("c.json", "mmpose", [{"frame_id": 0, "instances": [test_mmpose.instance(0)]}])
-    saved("d.json", "mmpose", {"meta_info": {}, "instance_info": [test_mmpose.instance(0)]})
+    saved("b.json", "openpose", point_files.openpose(0))
+    found["openpose"].append(
+        point_files.folder(folder / "openpose", [{"people": []}, point_files.openpose(0)])
+    )
+    saved("c.json", "mmpose", [point_files.mmpose(0)])
+    saved("d.json", "mmpose", {"meta_info": {}, "instance_info": [point_files.instance(0)]})
     hand = {"keypoints": told().pixels["left"][0].tolist(), "keypoint_scores": [0.8] * 21}
     saved("e.json", "mmpose", [hand])
-    np.save(folder / "mediapipe_left_hand_3d_xyz.npy", test_freemocap.in_room("left"))
+    np.save(folder / "mediapipe_left_hand_3d_xyz.npy", point_files.in_room("left"))
     found["freemocap"] = [folder / "mediapipe_left_hand_3d_xyz.npy"]
-    names = [f"left_hand_{name.lower()}" for name in test_mediapipe.NAMES]
-    found["freemocap"].append(test_freemocap.rows_of(names, test_freemocap.in_room("left"), folder / "f.csv"))
-    apple = dict(zip(test_apple_vision.CODES, test_apple_vision.normalised("left", 0).tolist(), strict=True))
-    saved("g.json", "apple-vision", {"chirality": "left", **apple})
+    found["freemocap"].append(point_files.trajectories(folder / "f.csv", "left"))
+    below = point_files.from_below("left", 0).tolist()
     saved(
-        "h.csv",
+        "g.json",
         "apple-vision",
-        _line([f"{n}_{c}" for n in test_apple_vision.NAMES for c in "xy"], apple.values()),
+        {"chirality": "left", **dict(zip(point_files.APPLE_CODES, below, strict=True))},
     )
-    for i, layout in enumerate(test_mediapipe.LAYOUTS):
+    saved("h.csv", "apple-vision", _line(point_files.named("xy", *point_files.APPLE_NAMES), below))
+    for i, layout in enumerate(point_files.MEDIAPIPE):
         saved(f"mediapipe{i}.json", "mediapipe", [layout(0)])
-    saved("i.csv", "mediapipe", _line(test_mediapipe.wide(0), test_mediapipe.landmarks("left", 0)))
-    sides = [f"{name}_{axis}" for name in names for axis in "xyz"]
-    saved("j.csv", "mediapipe", _line(sides, test_mediapipe.landmarks("left", 0)))
+    sides = point_files.named("xyz", *(f"left_hand_{name.lower()}" for name in point_files.NAMES))
+    for name, header in (("i.csv", point_files.wide()), ("j.csv", sides)):
+        saved(name, "mediapipe", _line(header, point_files.landmarks("left", 0)))
     return found
 
 
@@ -82,8 +78,8 @@ def other_files(folder: Path) -> dict[str, list[Path]]:
         found[kind] = [folder / name]
     for kind, name, content in (
         ("hand-tracking", "named.json", test_hand_tracking.frames()),
-        ("leap", "websocket.json", test_leap.websocket()),
-        ("leap", "leapc.json", test_leap.leapc()),
+        ("leap", "websocket.json", point_files.websocket()),
+        ("leap", "leapc.json", point_files.leapc()),
         ("wilor-mini", "mini.json", test_hamer.listed([test_hamer.mini(row) for row in range(2)])),
     ):
         (folder / name).write_text(json.dumps(content))

@@ -43,5 +43,4 @@ def test_within_is_what_is_contained(text: str) -> None:
 
 
 def test_everything_by_default() -> None:
-    assert all(n in FrameRange() for n in (1, 2, 1000))
-    assert not FrameRange().is_past(10**9)
+    assert all(n in FrameRange() for n in (1, 2, 10**9))

@@ -57,27 +57,16 @@ def test_photo(tmp_path: Path) -> None:
         (np.full((8, 8, 3), (10 * 257, 20 * 257, 30 * 257), np.uint16), [30, 20, 10]),
         (np.full((8, 8, 4), (10, 20, 30, 255), np.uint8), [30, 20, 10]),
         (np.full((8, 8, 4), (10, 20, 30, 0), np.uint8), [128, 128, 128]),
+        (np.full((8, 8, 4), (0, 100, 255, 51), np.uint8), [153, 122, 102]),
         (np.full((8, 8, 4), (0, 0, 65535, 65535), np.uint16), [255, 0, 0]),
     ],
-    ids=["grey", "grey16", "rgb16", "opaque", "transparent", "rgba16"],
+    ids=["grey", "grey16", "rgb16", "opaque", "transparent", "half", "rgba16"],
 )
 def test_depths_and_channels(tmp_path: Path, pixels: np.ndarray, expected: list[int]) -> None:
     rgb, orientation = read_picture(write(tmp_path / "a.png", pixels))
     assert orientation == 1
     assert rgb.dtype == np.uint8
     np.testing.assert_array_equal(rgb, np.broadcast_to(np.array(expected, np.uint8), (8, 8, 3)))
-
-
-def test_opaque_picture_equals_one_without_alpha(tmp_path: Path) -> None:
-    bgr = np.random.default_rng(3).integers(0, 256, (9, 7, 3), dtype=np.uint8)
-    opaque = np.dstack([bgr, np.full((9, 7), 255, np.uint8)])
-    half = opaque.copy()
-    half[0, 0, 3] = 0
-    rgb, _ = read_picture(write(tmp_path / "opaque.png", opaque))
-    np.testing.assert_array_equal(rgb, bgr[..., ::-1])
-    over_grey, _ = read_picture(write(tmp_path / "half.png", half))
-    np.testing.assert_array_equal(over_grey[0, 0], [128, 128, 128])
-    np.testing.assert_array_equal(over_grey.reshape(-1, 3)[1:], bgr[..., ::-1].reshape(-1, 3)[1:])
 
 
 def test_pictures_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -259,7 +248,7 @@ def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: s
     whole = cv2.imencode(".jp2", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     path = tmp_path / f"a.{suffix}"
     path.write_bytes(whole[:-cut])
-    with pytest.raises(InputError, match=r"JPEG 2000|neither a picture"):
+    with pytest.raises(InputError, match=r"not a picture|neither a picture"):
         open_media(path)
 
 

@@ -21,7 +21,7 @@ from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions
 from handfit_core.take import Take
 from handfit_core.tasks import capture, workers
-from handfit_core.tasks.report import Result
+from handfit_core.tasks.record import Result
 from handfit_core.tasks.task import Task
 from tests.takes import take_of, track_of
 
@@ -39,13 +39,17 @@ def fake_task(task: Task, output: Path, settings: capture.Settings) -> Result:
 def fake_capture(source: str, _options: CaptureOptions) -> Take:
     """A take of one hand, which depends on the name alone."""
     path = Path(source)
+    again = (path.parent / CALLS).exists()
     with (path.parent / CALLS).open("a") as stream:
         stream.write(f"{path.stem}\n")
     kind = path.stem.rstrip("0123456789")
     if kind == "dies":
         os.kill(os.getpid(), signal.SIGKILL)
-    elif kind == "hangs":
+    elif kind == "hangs" or (kind == "tires" and again):
         time.sleep(600)
+    elif kind == "waits":
+        while not (path.parent / "go").exists():
+            time.sleep(0.1)
     elif kind == "slow":
         time.sleep(0.5)
     elif kind == "hungry":
@@ -64,5 +68,5 @@ def fake_capture(source: str, _options: CaptureOptions) -> Take:
 if __name__ == "__main__":
     from tests.core.tasks import fakes
 
-    workers.run_task = fakes.fake_task
+    workers.Workers.run = staticmethod(fakes.fake_task)
     sys.exit(main(["batch", *sys.argv[1:]]))

@@ -83,7 +83,7 @@ def test_every_input_once_and_skipped_the_second_time(tmp_path: Path, jobs: list
     ]
     assert shop.statuses == {"a": "ok", "b": "ok", "empty": "failed"}
     record = json.loads((shop.output / "a" / "a.json").read_text())
-    assert (record["status"], set(record["files"])) == ("done", {"a.take.npz", "a.sheet.jpg"})
+    assert (record["result"]["status"], set(record["files"])) == ("ok", {"a.take.npz", "a.sheet.jpg"})
     assert record["result"] == shop.report["a"]
     assert "no hand was found" in (shop.output / "overview.html").read_text()
     shop.run("--jobs", "1", code=1, sheet=True)
@@ -139,6 +139,17 @@ def test_an_input_that_takes_too_long_is_ended_and_the_rest_goes_on(tmp_path: Pa
     assert "took longer than 8 seconds" in shop.report["hangs"]["error"]
     assert shop.calls["hangs"] == 1
     assert shop.unfinished == []
+
+
+def test_a_later_failure_is_noted_beside_what_was_made(tmp_path: Path) -> None:
+    shop = Shop(tmp_path, ["tires"])
+    shop.run("--jobs", "1")
+    made = shop.takes
+    shop.run("--again", "--timeout", "4", code=1)
+    entry = shop.report["tires"]
+    assert "took longer than 4 seconds" in entry["error"]
+    assert (shop.calls["tires"], entry["files"]) == (2, ["tires/tires.take.npz"])
+    assert shop.takes == made
 
 
 def processes_of(group: int) -> list[int]:
@@ -203,7 +214,8 @@ def test_a_batch_ends_with_who_has_started_it(tmp_path: Path) -> None:
     words = ["-m", "tests.core.tasks.fakes", str(shop.inputs), "-o", str(shop.output), "--jobs=2"]
     code = (
         "import os, subprocess, sys, time\n"
-        f"child = subprocess.Popen([sys.executable, *{words!r}, '--with-parent'])\n"
+        f"words = [*{words!r}, '--with-parent']\n"
+        "child = subprocess.Popen([sys.executable, *words], stdin=subprocess.PIPE)\n"
         "print(child.pid, flush=True)\n"
         "time.sleep(600)\n"
     )
@@ -244,6 +256,7 @@ def test_flat_and_names_that_differ_in_case_alone(tmp_path: Path) -> None:
         (["--solver", "nosuch"], "nosuch"),
         (["--split", "20"], "--processes"),
         (["--cluster=slurm"], "--scheduler ADDRESS"),
+        (["--progress=openjd"], "there is no style openjd any more"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(tmp_path: Path, words: list[str], said: str) -> None:

@@ -78,6 +78,23 @@ def test_a_worker_that_is_killed_and_a_cluster_that_goes(tmp_path: Path) -> None
     assert shop.statuses == dict.fromkeys(names, "ok")
 
 
+def test_a_worker_of_another_version_that_joins_later_leaves(tmp_path: Path) -> None:
+    shop, preload = Shop(tmp_path, ["a", "waits"]), tmp_path / "other_version.py"
+    preload.write_text("from handfit_core import version\nversion.__version__ = '0.0.0'\n")
+    with cluster(tmp_path, count=1) as (address, _):
+        child = shop.start("--scheduler", address)
+        while not (shop.output / "a" / "a.json").exists():
+            assert child.poll() is None
+            time.sleep(0.1)
+        words = ["-m", "distributed.cli.dask_worker", address, "--no-dashboard", "--preload", str(preload)]
+        late = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, timeout=PATIENCE)
+        (shop.inputs / "go").touch()
+        _, errors = child.communicate(timeout=PATIENCE)
+    assert child.returncode == 0, errors
+    assert b"has version 0.0.0 of handfit_core" in late.stderr
+    assert shop.statuses == {"a": "ok", "waits": "ok"}
+
+
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificate")
 def test_encrypted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
@@ -113,7 +130,7 @@ def test_no_scheduler(photo: Path, address: str, capsys: pytest.CaptureFixture[s
     ("name", "value", "said"),
     [
         ("__version__", "0.0.0", "use the same version on all machines"),
-        ("_PYTHON", "2.7", "use one everywhere"),
+        ("_PYTHON", "2.7.1", "use one everywhere"),
     ],
 )
 def test_workers_of_another_version(

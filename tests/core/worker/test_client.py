@@ -7,7 +7,6 @@ import stat
 import subprocess
 import sys
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -30,7 +29,10 @@ SLEEPS = 60
 """seconds that a peer sleeps: nothing here may last as long"""
 
 PRELUDE = f"""#!{sys.executable}
-import json, os, signal, sys, time
+import json, os, signal, socket, sys, time
+
+connection = socket.socket(fileno=int(os.environ["HANDFIT_CONNECTION"]))
+sys.stdin, sys.stdout = connection.makefile("r"), connection.makefile("w")
 
 def say(**event):
     print(json.dumps(event), flush=True)
@@ -94,12 +96,11 @@ def gone(pid: int, seconds: float = 5.0) -> bool:
 
 
 @needs_scripts
-def test_events_arrive_in_order_and_noise_does_not(peer, start):
+def test_events_arrive_in_order(peer, start):
     worker = start(
         peer(
             "ready()\n"
             "for r in requests():\n"
-            "    print('some library says hello')\n"
             "    say(event='progress', id=r['id'], stage='detect', done=3, total=30)\n"
             "    say(event='progress', id=999, stage='detect', done=1, total=1)\n"
             "    say(event='warning', id=r['id'], message='dark')\n"
@@ -188,7 +189,7 @@ def test_a_dead_peer_does_not_take_blender_with_it(peer):
     command = [sys.executable, "-c", code, peer("ready()\ntime.sleep(60)")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    assert "WorkerDied set()" in done.stdout.splitlines()
+    assert "WorkerError set()" in done.stdout.splitlines()
 
 
 @needs_scripts
@@ -253,7 +254,7 @@ DEATHS = {
         "^memory ran out, and the worker process ended by signal SIGABRT.*fewer frames",
     ),
     "hung": (
-        "ready()\nos.close(0); os.close(1); time.sleep(60)",
+        "ready()\nsys.stdin.close(); sys.stdout.close(); connection.close(); time.sleep(60)",
         "^the worker process closed its output and did not end; try again",
     ),
     "abort": (
@@ -271,7 +272,6 @@ DEATHS = {
         "sys.stderr.write('is version 3.9.1, and capturing needs 3.11 or newer\\n'); sys.exit(77)",
         "version 3.9.1.*3.11 or newer.*choose a Python",
     ),
-    "garbage": ("while True: print('y')", "is not one.*choose a Python"),
 }
 """What a peer does -> what is said of it"""
 
@@ -296,13 +296,6 @@ def test_the_systems_own_count_tells_that_memory_ran_out(peer, start, monkeypatc
     worker = start(peer("ready()\nfor r in requests(): os.kill(os.getpid(), signal.SIGKILL)"))
     with pytest.raises(WorkerError, match=r"^memory ran out.*by signal SIGKILL; capture fewer frames"):
         worker.wait(worker.submit("capture"), timeout=20)
-
-
-@pytest.mark.skipif(not Path("/proc/vmstat").exists(), reason="only Linux counts what it kills for memory")
-def test_linux_counts_what_it_kills_for_memory():
-    count = process.out_of_memory_kills()
-    assert isinstance(count, int)
-    assert count >= 0
 
 
 @needs_scripts
@@ -350,7 +343,7 @@ def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
         events = worker.events()
         time.sleep(0.01)
     (event,) = events
-    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerDied")
+    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerError")
     assert "if only this input does that, save it anew" in event["message"]
     assert "last words" in event["details"]
     assert "exit code 7" in event["details"]

@@ -59,14 +59,6 @@ def shared_folder(tmp_path, monkeypatch) -> Path:
     return folder
 
 
-def test_choice_of_the_interpreter(monkeypatch):
-    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
-    assert find_python() == sys.executable
-    monkeypatch.setenv("HANDFIT_PYTHON", "/env/python")
-    assert find_python() == "/env/python"
-    assert find_python("/my/python") == "/my/python"
-
-
 def test_blenders_own_python_by_other_names(bare_python):
     assert is_current_interpreter(sys.executable)
     assert is_current_interpreter(os.path.relpath(sys.executable))
@@ -75,7 +67,10 @@ def test_blenders_own_python_by_other_names(bare_python):
     assert not is_current_interpreter("/nowhere/python")
 
 
-def test_paths_as_they_are_typed_and_copied(monkeypatch, tmp_path):
+def test_choice_of_the_interpreter(monkeypatch, tmp_path):
+    """As it is typed and copied."""
+    monkeypatch.delenv("HANDFIT_PYTHON", raising=False)
+    assert find_python() == sys.executable
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
     for typed in (f'"{sys.executable}"', f"  '{sys.executable}'", f" {sys.executable} "):

@@ -1,4 +1,4 @@
-"""What docs/artists.md shows."""
+"""What the pages for artists show."""
 
 from __future__ import annotations
 

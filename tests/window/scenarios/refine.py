@@ -93,7 +93,7 @@ def live_latency(stage, source, steps=60):
     yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
     return {
         "waits_ms": waits,
-        "latencies_ms": [1000 * s for s in part("keypoint_mode.mode").latencies],
+        "latencies_ms": [1000 * s for s in part("modes.keypoints").latencies],
         "redraw_ms": (yield from redraws.timed(stage)),
     }
 
@@ -225,10 +225,10 @@ def _camera_view(stage) -> list:
 def _looked(stage) -> dict:
     """The handles, what is free for them, and the zoom."""
     mode, handles = operator()._mode, np.array(list(places().values()))
-    viewport = part("keypoint_mode.view").viewport_at(bpy.context, mode.view.address)
+    viewport = part("modes.view").viewport_at(bpy.context, mode.view.address)
     free = viewport.free() + [viewport.region.x, viewport.region.y]
     corners = [(0, 0), (mode.refiner.take.width, mode.refiner.take.height)]
-    picture = part("keypoint_mode.mode").mapped(mode.matrix(viewport), np.array(corners))
+    picture = part("modes.keypoints").mapped(mode.matrix(viewport), np.array(corners))
     picture += [viewport.region.x, viewport.region.y]
     return {
         "handles": [*handles.min(axis=0), *handles.max(axis=0)],
@@ -296,9 +296,9 @@ def smoothed(stage, source):
             for _ in range(notches):
                 yield from stage.key("WHEELUPMOUSE", ctrl=True)
                 yield 0.05
-            yield from stage.until(lambda: refit().RangeFitOperator.running, 10.0, "the fit to begin")
+            yield from stage.until(lambda: refit().RangeFitOperator.fitting(), 10.0, "the fit to begin")
             yield from stage.screenshot("smooth-running")
-            yield from stage.until(lambda: not refit().RangeFitOperator.running, WARM, "the fit")
+            yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
             yield 0.3
             yield from stage.screenshot("smooth-done")
             (armature,) = hands()
@@ -348,8 +348,8 @@ def range_refitted(stage, source):
         yield 0.1
     yield from stage.screenshot("refit-range-wider")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().MANIENT_OT_refit_range.running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().MANIENT_OT_refit_range.running, WARM, "the fit")
+    yield from stage.until(lambda: refit().RangeFitOperator.fitting(), 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
     yield 0.3
     changed = _changed(armature, before)
     yield from stage.screenshot("refit-range-done")
@@ -379,8 +379,8 @@ def touched(stage, source):
     yield 0.5
     yield from stage.screenshot("touch-asks")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().RangeFitOperator.running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().RangeFitOperator.running, WARM, "the fit")
+    yield from stage.until(lambda: refit().RangeFitOperator.fitting(), 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
     yield 0.3
     yield from stage.screenshot("touch-done")
     refiner = part("refiner").Refiner(armature)
@@ -458,7 +458,7 @@ def operator():
 def places() -> dict[int, tuple[float, float]]:
     """Keypoint -> (x, y) of its handle in window pixels, as events have them; empty while none are shown."""
     mode = operator()._mode
-    viewport = part("keypoint_mode.view").viewport_at(bpy.context, mode.view.address) if mode else None
+    viewport = part("modes.view").viewport_at(bpy.context, mode.view.address) if mode else None
     if viewport is None:
         return {}
     found = mode.region_places(viewport) + np.array([viewport.region.x, viewport.region.y])

@@ -1,0 +1,258 @@
+"""The formats that Blender's own operators write: what each of these is told."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, BinaryIO, ClassVar
+
+import bpy
+import numpy as np
+from bpy_extras.io_utils import axis_conversion
+
+from handfit_core.errors import OptionError
+from handfit_core.files import check_room
+
+from ..blender_versions import gltf_left_out
+from .exporter import Exporter, HandObjects, Preset, blank
+
+
+class BlenderFormat:
+    """The part of an exporter that calls `operator`, a Blender operator, to write the file."""
+
+    operator: ClassVar[str]
+    arguments: ClassVar[Mapping[str, Any]] = {}
+
+    def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
+        """Write the file with the arguments of the format and of the preset."""
+        module, name = self.operator.split(".")
+        with self.around(path, hands) as more:
+            write = getattr(getattr(bpy.ops, module), name)
+            write(filepath=str(path), check_existing=False, **{**self.arguments, **preset.keywords, **more})
+
+    @contextlib.contextmanager
+    def around(self, _path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """Prepare the context's scene and clean up behind the operator; yields the arguments that the scene
+        decides."""
+        yield {}
+
+
+class FbxExporter(BlenderFormat, Exporter):
+    """Autodesk FBX. Names no folder."""
+
+    name = "fbx"
+    label = "FBX"
+    description = "Autodesk FBX"
+    suffix = ".fbx"
+    operator = "export_scene.fbx"
+    arguments: ClassVar = {
+        "object_types": {"ARMATURE", "MESH"},
+        "use_custom_props": True,
+        "add_leaf_bones": False,
+        "use_armature_deform_only": False,
+        # Metres arrive as metres, without a scale of 100 on the rig.
+        "apply_scale_options": "FBX_SCALE_ALL",
+        "bake_anim": True,
+        "bake_anim_use_all_bones": True,
+        "bake_anim_use_nla_strips": False,
+        "bake_anim_use_all_actions": False,
+        "bake_anim_force_startend_keying": True,
+        "bake_anim_step": 1.0,
+        "bake_anim_simplify_factor": 0.0,
+        "path_mode": "STRIP",  # textures by name: where they lie is private
+    }
+    presets: ClassVar = {
+        # Y up and -Z forward, as the exporter writes by default; FBX_SCALE_ALL: metres with UnitScaleFactor
+        # 100.
+        "UNITY": Preset(
+            {"axis_forward": "-Z", "axis_up": "Y"}, turn=np.array(axis_conversion(to_forward="-Z", to_up="Y"))
+        ),
+        "UNREAL": Preset(
+            {
+                "axis_forward": "Y",  # Blender's own axes: what the exporter calls forward, FBX calls back
+                "axis_up": "Z",
+                "global_scale": 0.01,  # with FBX_SCALE_ALL: UnitScaleFactor 1, a centimetre
+                "mesh_smooth_type": "FACE",
+            },
+            units=100.0,
+            root="root",
+        ),
+    }
+
+    @contextlib.contextmanager
+    def around(self, path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """The exporter also names each texture with the folder that the file is in."""
+        yield {}
+        blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
+
+
+class GltfExporter(BlenderFormat, Exporter):
+    """glTF 2.0, binary, with one clip of all hands: metres and Y up, as glTF itself says."""
+
+    name = "glb"
+    label = "glTF"
+    description = "glTF 2.0 binary"
+    suffix = ".glb"
+    operator = "export_scene.gltf"
+    arguments: ClassVar = {
+        "export_format": "GLB",
+        "use_active_scene": True,
+        "use_selection": True,
+        "export_cameras": False,
+        "export_lights": False,
+        "export_extras": True,
+        "export_apply": False,  # applying modifiers would drop the shape keys
+        "export_all_influences": True,  # the default keeps four per vertex, which is another skin
+        "export_animations": True,
+        # One clip with both hands; the other modes add every action in the file that would fit.
+        "export_animation_mode": "SCENE",
+        "export_anim_scene_split_object": False,
+        "export_frame_range": True,
+        "export_force_sampling": True,
+        "export_optimize_animation_size": False,
+        "export_morph_normal": False,
+    }
+    presets: ClassVar = {
+        "UNITY": Preset({"export_all_influences": False, "export_influence_nb": 4}),
+        "UNREAL": Preset(root="root"),
+    }
+
+    @contextlib.contextmanager
+    def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """Select what is written, mend the rate, keep the artist's window from showing the scene, and the
+        add-on's notes on objects out of the extras, which up to Blender 4.5 have what is registered."""
+        # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
+        for obj in (o for hand in hands for o in (hand.armature, *hand.meshes)):
+            obj.select_set(True, view_layer=bpy.context.view_layer)
+        # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
+        context, left_out = bpy.context, gltf_left_out()
+        context.scene.render.fps_base = 1.0 / context.scene.render.fps_base
+        left_out.append("manient")
+        bpy.context = _WindowlessContext(context)  # type: ignore
+        try:
+            yield {}
+        finally:
+            bpy.context = context
+            left_out.remove("manient")
+
+
+class _WindowlessContext:
+    """Blender's context, with a window that nobody sees."""
+
+    def __init__(self, context: bpy.types.Context) -> None:
+        self._context = context
+        self.window = SimpleNamespace()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+
+class UsdExporter(BlenderFormat, Exporter):
+    """Universal Scene Description, as Blender renders it."""
+
+    name = "usd"
+    label = "USD"
+    description = "Universal Scene Description"
+    suffix = ".usdc"
+    other_endings = (".usd",)
+    operator = "wm.usd_export"
+    arguments: ClassVar = {
+        "export_animation": True,
+        "export_armatures": True,
+        "export_shapekeys": True,
+        "export_uvmaps": True,
+        "export_custom_properties": False,  # USD has no type for the ten betas
+        "evaluation_mode": "RENDER",
+    }
+
+    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
+        """The header, written last, tells where the table of the sections is, which ends the file."""
+        magic, contents = struct.unpack("<8s8xq", stream.read(24))
+        if magic != b"PXR-USDC" or not 24 <= contents < size:
+            return False
+        stream.seek(contents)
+        (count,) = struct.unpack("<Q", stream.read(8))
+        if count == 0 or contents + 8 + 32 * count != size:
+            return False
+        starts, lengths = np.frombuffer(stream.read(), dtype="<i8").reshape(count, 4)[:, 2:].T
+        return bool(starts[0] >= 24 and (starts + lengths == [*starts[1:], contents]).all())
+
+
+class BvhExporter(BlenderFormat, Exporter):
+    """Biovision motion capture: a skeleton per file."""
+
+    name = "bvh"
+    label = "BVH"
+    description = "Biovision motion capture, a file per hand"
+    suffix = ".bvh"
+    operator = "export_anim.bvh"
+    per_hand = True
+    arguments: ClassVar = {"rotate_mode": "NATIVE"}
+
+    @contextlib.contextmanager
+    def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """Only a hand's wrist moves; fingers have rotations alone."""
+        scene, is_hand = bpy.context.scene, hands[0].side is not None
+        yield {
+            "frame_start": scene.frame_start,
+            "frame_end": scene.frame_end,
+            "root_transform_only": is_hand,
+        }
+
+
+class AlembicExporter(BlenderFormat, Exporter):
+    """Alembic: the baked mesh, where there is room for it."""
+
+    name = "abc"
+    label = "Alembic"
+    description = "Baked mesh cache"
+    suffix = ".abc"
+    bakes = False
+    operator = "wm.alembic_export"
+    arguments: ClassVar = {"as_background_job": False, "uvs": True, "evaluation_mode": "RENDER"}
+
+    @contextlib.contextmanager
+    def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """Where the disk is full, Alembic ends Blender; its description names the open file."""
+        meshes = [mesh for hand in hands for mesh in hand.meshes]
+        if not meshes:
+            raise OptionError("Alembic needs a mesh to hold, and there is none: choose another format")
+        check_room(path, _alembic_size(meshes))
+        yield {"start": bpy.context.scene.frame_start, "end": bpy.context.scene.frame_end}
+        blank(path, Path(bpy.data.filepath).parent)
+
+    def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
+        """Ogawa's second field says whether the file was finished; the root, which it points to, ends it."""
+        magic, finished, root = struct.unpack("<5sB2xQ", stream.read(16))
+        if magic != b"Ogawa" or finished != 0xFF or not 16 <= root < size:
+            return False
+        stream.seek(root)
+        (children,) = struct.unpack("<Q", stream.read(8))
+        return root + 8 * (1 + children) == size
+
+
+def _alembic_size(meshes: Sequence[bpy.types.Object]) -> int:
+    """Bytes that the context's scene with these meshes takes at most as Alembic, rather too many."""
+    frames = bpy.context.scene.frame_end - bpy.context.scene.frame_start + 1
+    graph, size = bpy.context.evaluated_depsgraph_get(), 1 << 16
+    for obj in meshes:
+        shown = obj.evaluated_get(graph)
+        mesh = shown.to_mesh()
+        points, corners, faces = len(mesh.vertices), len(mesh.loops), len(mesh.polygons)
+        layers, smooth = len(mesh.uv_layers), mesh.normals_domain == "POINT"
+        shown.to_mesh_clear()
+        finer = 4 ** sum(
+            max(0, m.render_levels - (m.levels if m.show_viewport else 0))
+            for m in obj.modifiers
+            if m.type in {"SUBSURF", "MULTIRES"} and m.show_render
+        )
+        # Every frame has the points and, of what is not all smooth, the corners' normals; the first also the
+        # points before any bone moved them, and what the faces are made of.
+        each = 12 * points + (0 if smooth else 12 * corners)
+        once = 24 * points + (8 + 12 * layers) * corners + 4 * faces
+        size += finer * (frames * each + once) + frames * 1024
+    return size + size // 4

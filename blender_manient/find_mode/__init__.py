@@ -1,1 +1,0 @@
-"""Find Hands: all hands of one picture over it, of which the artist chooses those that are built."""

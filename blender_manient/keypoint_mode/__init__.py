@@ -1,1 +1,0 @@
-"""Edit Keypoints: the 21 points over the picture, and what dragging one does."""

@@ -1,0 +1,264 @@
+"""Captured hands, or a character, written to a file for other programs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from handfit_core.errors import OptionError
+
+from ..exporters import EXPORTERS, PRESETS
+from ..exporters.exporter import Exporter, HandObjects
+from ..properties import EXPORT_FORMATS
+from ..scene.characters import CharacterObjects, active_character, why_not_written
+from ..scene.editable import why_not_readable
+from ..scene.export import Stage, export_hands
+from ..scene.keys import read_pose_keys
+from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
+from ..section import sentence, split
+from .base import NO_CHARACTER, HandOperator, ManientOperator, polled_character, polled_hand
+
+_OF_HANDS = "holds captured hands, no characters"
+
+
+def _why_no_format(exporter: Exporter, *, character: bool) -> str:
+    """Why a format cannot be written of a hand or a character, as part of a sentence; empty if it can."""
+    return _OF_HANDS if character and exporter.writes == "captured" else exporter.why_not()
+
+
+def format_buttons(
+    layout: bpy.types.UILayout,
+    context: bpy.types.Context,
+    data: bpy.types.bpy_struct,
+    name: str,
+    *,
+    character: bool = False,
+) -> bool:
+    """A button for every format of the property `name` of `data`; those that cannot be written are grey, and
+    the reason stands below. Returns whether the chosen one can be written."""
+    reasons: dict[str, list[str]] = {}
+    column = layout.column(align=True)
+    for start in range(0, len(EXPORT_FORMATS), 3):
+        row = column.row(align=True)
+        for key, label, _ in EXPORT_FORMATS[start : start + 3]:
+            reason = _why_no_format(EXPORTERS[key], character=character)
+            cell = row.row(align=True)
+            cell.enabled = not reason
+            cell.prop_enum(data, name, key)
+            if reason:
+                reasons.setdefault(reason, []).append(label)
+    for reason, labels in reasons.items():
+        sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
+    return not _why_no_format(EXPORTERS[getattr(data, name)], character=character)
+
+
+class _ExportOperator(ManientOperator):
+    """The base of operators that ask for a file and write it; of what, each of them says."""
+
+    bl_options = {"REGISTER"}
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
+    filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})  # type: ignore
+    preset: bpy.props.EnumProperty(name="For", items=PRESETS)  # type: ignore
+    frame_range: bpy.props.EnumProperty(  # type: ignore
+        name="Frames",
+        items=(
+            ("SCENE", "Scene", "The scene's frame range"),
+            ("KEYS", "Keys", "From the first key to the last"),
+        ),
+        default="SCENE",
+    )
+    file_format: Any
+    character: bool
+    """Whether it writes characters, and not captured hands"""
+
+    def _title(self, context: bpy.types.Context) -> str:
+        """The file's name where nobody gives one."""
+        raise NotImplementedError
+
+    def _chosen(self, context: bpy.types.Context) -> Sequence[HandObjects]:
+        """What is written. Raises HandfitError."""
+        raise NotImplementedError
+
+    def _keyed(self, chosen: Sequence[HandObjects]) -> list[float]:
+        """The frames that have keys."""
+        raise NotImplementedError
+
+    def invoke(self, context, _event):
+        """Ask for the file, with the format of the panel."""
+        self._fill_in(context)
+        if not self.filepath:
+            self.filepath = bpy.path.clean_name(self._title(context))
+            if bpy.data.filepath:
+                self.filepath = str(Path(bpy.data.filepath).parent / self.filepath)
+        self.check(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def check(self, _context):
+        """Keep the extension that of the format."""
+        self.filter_glob = f"*{Path('name' + self._exporter.suffix).suffix}"
+        path = self._path()
+        if str(path) == self.filepath:
+            return False
+        self.filepath = str(path)
+        return True
+
+    def draw(self, context):
+        layout = self.layout
+        format_buttons(layout, context, self, "file_format", character=self.character)
+        split(layout)
+        if self._exporter.presets:
+            layout.prop(self, "preset")
+        if self._exporter.writes == "hands":
+            layout.prop(self, "frame_range")
+        self._draw_own(layout)
+
+    def run(self, context):
+        self._fill_in(context)
+        if not self.filepath:
+            raise OptionError("choose a file to export to")
+        if self.character and self._exporter.writes == "captured":
+            raise OptionError(f"{self._exporter.label} {_OF_HANDS}: choose another format")
+        chosen, path = self._chosen(context), self._path()
+        files = export_hands(
+            chosen,
+            self._stage(context.scene, chosen),
+            path.parent,
+            path.name.removesuffix(self._exporter.suffix),
+            self.file_format,
+            preset=self.preset if self._exporter.presets else "PLAIN",
+        )
+        return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{self._left_out(chosen)}"
+
+    def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
+        """What the report says of what is not in the file."""
+        return ""
+
+    def _draw_own(self, layout: bpy.types.UILayout) -> None:
+        """What only this operator has."""
+
+    def _fill_in(self, context) -> None:
+        """What the caller left open is as the panel says."""
+        settings = context.scene.manient
+        for name, value in (("file_format", settings.export_format), ("preset", settings.export_preset)):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
+
+    @property
+    def _exporter(self) -> Exporter:
+        return EXPORTERS[self.file_format]
+
+    def _path(self) -> Path:
+        """The file with the right extension instead of another format's."""
+        path = Path(bpy.path.abspath(self.filepath))
+        wanted, name = self._exporter, path.name
+        for e in EXPORTERS.values():
+            for ending in (e.suffix, *e.kept_endings, *e.other_endings):
+                if name.lower().endswith(ending):
+                    if ending in wanted.kept_endings:
+                        return path
+                    return path.with_name(name[: -len(ending)] + wanted.suffix)
+        return path.with_name(name + wanted.suffix)
+
+    def _stage(self, scene, chosen: Sequence[HandObjects]) -> Stage:
+        if self.frame_range == "SCENE" or self._exporter.writes != "hands":
+            return Stage.of_scene(scene)
+        frames = self._keyed(chosen)
+        if not frames:
+            who = "the character has" if self.character else "the hands have"
+            raise OptionError(f"{who} no keys; export the scene's frame range instead")
+        return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
+
+
+class MANIENT_OT_export_hand(_ExportOperator, HandOperator, bpy.types.Operator):
+    """Write the active hand and the others of its capture, as they are now, to a file."""
+
+    bl_label = "Export Hands"
+    why_not = staticmethod(why_not_readable)
+    anywhere = True
+    character = False
+
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS)  # type: ignore
+    active_only: bpy.props.BoolProperty(  # type: ignore
+        name="Active Hand Only", description="Leave out the other hands of the capture", default=False
+    )
+
+    def _title(self, context):
+        return polled_hand(context).collection.name
+
+    def _draw_own(self, layout):
+        layout.prop(self, "active_only")
+
+    def _left_out(self, chosen):
+        others = (
+            [o.name for hand in chosen for o in hung_on(hand)] if self._exporter.writes == "hands" else []
+        )
+        if not others:
+            return ""
+        return f" without {', '.join(others)}: only hands are exported, not what hangs on them"
+
+    def _chosen(self, context) -> list[CapturedHand]:
+        active = polled_hand(context)
+        if self.active_only:
+            return [active]
+        found = [hand_of(armature) for armature in captured_hands(context.scene)]
+        own = {active.index: active}
+        for hand in found:
+            if hand is not None and hand.collection == active.collection:
+                own.setdefault(hand.index, hand)  # copies of a hand are left out
+        return [own[index] for index in sorted(own)]
+
+    def _keyed(self, chosen: Any) -> list[float]:
+        return [f for hand in chosen for f in read_pose_keys(hand.rig).frames.tolist()]
+
+
+class MANIENT_OT_export_character(_ExportOperator, bpy.types.Operator):
+    """Write the active character, as it moves now, to a file: the bones that deform it, without its controls,
+    or for avatars what its fingers and wrists do."""
+
+    bl_label = "Export Character"
+    character = True
+
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS, default="vrma")  # type: ignore
+    meshes: bpy.props.BoolProperty(  # type: ignore
+        name="Meshes",
+        description="Write what the character deforms or carries and renders show",
+        default=True,
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        armature = active_character(context)
+        if armature is None:
+            return NO_CHARACTER
+        return why_not_written(armature, context.scene)
+
+    def _fill_in(self, context):
+        # Scripts that name none want VRM, as they always did.
+        if self.properties.is_property_set("file_format"):
+            super()._fill_in(context)
+
+    def _title(self, context):
+        return polled_character(context).name
+
+    def _draw_own(self, layout):
+        if self._exporter.bakes:
+            layout.prop(self, "meshes")
+
+    def _chosen(self, context):
+        character = CharacterObjects.of(polled_character(context))
+        return [character if self.meshes else CharacterObjects(character.armature, ())]
+
+    def _keyed(self, chosen):
+        animation = chosen[0].armature.animation_data
+        if animation is None:
+            return []
+        strips = [strip for track in animation.nla_tracks for strip in track.strips]
+        frames = [frame for strip in strips for frame in (strip.frame_start, strip.frame_end)]
+        return [*frames, *(animation.action.frame_range if animation.action is not None else ())]

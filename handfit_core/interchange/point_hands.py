@@ -1,0 +1,231 @@
+"""Hands of points as files tell of them, one by one and half known, made into a recording's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.arrays import LARGEST
+from handfit_core.batch import Batch
+from handfit_core.errors import InputError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.interchange.json_points import several_hands
+from handfit_core.interchange.recording import LEAST_POINTS, PointsHand, SeenHands, known
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, other_side
+
+UNKNOWN: Final = -1
+"""A side that is not told"""
+LEAST_SURE: Final = 0.3
+"""What `share_left` must differ from 0 before it is believed"""
+
+
+@dataclass(frozen=True, eq=False)
+class ToldHands(Batch):
+    """N hands of a file, in its own coordinates."""
+
+    row: np.ndarray
+    """(N,) int: which frame; not decreasing"""
+    side: np.ndarray
+    """(N,) int: which of SIDES, or UNKNOWN"""
+    hand: np.ndarray
+    """(N,) int: which of a frame's hands, where the file counts them"""
+    score: np.ndarray
+    """(N,) 0..1"""
+    points: np.ndarray
+    """(N, 21, 3), NaN: not told, as z is for points in the plane"""
+    confidence: np.ndarray
+    """(N, 21) 0..1; 0 for points that are missing"""
+    world: np.ndarray
+    """(N, 21, 3) metres about the hand's middle; NaN: not told"""
+
+    @classmethod
+    def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ToldHands:
+        """Those of N hands that have any point. `score`, NaN: the mean of the points' confidence; `told`
+        (N, 21, 3) or, with confidences, (N, 21, 4), NaN: not told. Raises ValueError for points that no hand
+        has."""
+        row, side, hand = (np.array(each, dtype=int) for each in (row, side, hand))
+        told = np.array(told, dtype=np.float64)
+        columns = told.shape[-1] if len(row) else 4
+        told = told.reshape(len(row), NUM_KEYPOINTS, columns)
+        points = told[..., :3]
+        sure = told[..., 3] if columns > 3 else np.full(points.shape[:2], np.nan)
+        world = np.broadcast_to(np.array(world, dtype=np.float64), points.shape) if len(row) else points
+        if np.any(np.abs(points) > LARGEST) or np.any(np.abs(world) > LARGEST):
+            raise ValueError(f"a point lies beyond {LARGEST:g}")
+        points, world = (np.where(np.isfinite(each), each, np.nan) for each in (points, world))
+        there = known(points[..., :2]) & np.any(points[..., :2] != 0.0, axis=-1)
+        sure = np.where(there, np.where(np.isnan(sure), 1.0, sure).clip(0.0, 1.0), 0.0)
+        score = np.array(score, dtype=np.float64)
+        score = np.where(np.isfinite(score), score, sure.mean(axis=1)).clip(0.0, 1.0)
+        kept = np.flatnonzero(sure.any(axis=1) | known(world).any(axis=1))
+        order = kept[np.argsort(row[kept], kind="stable")]
+        return cls(row, side, hand, score, points, sure, world).select(order)
+
+    @property
+    def in_plane(self) -> np.ndarray:
+        """(N, 21, 2) x and y of points that are trusted at all."""
+        trusted = (self.confidence > 0.0)[..., None]
+        return np.where(trusted & np.isfinite(self.points[..., :2]), self.points[..., :2], np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What a file tells: T frames with hands, and what surrounds them."""
+
+    numbers: np.ndarray
+    """(T,) int, increasing"""
+    hands: ToldHands
+    fps: float = 0.0
+    """0: not told"""
+    size: tuple[int, int] | None = None
+    intrinsics: Intrinsics | None = None
+    in_space: bool = False
+    """Whether points are in space, rather than in the plane with a depth"""
+    mirrored: bool | None = None
+    """Whether sides count for mirrored pictures; None: not known"""
+    halved: bool = False
+    """Whether parts of the picture's size are from -1 to 1, rather than from 0"""
+    assumed: tuple[str, ...] = ()
+
+
+def seen_hands(hands: ToldHands) -> SeenHands:
+    """Hands of known sides whose points are in the plane. Depth and world landmarks are kept where every hand
+    has them."""
+    depth = hands.points[..., 2]
+    return SeenHands(
+        hands.row,
+        hands.side == SIDES.index("left"),
+        hands.score,
+        hands.in_plane,
+        np.where(known(hands.in_plane), hands.confidence, 0.0),
+        depth if len(hands) and np.isfinite(depth).all() else None,
+        hands.world if len(hands) and np.isfinite(hands.world).all() else None,
+    )
+
+
+def hands_in_space(
+    hands: ToldHands, frames: int, *, counted: bool, on_joints: bool, sigma: float | None
+) -> tuple[tuple[PointsHand, ...], tuple[str, ...]]:
+    """The hands over all frames, and what was assumed: each that is `counted`, else one of each side, in a
+    frame the surest, and of those that are as sure the first."""
+    found, said = [], []
+    which = hands.hand if counted else hands.side
+    for number in np.unique(which):
+        mine = np.flatnonzero(which == number)[::-1]
+        side = SIDES[hands.side[mine[0]]]
+        if np.any(hands.side[mine] != hands.side[mine[0]]):
+            raise ValueError(f"hand {number} is a left and a right one; expected always the same side")
+        mine = mine[np.argsort(hands.score[mine], kind="stable")]
+        track = np.full((frames, NUM_KEYPOINTS, 3), np.nan)
+        track[hands.row[mine]] = np.where((hands.confidence > 0.0)[mine, :, None], hands.points[mine], np.nan)
+        found.append(PointsHand(side, track, on_joints=on_joints, sigma=sigma))
+        _, times = np.unique(hands.row[mine], return_counts=True)
+        said += several_hands({side: int((times > 1).sum())})
+    return tuple(found), tuple(said)
+
+
+def metres_of(hands: tuple[PointsHand, ...], units: Mapping[str, float]) -> tuple[float, tuple[str, ...]]:
+    """Metres of one of the file's units, by the palm's length, and what is said where it is not the first.
+    Raises ValueError where none of the units makes a hand of it."""
+    usual = next(iter(units))
+    palms = np.concatenate([np.linalg.norm(h.points[:, 9] - h.points[:, 0], axis=-1) for h in hands])
+    palm = float(np.nanmedian(palms)) if np.isfinite(palms).any() else np.nan
+    for name, unit in units.items():
+        if 0.036 < palm * unit < 0.225:
+            return unit, () if name == usual else (f"its unit is {name}, by the palm's length",)
+    raise ValueError(
+        f"its palms are {palm:.3g} long from the wrist to the middle finger's knuckle; expected about "
+        f"{0.09 / units[usual]:g}, in {usual}"
+    )
+
+
+def bent_as_left(points: np.ndarray) -> np.ndarray:
+    """(N,) how far the fingers of hands (N, 21, 3) bend out of the palm's plane, in its length: positive for
+    left hands, negative for right ones, as fingers bend towards the palm.
+
+    In axes that form a right-handed frame, such as the camera's. NaN where points are missing.
+    """
+    along, across = points[:, 9] - points[:, 0], points[:, 5] - points[:, 17]
+    normal = np.cross(along, across)
+    size = np.maximum(np.linalg.norm(normal, axis=-1) * np.linalg.norm(along, axis=-1), 1e-12)
+    fingers = (points[:, [8, 12, 16, 20]] - points[:, [5, 9, 13, 17]]).mean(axis=1)
+    return np.einsum("nk,nk->n", fingers, normal) / size
+
+
+def share_left(points: np.ndarray, signs: np.ndarray | float = 1.0) -> float:
+    """From -1 (right) to 1 (left): what hands (N, 21, 3) look like by how their fingers bend; 0: unknown.
+    `signs` (N,): with -1 for right hands, from -1 (the other ones) to 1 (as they are called)."""
+    bent = bent_as_left(points) * signs
+    bent = bent[np.isfinite(bent)]
+    total = float(np.abs(bent).sum())
+    return float(bent.sum()) / total if total > 0.0 else 0.0
+
+
+def odd_sides(hands: tuple[PointsHand, ...]) -> tuple[str, ...]:
+    """What is said of hands that look like the other side's."""
+    return tuple(
+        f"its {hand.side} hand bends like a {other_side(hand.side)} one: its files may be swapped or mirrored"
+        for hand in hands
+        if share_left(hand.points, 1.0 if hand.side == "left" else -1.0) < -LEAST_SURE
+    )
+
+
+def own_sides(
+    hands: ToldHands, shapes: np.ndarray, mirrored: bool | None
+) -> tuple[ToldHands, tuple[str, ...]]:
+    """The hands, left and right swapped where labels count for mirrored pictures, and what is said of it.
+
+    `shapes` (N, 21, 3): what is known of their shape in space. `mirrored`: what the file's layout says.
+    """
+    told = hands.side != UNKNOWN
+    signs = np.where(hands.side == SIDES.index("left"), 1.0, -1.0)
+    share = share_left(shapes[told], signs[told])
+    swap = share < 0.0 if abs(share) > LEAST_SURE else bool(mirrored)
+    if not told.any() or not swap:
+        return hands, ()
+    how = "as its fingers bend" if abs(share) > LEAST_SURE else "as multi_handedness does"
+    said = f"left and right are swapped: it names them for mirrored pictures, {how}"
+    return replace(hands, side=np.where(told, 1 - hands.side, hands.side)), (said,)
+
+
+def with_sides(hands: ToldHands, wanted: str, shapes: np.ndarray) -> tuple[ToldHands, tuple[str, ...]]:
+    """The hands, all with a side, and what was assumed for it.
+
+    `wanted` is the option of the sides that are to be kept: where it names one, hands of unknown side are of
+    it. `shapes` (N, 21, 3): what they look like in space; NaN: not known.
+    """
+    unknown = hands.side == UNKNOWN
+    side, said = hands.side.copy(), set()
+    for hand in np.unique(hands.hand[unknown]):
+        mine = unknown & (hands.hand == hand)
+        looks = share_left(shapes[mine])
+        if wanted in SIDES:
+            told, how = wanted, f"a {wanted} hand, as asked for"
+        elif abs(looks) > LEAST_SURE:
+            told = SIDES[0 if looks > 0.0 else 1]
+            how = f"a {told} hand, as its fingers bend"
+        else:
+            told, how = "right", "a right hand (--hands left for a left one)"
+        side[mine] = SIDES.index(told)
+        said.add(f"which hand it is is not told: {how}")
+    return replace(hands, side=side), tuple(sorted(said))
+
+
+def check_some(hands: ToldHands, what: str) -> None:
+    """Raise InputError where no hand has enough points. `what`: the sentence's beginning."""
+    if not np.any(known(hands.in_plane).sum(axis=1) >= LEAST_POINTS):
+        raise InputError(f"{what}, but none of its frames has a hand with at least {LEAST_POINTS} points")
+
+
+def without_hidden(hands: ToldHands, least: float) -> tuple[ToldHands, tuple[str, ...]]:
+    """The hands whose points have a mean confidence of `least` or more, and what was left out: programs that
+    look for whole people tell of hidden hands, too."""
+    count = np.maximum((hands.confidence > 0.0).sum(axis=1), 1)
+    kept = hands.confidence.sum(axis=1) / count >= least
+    if kept.all():
+        return hands, ()
+    said = f"{int((~kept).sum())} of {len(kept)} hands are left out: their mean confidence is below {least:g}"
+    return hands.select(np.flatnonzero(kept)), (said,)

@@ -1,0 +1,253 @@
+"""Hands that are known (tests/told.py) in the layouts of programs that write points."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handfit_core.skeleton import SIDES, Side, other_side
+from tests.told import FRAMES, HEIGHT, WIDTH, told
+
+TOLD = told()
+SIZE = np.array([WIDTH, HEIGHT], dtype=float)
+NAMES = (
+    "WRIST THUMB_CMC THUMB_MCP THUMB_IP THUMB_TIP INDEX_FINGER_MCP INDEX_FINGER_PIP INDEX_FINGER_DIP "
+    "INDEX_FINGER_TIP MIDDLE_FINGER_MCP MIDDLE_FINGER_PIP MIDDLE_FINGER_DIP MIDDLE_FINGER_TIP "
+    "RING_FINGER_MCP RING_FINGER_PIP RING_FINGER_DIP RING_FINGER_TIP PINKY_MCP PINKY_PIP PINKY_DIP PINKY_TIP"
+).split(" ")
+APPLE_CODES = ["VNHLKWRI", *(f"VNHLKT{j}" for j in ("CMC", "MP", "IP", "TIP"))]
+APPLE_CODES += [f"VNHLK{f}{j}" for f in "IMRP" for j in ("MCP", "PIP", "DIP", "TIP")]
+APPLE_NAMES = ["wrist", "thumbCMC", "thumbMP", "thumbIP", "thumbTip"]
+APPLE_NAMES += [
+    f"{f}{j}" for f in ("index", "middle", "ring", "little") for j in ("MCP", "PIP", "DIP", "Tip")
+]
+
+
+def landmarks(side: Side, frame: int) -> np.ndarray:
+    """(21, 3) in parts of the picture, as MediaPipe has them."""
+    return np.column_stack([TOLD.pixels[side][frame] / SIZE, TOLD.depth[side][frame] / WIDTH])
+
+
+def points(values: np.ndarray) -> list[dict[str, float]]:
+    return [dict(zip("xyz", row, strict=False)) for row in values.tolist()]
+
+
+# One frame of a picture's hands
+
+
+def tasks(frame: int) -> dict[str, Any]:
+    """As tasks-vision's HandLandmarkerResult in JSON."""
+    return {
+        "landmarks": [points(landmarks(side, frame)) for side in SIDES],
+        "worldLandmarks": [points(TOLD.world[side][frame]) for side in SIDES],
+        "handedness": [[{"score": 0.97, "index": 0, "categoryName": side.capitalize()}] for side in SIDES],
+    }
+
+
+def tasks_python(frame: int) -> dict[str, Any]:
+    return {
+        "hand_landmarks": [landmarks(side, frame).tolist() for side in SIDES],
+        "hand_world_landmarks": [TOLD.world[side][frame].tolist() for side in SIDES],
+        "handedness": [[{"score": 0.97, "category_name": side.capitalize()}] for side in SIDES],
+    }
+
+
+def legacy(frame: int) -> dict[str, Any]:
+    """As the older solutions' messages in JSON, whose labels count for mirrored pictures."""
+    labels = [other_side(side).capitalize() for side in SIDES]
+    return {
+        "multi_hand_landmarks": [{"landmark": points(landmarks(side, frame))} for side in SIDES],
+        "multi_handedness": [{"classification": [{"score": 0.9, "label": label}]} for label in labels],
+    }
+
+
+def legacy_script(frame: int) -> dict[str, Any]:
+    return {
+        "multiHandLandmarks": [points(landmarks(side, frame)) for side in SIDES],
+        "multiHandedness": [{"score": 0.9, "label": other_side(side).capitalize()} for side in SIDES],
+        "multiHandWorldLandmarks": [points(TOLD.world[side][frame]) for side in SIDES],
+    }
+
+
+def holistic(frame: int) -> dict[str, Any]:
+    hands = {f"{side}_hand_landmarks": points(landmarks(side, frame)) for side in SIDES}
+    return {"pose_landmarks": points(np.full((33, 3), 0.5)), **hands}
+
+
+def listed(frame: int) -> dict[str, Any]:
+    return {
+        "hands": [
+            {"handedness": side.capitalize(), "score": 0.8, "landmarks": points(landmarks(side, frame))}
+            for side in SIDES
+        ]
+    }
+
+
+def by_side(frame: int) -> dict[str, Any]:
+    names = [name.lower() for name in NAMES]
+    return {side: dict(zip(names, landmarks(side, frame).tolist(), strict=True)) for side in SIDES}
+
+
+def flat(frame: int) -> dict[str, Any]:
+    return {"hands": [{"label": s, "landmarks": landmarks(s, frame).ravel().tolist()} for s in SIDES]}
+
+
+MEDIAPIPE = [tasks, tasks_python, legacy, legacy_script, holistic, listed, by_side, flat]
+
+
+def triples(values: np.ndarray, sure: float = 0.7) -> list[float]:
+    return np.column_stack([values, np.full(len(values), sure)]).ravel().tolist()
+
+
+def person(frame: int) -> dict[str, Any]:
+    """One of OpenPose's people."""
+    body = np.column_stack([np.linspace(100, 800, 25), np.linspace(50, 500, 25)])
+    hands = {f"hand_{side}_keypoints_2d": triples(TOLD.pixels[side][frame]) for side in SIDES}
+    return {"person_id": [-1], "pose_keypoints_2d": triples(body), "face_keypoints_2d": [], **hands}
+
+
+def openpose(frame: int) -> dict[str, Any]:
+    return {"version": 1.3, "people": [person(frame)]}
+
+
+def instance(frame: int, count: int = 133, score: float = 0.9) -> dict[str, Any]:
+    """One of MMPose's instances, of COCO-WholeBody's or Halpe's points."""
+    values = np.full((count, 2), 5.0)
+    for side, first in (("left", count - 42), ("right", count - 21)):
+        values[first : first + 21] = TOLD.pixels[side][frame]
+    # split_instances puts the box into a list of its own.
+    box = [[10.0, 10.0, 500.0, 500.0]]
+    return {"keypoints": values.tolist(), "keypoint_scores": [score] * count, "bbox": box}
+
+
+def mmpose(frame: int) -> dict[str, Any]:
+    return {"frame_id": frame, "instances": [instance(frame)]}
+
+
+def halpe(frame: int) -> dict[str, Any]:
+    return {"frame_id": frame, "instances": [instance(frame, 136)]}
+
+
+def from_below(side: Side, frame: int) -> np.ndarray:
+    """(21, 2) parts of the picture from the lower left corner."""
+    return np.array([0.0, 1.0]) + TOLD.pixels[side][frame] / SIZE * [1.0, -1.0]
+
+
+def apple(frame: int, names: list[str] = APPLE_CODES, sides: Any = SIDES) -> dict[str, Any]:
+    hands = []
+    for side, chirality in zip(SIDES, sides, strict=True):
+        table = zip(names, from_below(side, frame).tolist(), strict=True)
+        joints = {name: {"location": {"x": x, "y": y}, "confidence": 0.8} for name, (x, y) in table}
+        hands.append({"chirality": chirality, "joints": joints})
+    return {"hands": hands}
+
+
+def apples_api(frame: int) -> dict[str, Any]:
+    return apple(frame, APPLE_NAMES, (-1, 1))
+
+
+def apples_raw_values(frame: int) -> dict[str, Any]:
+    return apple(frame, [f"VNHumanHandPoseObservationJointName(_rawValue: {code})" for code in APPLE_CODES])
+
+
+PICTURES = {
+    **dict.fromkeys(MEDIAPIPE, "mediapipe"),
+    **dict.fromkeys((openpose,), "openpose"),
+    **dict.fromkeys((mmpose, halpe), "mmpose"),
+    **dict.fromkeys((apple, apples_api, apples_raw_values), "apple-vision"),
+}
+"""The layouts of one frame, and their readers"""
+
+
+# Hands in space
+
+
+def in_room(side: Side) -> np.ndarray:
+    """(6, 21, 3) millimetres with Z up, of FreeMoCap: what is away from the camera lies along Y."""
+    x, y, z = np.moveaxis(TOLD.points[side], -1, 0)
+    return 1000.0 * np.stack([x, z, -y], axis=-1) + [200.0, -900.0, 1100.0]
+
+
+def above(side: Side, frame: int) -> list[list[float]]:
+    """(21, 3) millimetres as Leap's device has them, y up and z towards the user."""
+    return (TOLD.points[side][frame] * [1000.0, -1000.0, -1000.0]).tolist()
+
+
+def websocket() -> list[dict[str, Any]]:
+    """Leap's frames as leapjs has them."""
+    frames = []
+    for row in range(FRAMES):
+        frame: dict[str, Any] = {
+            "id": row,
+            "timestamp": 10_000_000 + 10_000 * row,
+            "hands": [],
+            "pointables": [],
+        }
+        for number, side in enumerate(SIDES, 30):
+            wrist, *rest = above(side, row)
+            frame["hands"].append({"id": number, "type": side, "wrist": wrist, "palmPosition": rest[8]})
+            for f in range(5):
+                ends = zip(("mcp", "pip", "dip", "btip"), rest[4 * f : 4 * f + 4], strict=True)
+                finger = {f"{name}Position": place for name, place in ends}
+                frame["pointables"].append({"handId": number, "type": f, "carpPosition": wrist, **finger})
+        frames.append(frame)
+    return frames
+
+
+def leapc() -> list[dict[str, Any]]:
+    frames = []
+    for row in range(FRAMES):
+        hands = []
+        for side in SIDES:
+            p = [dict(zip("xyz", place, strict=True)) for place in above(side, row)]
+            ends = [[p[1] if f == 0 else p[0], *p[1 + 4 * f : 5 + 4 * f]] for f in range(5)]
+            bones = [[{"prev_joint": a, "next_joint": b} for a, b in pairwise(each)] for each in ends]
+            arm = {"prev_joint": p[0], "next_joint": p[0]}
+            hands.append({"type": side, "digits": [{"bones": each} for each in bones], "arm": arm})
+        frames.append({"timestamp": 10_000 * row, "hands": hands})
+    return frames
+
+
+# Files
+
+
+def saved(path: Path, content: Any) -> Path:
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def folder(path: Path, frames: list[Any], name: str = "clip_{:012d}_keypoints.json") -> Path:
+    path.mkdir(exist_ok=True)
+    for number, content in enumerate(frames):
+        saved(path / name.format(number), content)
+    return path
+
+
+def table(path: Path, header: list[str], rows: Any) -> Path:
+    path.write_text("\n".join(",".join(map(str, line)) for line in [header, *rows]), encoding="utf-8")
+    return path
+
+
+def named(axes: str, *names: str, sep: str = "_") -> list[str]:
+    return [f"{name}{sep}{axis}" for name in names for axis in axes]
+
+
+def wide(first: int = 0) -> list[str]:
+    return [f"{axis}{i}" for i in range(first, first + 21) for axis in "xyz"]
+
+
+def rows_of_hands(landmarks_of: Any = landmarks) -> list[list[Any]]:
+    """Frame, side and numbers of each hand."""
+    return [[i, side, *landmarks_of(side, i).ravel().tolist()] for i in range(FRAMES) for side in SIDES]
+
+
+def trajectories(path: Path, *sides: Side) -> Path:
+    """FreeMoCap's table of some hands."""
+    header = named("xyz", *(f"{side}_hand_{name.lower()}" for side in sides for name in NAMES))
+    return table(
+        path, header, np.concatenate([in_room(side) for side in sides], axis=1).reshape(FRAMES, -1).tolist()
+    )

@@ -1,0 +1,682 @@
+"""The table of programs that write points: hands that are known come back out of each layout."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handfit_core.errors import InputError, OptionError, PictureSizeError
+from handfit_core.interchange.opening import RELATIVE, is_recording, read_recording
+from handfit_core.interchange.point_hands import share_left
+from handfit_core.interchange.recording import Recording, SeenHands
+from handfit_core.interchange.settings import LIMITS
+from handfit_core.interchange.writers import writer_for
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import capture
+from handfit_core.skeleton import KEYPOINT_NAMES, SIDES
+from tests.core.interchange import point_files as files
+from tests.core.interchange.point_files import (
+    NAMES,
+    PICTURES,
+    SIZE,
+    TOLD,
+    landmarks,
+    named,
+    saved,
+    table,
+    wide,
+)
+from tests.told import FRAMES, HEIGHT, WIDTH
+
+ALL = list(range(FRAMES))
+
+
+def read(path: Path, **options: Any) -> Recording:
+    return read_recording(path, CaptureOptions(**options))
+
+
+def says(recording: Recording, words: str) -> bool:
+    return any(words in phrase for phrase in recording.assumed)
+
+
+def seen_in(recording: Recording) -> SeenHands:
+    assert recording.seen is not None
+    return recording.seen
+
+
+def worst(recording: Recording, rows: list[int] = ALL) -> float:
+    """The largest error in pixels, or in millimetres of the world; every hand must be of its side."""
+    seen = seen_in(recording)
+    by = SIZE if recording.size == RELATIVE else np.ones(2)
+    errors = []
+    for side in SIDES:
+        mine = seen.left == (side == "left")
+        assert seen.row[mine].tolist() == list(range(len(rows)))
+        errors.append(np.abs(seen.keypoints[mine] * by - TOLD.pixels[side][rows]).max())
+        if seen.depth is not None:
+            errors.append(np.abs(seen.depth[mine] * by[0] - TOLD.depth[side][rows]).max())
+        if seen.world is not None:
+            errors.append(1000.0 * np.abs(seen.world[mine] - TOLD.world[side][rows]).max())
+    return float(max(errors))
+
+
+def worst_in_space(recording: Recording, away: Any = 0.0) -> float:
+    """The largest error in metres of hands that lie `away` from where they were."""
+    assert [hand.side for hand in recording.points] == list(SIDES)
+    return float(max(np.abs(hand.points - away - TOLD.points[hand.side]).max() for hand in recording.points))
+
+
+# Frames of JSON
+
+
+@pytest.mark.parametrize("layout", PICTURES)
+def test_a_list_of_frames(tmp_path: Path, layout: Callable[[int], Any]) -> None:
+    recording = read(saved(tmp_path / "hands.json", [layout(i) for i in ALL]))
+    assert recording.format == PICTURES[layout]
+    numbered = layout in (files.mmpose, files.halpe)
+    assert recording.frame_numbers.tolist() == [i + (not numbered) for i in ALL]
+    assert worst(recording) < 0.01
+    assert not says(recording, "--hands")
+
+
+@pytest.mark.parametrize("layout", PICTURES)
+def test_numbers_times_and_a_size(tmp_path: Path, layout: Callable[[int], Any]) -> None:
+    frames = [{**layout(i), "frame": 3 + 2 * i, "frame_id": 3 + 2 * i, "timestamp": 80.0 * i} for i in ALL]
+    content = {"width": WIDTH, "height": HEIGHT, "frames": frames}
+    recording = read(saved(tmp_path / "hands.json", content))
+    assert recording.frame_numbers.tolist() == list(range(3, 3 + 2 * FRAMES, 2))
+    assert (recording.size, recording.fps) == ((WIDTH, HEIGHT), 25.0)
+    assert worst(recording) < 0.01
+
+
+@pytest.mark.parametrize("layout", [files.tasks, files.openpose, files.apple])
+def test_frames_by_numbers_in_lines_and_in_a_folder(tmp_path: Path, layout: Callable[[int], Any]) -> None:
+    lines = tmp_path / "hands.jsonl"
+    lines.write_text("\n".join(json.dumps({"frame_id": i, **layout(i)}) for i in ALL))
+    by_number = saved(tmp_path / "hands.json", {str(i): layout(i) for i in ALL})
+    folder = files.folder(tmp_path / "hands", [layout(i) for i in ALL], "frame_{:05d}.json")
+    assert is_recording(folder)
+    for path in (by_number, lines, folder):
+        recording = read(path)
+        assert recording.frame_numbers.tolist() == ALL
+        assert worst(recording) < 0.01
+
+
+@pytest.mark.parametrize("empty", [None, {"landmarks": [], "worldLandmarks": [], "handedness": []}])
+def test_frames_without_hands_stay(tmp_path: Path, empty: Any) -> None:
+    assert seen_in(read(saved(tmp_path / "a.json", [empty, empty, files.tasks(0)]))).row.tolist() == [2, 2]
+    folder = files.folder(tmp_path / "hands", [empty or {}, empty or {}, files.tasks(0)])
+    assert seen_in(read(folder)).row.tolist() == [2, 2]
+
+
+def test_one_frame_and_one_hand(tmp_path: Path) -> None:
+    path = saved(tmp_path / "photo.json", files.tasks(0))
+    assert seen_in(read(path)).left.tolist() == [True, False]
+    recording = read(saved(path, files.points(landmarks("left", 3))))
+    assert seen_in(recording).left.tolist() == [True]
+    assert says(recording, "a left hand, as its fingers bend")
+    picture = saved(path, {"meta_info": {}, "instance_info": [files.instance(2)]})
+    assert worst(read(picture), [2]) < 0.01
+    demo = saved(path, {"instance_info": [files.mmpose(i) for i in ALL]})
+    assert worst(read(demo)) < 0.01
+    inferencer = files.folder(
+        tmp_path / "predictions", [[], *([files.instance(i)] for i in ALL)], "f_{:04d}.json"
+    )
+    assert seen_in(read(inferencer)).row.tolist() == [i + 1 for i in ALL for _ in SIDES]
+
+
+def test_files_of_a_folder_by_their_names(tmp_path: Path) -> None:
+    path = files.folder(tmp_path / "op", [files.openpose(i) for i in range(3)], "shot{:04d}_keypoints.json")
+    (path / "shot0001_keypoints.json").unlink()
+    assert read(path).frame_numbers.tolist() == [0, 2]
+    assert read(path / "shot0002_keypoints.json").frame_numbers.tolist() == [2]
+    for content in ({"people": []}, {"intrinsics": [1.0]}):
+        saved(path / "camera.json", content)
+        recording = read(path)
+        assert worst(recording, [0, 2]) < 0.01
+        assert "camera.json has no number in its name: left out" in recording.assumed
+    other = tmp_path / "other"
+    other.mkdir()
+    for name in "ba":
+        saved(other / f"{name}.json", files.openpose("ab".index(name)))
+    recording = read(other)
+    assert recording.frame_numbers.tolist() == [1, 2]
+    assert worst(recording, [0, 1]) < 0.01
+    assert says(recording, "a.json and 1 more have no number")
+    saved(path / "clip_7_keypoints.json", files.openpose(0))
+    with pytest.raises(InputError, match="several clips"):
+        read(path)
+
+
+# Left and right
+
+
+def relabelled(layout: Callable[[int], Any], **labels: list[Any]) -> list[Any]:
+    return [layout(i) | labels for i in ALL]
+
+
+@pytest.mark.parametrize(
+    ("frames", "swapped"),
+    [
+        ([files.tasks(i) for i in ALL], False),
+        ([files.legacy(i) for i in ALL], True),
+        (relabelled(files.tasks, handedness=["Right", "Left"]), True),
+        (relabelled(files.legacy, multi_handedness=["left", "right"]), False),
+    ],
+)
+@pytest.mark.parametrize("depth", [True, False])
+def test_fingers_tell_whose_sides_are_of_mirrored_pictures(
+    tmp_path: Path, frames: list[Any], swapped: bool, depth: bool
+) -> None:
+    if not depth:  # then the layout tells
+        for frame in frames:
+            frame.pop("worldLandmarks", None)
+        hook = lambda of: {k: v for k, v in of.items() if k != "z"}  # noqa: E731
+        frames = json.loads(json.dumps(frames), object_hook=hook)
+        swapped = "multi_handedness" in frames[0]
+    recording = read(saved(tmp_path / "hands.json", frames))
+    assert says(recording, "left and right are swapped") == swapped
+    if depth:
+        assert worst(recording) < 0.01
+
+
+@pytest.mark.parametrize("key", ["hand", "type", "label", "handedness"])
+def test_counts_are_no_sides(tmp_path: Path, key: str) -> None:
+    """But for Apple's chirality. A side that is asked for is that of hands of unknown side."""
+    hands = [{key: i, "landmarks": landmarks("right", 0).tolist()} for i in (-1, 0, 1)]
+    path = saved(tmp_path / "hands.json", [{"hands": hands}])
+    assert seen_in(read(path, hands="left")).left.tolist() == [True] * 3
+    for hand, side in zip(hands, (-1, 1, 1), strict=True):
+        hand["chirality"] = side
+    saved(path, [{"hands": hands}])
+    assert seen_in(read(path, reader="apple-vision")).left.tolist() == [True, False, False]
+
+
+@pytest.mark.parametrize("layout", ["mmpose", "apple-vision"])
+def test_hands_of_unknown_side_without_depth(tmp_path: Path, layout: str) -> None:
+    hand = {"keypoints": TOLD.pixels["left"][0].tolist(), "keypoint_scores": [0.8] * 21}
+    points = dict(zip(files.APPLE_CODES, files.from_below("left", 0).tolist(), strict=True))
+    content = [{"frame_id": 0, "instances": [hand]}] if layout == "mmpose" else {"chirality": 0, **points}
+    path = saved(tmp_path / "a.json", content)
+    assert seen_in(read(path, hands="left")).left.tolist() == [True]
+    assert seen_in(read(path)).left.tolist() == [False]
+    assert says(read(path), "--hands left for a left one")
+
+
+# People and points that are missing
+
+
+@pytest.mark.parametrize(
+    ("layout", "people"),
+    [
+        (
+            lambda people: {"people": people},
+            [files.person(0), {"hand_left_keypoints_2d": files.triples(TOLD.pixels["left"][1])}],
+        ),
+        (lambda people: {"frame_id": 0, "instances": people}, [files.instance(0), files.instance(1)]),
+    ],
+)
+def test_one_of_several_people(tmp_path: Path, layout: Callable[[Any], Any], people: list[Any]) -> None:
+    path = saved(tmp_path / "a_0.json", [layout(people)])
+    assert len(seen_in(read(path))) in (3, 4)
+    second = seen_in(read(path, person=2))
+    assert np.abs(second.keypoints[second.left] - TOLD.pixels["left"][1]).max() < 0.01
+    with pytest.raises(InputError, match="no person 3; its frames have at most 2"):
+        read(path, person=3)
+
+
+@pytest.mark.parametrize("name", ["mediapipe", "apple-vision", "freemocap"])
+def test_programs_that_tell_no_persons(tmp_path: Path, name: str) -> None:
+    path = saved(tmp_path / "a.json", [files.apple(0) if name == "apple-vision" else files.tasks(0)])
+    path = files.trajectories(tmp_path / "a.csv", *SIDES) if name == "freemocap" else path
+    with pytest.raises(OptionError, match="belong to no persons"):
+        read(path, person=1)
+
+
+def test_zeros_are_missing_and_hidden_hands_are_left_out(tmp_path: Path) -> None:
+    human = files.person(0)
+    left = np.array(human["hand_left_keypoints_2d"]).reshape(21, 3)
+    left[[4, 8]], left[12, 0] = 0.0, np.nan
+    human["hand_left_keypoints_2d"] = left.ravel().tolist()
+    human["hand_right_keypoints_2d"] = files.triples(TOLD.pixels["right"][0], 0.04)
+    recording = read(files.folder(tmp_path / "op", [{"people": [human]}, {"people": []}]))
+    seen = seen_in(recording)
+    assert seen.left.tolist() == [True]
+    assert np.flatnonzero(np.isnan(seen.keypoints[0, :, 0])).tolist() == [4, 8, 12]
+    assert seen.confidence[0, [4, 8, 12]].tolist() == [0.0] * 3
+    assert says(recording, "1 of 2 hands are left out")
+    doubtful = files.instance(0)
+    doubtful["keypoint_scores"][91 + 8] = 0.01
+    mmpose = read(
+        saved(tmp_path / "b.json", [{"instances": [doubtful, files.instance(1, score=0.1)], "frame_id": 0}])
+    )
+    assert seen_in(mmpose).confidence[seen_in(mmpose).left][0, 8] == pytest.approx(0.01)
+    assert says(mmpose, "2 of 4 hands are left out")
+    points = {
+        n: [x, y, 0.6]
+        for n, (x, y) in zip(files.APPLE_CODES, files.from_below("left", 0).tolist(), strict=True)
+    }
+    points["VNHLKITIP"][2] = 0.0
+    del points["VNHLKPTIP"]
+    seen = seen_in(read(saved(tmp_path / "c.json", {"chirality": "left", **points})))
+    assert np.flatnonzero(np.isnan(seen.keypoints[0, :, 0])).tolist() == [8, 20]
+    assert seen.confidence[0, 0] == pytest.approx(0.6)
+
+
+# Scales
+
+
+@pytest.mark.parametrize(("low", "said"), [(0.0, "parts of the picture's size"), (-1.0, "between -1 and 1")])
+@pytest.mark.parametrize("corner", [False, True])
+def test_scales_of_openpose_are_noticed(tmp_path: Path, low: float, said: str, corner: bool) -> None:
+    """Where all that is seen lies in the right lower quarter, nothing is negative from -1 to 1, and a missing
+    point tells."""
+    pixels = TOLD.pixels["left"][0] / 2.0 + SIZE / 2.0 if corner else TOLD.pixels["left"][0]
+    hand = np.column_stack([low + pixels / SIZE * (1.0 - low), np.full(21, 0.7)])
+    hand[7] = [low, low, 0.0]
+    human = {"hand_left_keypoints_2d": hand.ravel().tolist(), "hand_right_keypoints_2d": []}
+    if not corner:
+        human["pose_keypoints_2d"] = files.triples(np.array([[low + 0.1, low + 0.1]]))
+    recording = read(files.folder(tmp_path / "op", [{"people": [human]}]))
+    assert recording.size == RELATIVE
+    assert says(recording, said)
+    assert np.nanmax(np.abs(seen_in(recording).keypoints[0] * SIZE - pixels)) < 0.01
+    sized = {"people": [human], "canvas_width": WIDTH, "canvas_height": HEIGHT}  # ControlNet's
+    recording = read(saved(tmp_path / "poses.json", [sized]))
+    assert recording.size == (WIDTH, HEIGHT)
+    assert np.nanmax(np.abs(seen_in(recording).keypoints[0] - pixels)) < 0.01
+
+
+def test_pixels_with_a_depth_in_parts_of_the_width(tmp_path: Path) -> None:
+    rows = rows_with_times(lambda s, i: np.column_stack([TOLD.pixels[s][i], landmarks(s, i)[:, 2]]))
+    path = table(tmp_path / "a.csv", ["frame", "time", "hand", *wide()], rows)
+    recording = read(path, picture_size=(WIDTH, HEIGHT))
+    assert (recording.size, recording.fps) == ((WIDTH, HEIGHT), 50.0)
+    assert worst(recording) < 0.01
+    assert seen_in(read(path)).depth is None
+
+
+def rows_with_times(made: Any) -> list[list[Any]]:
+    return [[i, i / 50.0, side, *rest] for i, side, *rest in files.rows_of_hands(made)]
+
+
+# Tables
+
+SIDED = [f"{side}_hand_{name.lower()}" for side in SIDES for name in NAMES]
+BOTH = [[*landmarks("left", i).ravel(), *landmarks("right", i).ravel()] for i in ALL]
+EACH = [[i, side, k, *landmarks(side, i)[k]] for i in ALL for side in SIDES for k in range(21)]
+BODY = [[i, kind, k, 0.4, 0.4, 0.0] for i in ALL for kind in ("face", "pose") for k in range(30)]
+BODY += [[i, f"{side}_hand", *rest] for i, side, *rest in EACH]
+APPLES = [
+    [i, side, n, *row, 0.9]
+    for i in ALL
+    for side in SIDES
+    for n, row in zip(files.APPLE_CODES, files.from_below(side, i), strict=True)
+]
+TABLES: dict[str, tuple[list[str], list[list[Any]]]] = {
+    "rows from 0": (["frame", "handedness", *wide()], files.rows_of_hands()),
+    "rows from 1": (["frame", "handedness", *wide(1)], files.rows_of_hands()),
+    "rows by names": (["frame_number", "hand", *named("xyz", *NAMES)], files.rows_of_hands()),
+    "both by names": (["frame", *named("xyz", *SIDED)], [[i, *row] for i, row in enumerate(BOTH)]),
+    "both by numbers": (
+        ["frame", *(f"hand{h}_landmark{i}_{axis}" for h in (0, 1) for i in range(21) for axis in "xyz")],
+        [[i, *row] for i, row in enumerate(BOTH)],
+    ),
+    "points": (
+        ["Frame", "Hand", "Landmark", "X", "Y", "Z"],
+        [[i, int(s == "right"), *rest] for i, s, *rest in EACH],
+    ),
+    # As in the data of Google's sign language competition.
+    "points beside a body": (
+        ["frame", "row_id", "type", "landmark_index", "x", "y", "z"],
+        [[i, f"{i}-{kind}-{k}", kind, k, *rest] for i, kind, k, *rest in BODY],
+    ),
+    "Apple's rows": (
+        ["frame", "chirality", *named("xy", *files.APPLE_NAMES)], files.rows_of_hands(files.from_below)
+    ),
+    "Apple's points": (["frame", "hand", "joint", "x", "y", "confidence"], APPLES),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables(tmp_path: Path, name: str) -> None:
+    recording = read(table(tmp_path / "a.csv", *TABLES[name]))
+    assert recording.format == ("apple-vision" if "Apple" in name else "mediapipe")
+    assert recording.frame_numbers.tolist() == ALL
+    assert worst(recording) < 0.01
+    assert says(recording, "as its fingers bend") == (name in ("both by numbers", "points"))
+
+
+@pytest.mark.parametrize("written", ["{:.6f}", "{:.18e}", "{}.0", "frame_2.1_{:05d}.png", "{:04d}"])
+def test_frames_numbers_as_they_are_written(tmp_path: Path, written: str) -> None:
+    rows = [[written.format(i + 9), *rest] for i, *rest in files.rows_of_hands()]
+    recording = read(table(tmp_path / "a.csv", ["frame", "hand", *wide()], rows))
+    assert recording.frame_numbers.tolist() == list(range(9, 9 + FRAMES))
+    assert worst(recording) < 0.01
+
+
+def test_rows_without_numbers_and_missing_cells(tmp_path: Path) -> None:
+    header = ["hand", *(f"{axis}{i}" for i in range(21) for axis in ("x", "y", "z", "v"))]
+    rows = [["Right", *np.column_stack([landmarks("right", i), np.zeros(21)]).ravel()] for i in range(2)]
+    rows[1][1 + 4 * 8 : 1 + 4 * 8 + 2] = ["", ""]
+    recording = read(table(tmp_path / "a.csv", header, [*rows, ["", *[""] * 84]]))
+    seen = seen_in(recording)
+    assert seen.row.tolist() == [0, 1]
+    assert np.flatnonzero(seen.confidence[1] == 0.0).tolist() == [8]
+    assert seen.confidence[0].min() == 1.0
+    assert says(recording, "no frame numbers")
+
+
+# Hands in space
+
+
+@pytest.fixture
+def output(tmp_path: Path) -> Path:
+    """FreeMoCap's folder."""
+    folder = tmp_path / "recording" / "output_data"
+    folder.mkdir(parents=True)
+    for side in SIDES:
+        np.save(folder / f"mediapipe_{side}_hand_3d_xyz.npy", files.in_room(side))
+    np.save(folder / "mediapipe_body_3d_xyz.npy", np.zeros((FRAMES, 33, 3)))
+    return folder
+
+
+AWAY = np.array([0.2, -1.1, -0.9])
+"""Metres that FreeMoCap's room lies from the camera"""
+
+
+def test_arrays_of_freemocap(output: Path) -> None:
+    assert is_recording(output)
+    for path in (output, output.parent):
+        recording = read(path)
+        assert recording.format == "freemocap"
+        assert recording.frame_numbers.tolist() == ALL
+        assert worst_in_space(recording, AWAY) < 1e-9
+        assert not any(hand.on_joints for hand in recording.points)
+    assert [hand.side for hand in read(output / "mediapipe_left_hand_3d_xyz.npy").points] == ["left"]
+    points = files.in_room("left")
+    points[2], points[3, 8] = np.nan, np.nan
+    np.save(output / "mediapipe_left_hand_3d_xyz.npy", points)
+    left = read(output).points[0]
+    assert left.present.tolist() == [True, True, False, True, True, True]
+    assert np.isnan(left.points[3, 8]).all()
+
+
+def test_tables_of_freemocap(tmp_path: Path) -> None:
+    recording = read(files.trajectories(tmp_path / "a_by_trajectory.csv", *SIDES))
+    assert recording.format == "freemocap"
+    assert recording.frame_numbers.tolist() == ALL
+    assert worst_in_space(recording, AWAY) < 1e-9
+    header = named("xyz", "body_nose", *(f"right_hand_{i:04d}" for i in range(21)))
+    rows = np.concatenate([np.full((FRAMES, 1, 3), 500.0), files.in_room("right")], axis=1).reshape(
+        FRAMES, -1
+    )
+    assert [hand.side for hand in read(table(tmp_path / "b.csv", header, rows.tolist())).points] == ["right"]
+
+
+@pytest.mark.parametrize(("unit", "said"), [(1.0, None), (0.1, "centimetres"), (0.001, "metres")])
+def test_units_by_the_palms_length(output: Path, unit: float, said: str | None) -> None:
+    for side in SIDES:
+        np.save(output / f"mediapipe_{side}_hand_3d_xyz.npy", unit * files.in_room(side))
+    recording = read(output)
+    assert worst_in_space(recording, AWAY) < 1e-9
+    assert says(recording, "its unit is") == (said is not None)
+
+
+def test_swapped_files_are_noticed(output: Path) -> None:
+    left, right = (output / f"mediapipe_{side}_hand_3d_xyz.npy" for side in SIDES)
+    shutil.move(left, output / "x.npy")
+    shutil.move(right, left)
+    shutil.move(output / "x.npy", right)
+    assert says(read(output), "its left hand bends like a right one")
+
+
+def test_hands_come_before_a_virtual_camera_and_are_fitted(output: Path) -> None:
+    """The test's points are a skeleton's joints, and FreeMoCap's are where MediaPipe sees them: millimetres
+    apart."""
+    take = capture(output, fps=30)
+    assert sorted(hand.side for hand in take.hands) == list(SIDES)
+    assert take.fps == 30.0
+    for hand in take.hands:
+        truth = TOLD.points[hand.side]
+        fitted = hand.joints_3d - hand.joints_3d[:, :1]
+        assert np.linalg.norm(fitted - (truth - truth[:, :1]), axis=-1).mean() < 0.01
+
+
+@pytest.mark.parametrize("made", [files.websocket, files.leapc])
+def test_frames_of_leap(tmp_path: Path, made: Callable[[], Any]) -> None:
+    recording = read(saved(tmp_path / "leap.json", made()))
+    assert recording.format == "leap"
+    assert recording.fps == pytest.approx(100.0)
+    assert worst_in_space(recording) < 1e-6
+    frames = made()
+    assert not says(recording, "several")
+    frames[1]["hands"] += [{**frames[1]["hands"][1], "type": "left"}] * 2
+    twice = read(saved(tmp_path / "leap.json", frames))
+    assert "1 frame has several left hands: the first was taken" in twice.assumed
+    assert worst_in_space(twice) < 1e-6
+    frames[1]["hands"] = []
+    (tmp_path / "leap.jsonl").write_text("\n".join(map(json.dumps, frames)), encoding="utf-8")
+    assert read(tmp_path / "leap.jsonl").points[0].present.tolist() == [True, False, *[True] * 4]
+
+
+def test_world_landmarks_alone_are_hands_in_space(tmp_path: Path) -> None:
+    frames = [
+        {"handedness": list(SIDES), "world_landmarks": [TOLD.world[s][i].tolist() for s in SIDES]}
+        for i in ALL
+    ]
+    for recording in (
+        read(saved(tmp_path / "a.json", frames)),
+        read(
+            table(
+                tmp_path / "a.csv",
+                ["frame", "side", *wide()],
+                files.rows_of_hands(lambda s, i: TOLD.world[s][i]),
+            )
+        ),
+    ):
+        assert recording.seen is None
+        assert [hand.side for hand in recording.points] == list(SIDES)
+        for hand in recording.points:
+            assert not hand.on_joints
+            assert np.abs(hand.points - TOLD.world[hand.side]).max() < 1e-4
+
+
+# This project's own table, whose JSON is in test_points
+
+
+def own_table(path: Path, *left_out: str) -> Path:
+    writer_for(path).write(TOLD.take, path)
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    kept = [i for i, name in enumerate(lines[0]) if name not in left_out]
+    return table(path, [lines[0][i] for i in kept], [[line[i] for i in kept] for line in lines[1:]])
+
+
+def test_a_table_of_our_own(tmp_path: Path) -> None:
+    recording = read(own_table(tmp_path / "a.points.csv"))
+    assert (recording.format, recording.size) == ("points-table", (WIDTH, HEIGHT))
+    assert recording.fps == pytest.approx(TOLD.take.fps)
+    assert recording.frame_numbers.tolist() == TOLD.take.frame_numbers.tolist()
+    assert worst_in_space(recording) < 1e-6
+    assert all(hand.on_joints for hand in recording.points)
+    plane = read(own_table(tmp_path / "b.points.csv", "x_m", "y_m", "z_m"))
+    assert worst(plane) < 1e-3
+    assert np.allclose(seen_in(plane).confidence, 0.9)
+    rows = [[12, "left", i, *xy] for i, xy in enumerate(TOLD.pixels["left"][0].tolist()) if i != 8]
+    least = read(
+        table(tmp_path / "c.csv", ["frame", "side", "point", "x_px", "y_px"], rows),
+        picture_size=(WIDTH, HEIGHT),
+    )
+    assert (least.size, least.frame_numbers.tolist()) == ((WIDTH, HEIGHT), [12])
+    assert np.isnan(seen_in(least).keypoints[0, 8]).all()
+
+
+def test_landmarks_of_our_own(tmp_path: Path) -> None:
+    path = tmp_path / "hands.mediapipe.json"
+    writer_for(path).write(TOLD.take, path)
+    recording = read(path)
+    assert (recording.format, recording.size, recording.fps) == ("mediapipe", (WIDTH, HEIGHT), TOLD.take.fps)
+    assert recording.frame_numbers.tolist() == TOLD.take.frame_numbers.tolist()
+    assert worst(recording) < 0.01
+    assert not recording.assumed
+
+
+# Beside the table
+
+
+def test_keypoints_alone_are_fitted_by_the_size_that_is_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = files.folder(tmp_path / "op", [files.openpose(i) for i in ALL])
+    take = capture(path, picture_size=(WIDTH, HEIGHT), fps=25)
+    assert (take.width, take.height, take.source.kind) == (WIDTH, HEIGHT, "data")
+    assert take.frame_numbers.tolist() == ALL
+    assert take.program == "OpenPose"
+    assert sorted(hand.side for hand in take.hands) == list(SIDES)
+    for hand in take.hands:
+        # The hand's size in the picture is about 190 pixels.
+        off = take.intrinsics.project(hand.joints_3d) - TOLD.pixels[hand.side]
+        assert np.linalg.norm(off, axis=-1).mean() < 12
+    assert not caplog.messages
+    for unsized in (path, saved(tmp_path / "parts.json", [files.tasks(0)])):
+        with pytest.raises(PictureSizeError, match="--picture-size"):
+            capture(unsized)
+
+
+def test_a_real_clips_landmarks(samples: Path) -> None:
+    """A bare list of a hand's points a frame, in pixels, of whoever detected it."""
+    path = samples / "videos" / "asl_hand.mediapipe_2d.json"
+    recording = read(path)
+    assert len(recording.frame_numbers) == 325
+    assert says(recording, "a right hand, as its fingers bend")
+    assert share_left(np.array(json.loads(path.read_text()))) < -0.99
+    world = read(samples / "videos" / "asl_hand.mediapipe_world.json")
+    assert [hand.side for hand in world.points] == ["right"]
+
+
+# What is wrong
+
+
+def leap(change: Callable[[Any], Any]) -> list[Any]:
+    frames = files.websocket()
+    for frame in frames:
+        change(frame)
+    return frames
+
+
+def in_metres(frame: dict[str, Any]) -> None:
+    for thing in (*frame["hands"], *frame["pointables"]):
+        thing.update({k: [x / 1000.0 for x in v] for k, v in thing.items() if isinstance(v, list)})
+
+
+def of_mmpose(points: Any, scores: Any) -> list[Any]:
+    return [{"frame_id": 0, "instances": [{"keypoints": points, "keypoint_scores": scores}]}]
+
+
+def of_left_hand(numbers: list[Any]) -> dict[str, Any]:
+    return {"people": [{"hand_left_keypoints_2d": numbers}]}
+
+
+def of_side(points: Any) -> list[Any]:
+    return [{"landmarks": [points], "handedness": ["Left"]}]
+
+
+def of_apple(value: Any) -> list[Any]:
+    return [{"chirality": "left", "joints": dict.fromkeys(files.APPLE_CODES, value)}]
+
+
+WRONG: list[tuple[str, Any, str]] = [
+    ("openpose", {"people": [{"pose_keypoints_2d": [1.0, 2.0, 0.5] * 25}]}, "--hand"),
+    ("openpose", of_left_hand([1.0, 2.0, 0.5] * 20), "60 numbers of a hand; expected 21 times xyc"),
+    ("openpose", of_left_hand(["a"] * 63), "frame 1 is not as OpenPose writes it"),
+    ("openpose", of_left_hand([0.0] * 63), "at least 6 points"),
+    ("openpose", of_left_hand([1e300] * 63), "beyond"),
+    ("openpose", {"people": [7]}, "--hand"),
+    ("openpose", {"people": []}, "--hand"),
+    ("mmpose", of_mmpose([[1.0, 2.0]] * 17, [0.9] * 17), "17 points; expected 133, 136, 21"),
+    ("mmpose", of_mmpose([[1.0, 2.0, 3.0]] * 133, [0.9] * 133), "3 numbers; expected xy"),
+    ("mmpose", of_mmpose([[1.0, 2.0]] * 133, [0.9] * 3), "133 points with 3 scores"),
+    ("mmpose", of_mmpose([["a", "b"]] * 133, [0.9] * 133), "is not as MMPose writes it"),
+    ("mmpose", of_mmpose([[1e300, 1.0]] * 133, [0.9] * 133), "beyond"),
+    ("mmpose", of_mmpose([[None, None]] * 133, [0.9] * 133), "is not as MMPose writes it"),
+    ("mmpose", [files.mmpose(0), {"frame_id": 1, "instances": 3}], "it has no list of instances"),
+    ("mmpose", [files.mmpose(0), {"frame_id": 0, "instances": []}], "frame 0 is there twice"),
+    ("mediapipe", of_side(files.points(np.ones((20, 3)))), "20 points; expected 21"),
+    ("mediapipe", of_side([{"x": "a", "y": 1, "z": 1}] * 21), "not as MediaPipe"),
+    ("mediapipe", of_side([[1e300, 1, 1]] * 21), "beyond"),
+    ("mediapipe", of_side([[None] * 3] * 21), "at least 6"),
+    ("mediapipe", [{"landmarks": [], "handedness": []}], "none of its frames has a hand"),
+    ("mediapipe", {"people": "x"}, "none of its frames has a hand"),
+    ("apple-vision", of_apple("x"), "none of its frames has a hand"),
+    ("apple-vision", of_apple([1]), "a point of 1 numbers"),
+    ("apple-vision", of_apple({"x": "a", "y": 1}), "could not convert"),
+    ("apple-vision", of_apple([1e300, 1, 1]), "beyond"),
+    ("leap", leap(in_metres), "expected about 90, in millimetres"),
+    ("leap", leap(lambda frame: frame["hands"][0].update(type="both")), "type must be left or right"),
+    ("leap", leap(lambda frame: frame["hands"][0].pop("wrist")), "a joint is not there"),
+    ("leap", leap(lambda frame: frame["pointables"][3].update(dipPosition=[1.0])), "a point of 1 numbers"),
+    ("leap", leap(lambda frame: frame["pointables"][3].update(type=7)), "it lacks 3"),
+    ("leap", leap(lambda frame: frame["pointables"][3].update(btipPosition=[1e300] * 3)), "beyond"),
+    ("leap", [*files.websocket(), *([{}] * LIMITS.frames)], f"at most {LIMITS.frames} are read; cut it"),
+    ("points", [], "Points"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("reader", "content", "said"), WRONG)
+def test_json_that_is_wrong(tmp_path: Path, reader: str, content: Any, said: str) -> None:
+    with pytest.raises(InputError, match=said) as error:
+        read(saved(tmp_path / "hands.json", content), reader=reader)
+    assert "\n" not in str(error.value)
+
+
+POINT = ["frame", "hand", "landmark", "x", "y", "z"]
+TWICE = [[0, "Left", 0, 0.1, 0.2, 0.0]] * 2
+HAND = landmarks("left", 0).ravel().tolist()
+OURS = ["frame", "side", "point", "x_px", "y_px"]
+OWN = [[1, "left", name, i, i * i] for i, name in enumerate(KEYPOINT_NAMES)]
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "said"),
+    [
+        (POINT, TWICE, "frame 0 has the point 0 of one hand twice"),
+        (POINT[1:], [row[1:] for row in TWICE], "no column tells the frame"),
+        *(
+            (["frame", "hand", *wide()], [[cell, "left", *HAND]], "no frame's number")
+            for cell in ("1.5", "1e-3", "1e400", "1e17", "first", "")
+        ),
+        (OURS, [*OWN, [1, "left", "wrist", 1, 2]], "twice"),
+        (OURS, [*OWN, [1.5, "left", "wrist", 1, 2]], "no frame's number"),
+        (OURS, [*OWN, [2, "both", "wrist", 1, 2]], "expected left or right"),
+        (OURS, [*OWN, [2, "left", "elbow", 1, 2]], "no point 'elbow'"),
+        (OURS, [*OWN, [2, "left", "21", 1, 2]], "no point '21'"),
+        (OURS, [*OWN, [2, "left", "wrist", 1e300, 2]], "beyond"),
+    ],
+)
+def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        read(table(tmp_path / "points.csv", header, rows))
+
+
+@pytest.mark.parametrize(
+    ("array", "said"),
+    [
+        (np.zeros((FRAMES, 33, 3)), r"\(6, 33, 3\); expected \(frames, 21, 3\)"),
+        (np.zeros((FRAMES, 63)), r"expected \(frames, 21, 3\)"),
+        (np.full((FRAMES, 21, 3), np.nan), "none of its frames has a hand"),
+        (np.full((FRAMES, 21, 3), 7.0), "its palms are 0 long"),
+        (np.array([{}], dtype=object), "no array"),
+        (np.full((FRAMES, 21, 3), 1e300), "beyond"),
+        (files.in_room("left")[:4], "different numbers of frames"),
+    ],
+)
+def test_arrays_that_are_wrong(output: Path, array: np.ndarray, said: str) -> None:
+    np.save(output / "mediapipe_left_hand_3d_xyz.npy", array)
+    with pytest.raises(InputError, match=said):
+        read(output if len(array) == 4 else output / "mediapipe_left_hand_3d_xyz.npy")
