@@ -66,8 +66,8 @@ class ManoLayout:
     mirrored: Literal["no", "hands", "world"] = "no"
     """Whether left hands are right ones in a mirror, which takes their places along or not"""
     camera: Literal["none", "told", "centred", "focal"] = "none"
-    """How the camera is told: not; by `size` and `intrinsics`; by `intrinsics`, whose centre is the picture's;
-    by `focal`"""
+    """How the camera is told: not; by `size` and `intrinsics`; by `intrinsics` with the picture's centre; by
+    `focal`"""
     first_frame: int = 0
     """What is added to the frames' numbers in files' names"""
     assumed: tuple[str, ...] = ()
