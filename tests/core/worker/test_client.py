@@ -183,8 +183,9 @@ def test_a_dead_peer_does_not_take_blender_with_it(peer):
         "worker = Worker(sys.argv[1]); job = worker.submit('capture')\n"
         "while worker.ready is None: worker.events(); time.sleep(0.01)\n"
         "os.kill(worker.pid, signal.SIGKILL); time.sleep(0.2)\n"
-        "worker.cancel(job)\n"
-        "print(worker.events()[0]['type'], signal.sigpending(), flush=True); os._exit(0)\n"
+        "worker.cancel(job); found = []\n"
+        "while not found: found = worker.events(); time.sleep(0.01)\n"
+        "print(found[0]['type'], signal.sigpending(), flush=True); os._exit(0)\n"
     )
     command = [sys.executable, "-c", code, peer("ready()\ntime.sleep(60)")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
