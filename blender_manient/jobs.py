@@ -32,9 +32,8 @@ from .scene.apply import apply_track, track_for
 from .scene.build import BuildOptions, building
 from .scene.captures import comes_in_front
 from .scene.controls import add_controls
-from .scene.matching import Choice, Footage, matches, scene_sentence
+from .scene.matching import Choice, Footage, clear_view, matches, scene_sentence
 from .scene.store import hand_of
-from .scene.surroundings import clear_view
 from .wording import capitalised, counted, without_name
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]

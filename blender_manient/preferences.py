@@ -1,6 +1,7 @@
 """What the add-on's preferences hold: where MANO, the capturing Python and the cache are, and habits."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,10 +12,46 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, St
 from handfit_core.options import OPTIONS
 from handfit_core.worker.interpreter import unquoted
 
-from .properties import PRESETS, notifier
-
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
 """The name of the add-on in Blender's preferences; of an extension it is bl_ext.REPOSITORY.ID"""
+
+# A .blend and the preferences keep the numbers: Fast was 0 and Best, which is Standard now, was 1.
+PRESETS = (
+    (
+        "DRAFT",
+        "Draft",
+        "To try things out, and for clear shots. Each hand is looked at once, by a smaller network: hands "
+        "are found in less than half the time, but fingers are rougher, and small or half hidden ones missed",
+        "NONE",
+        0,
+    ),
+    (
+        "STANDARD",
+        "Standard",
+        "For most work. Two networks look at each hand, and again where they do not agree; small and half "
+        "hidden hands are searched for",
+        "NONE",
+        1,
+    ),
+    (
+        "BEST",
+        "Best",
+        "For final shots. Each hand of a clip is looked at six times in every frame, turned and mirrored: a "
+        "little more exact and calmer, and hands take four times as long to find. Photos are as in Standard",
+        "NONE",
+        3,
+    ),
+    ("PAPER", "Paper", "The experiments of the published method, for comparison. Slow", "NONE", 2),
+)
+
+listeners: dict[str, Callable[[Any], None]] = {}
+"""Name of a notifier -> the function that it calls with the group that has changed; modules' LISTENERS"""
+
+
+def notifier(name: str) -> Callable[[Any, bpy.types.Context], None]:
+    """A property's `update` function: calls the listener of that name."""
+    return lambda group, _context: listeners[name](group) if name in listeners else None
+
 
 # The annotations are read below, so this file does without `from __future__ import annotations`.
 

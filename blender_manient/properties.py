@@ -26,39 +26,11 @@ from handfit_core.solvers import SOLVERS
 from .exporters import EXPORTERS
 from .exporters import PRESETS as PROGRAMS
 from .hand_table import ManientHandTable
+from .preferences import PRESETS, notifier
 from .scene.matching import CHOICES
 from .scene.poses import pose_items
 from .scene.simplify import PARTS
 from .scene.spans import SCOPES
-
-# A .blend and the preferences keep the numbers: Fast was 0 and Best, which is Standard now, was 1.
-PRESETS = (
-    (
-        "DRAFT",
-        "Draft",
-        "To try things out, and for clear shots. Each hand is looked at once, by a smaller network: hands "
-        "are found in less than half the time, but fingers are rougher, and small or half hidden ones missed",
-        "NONE",
-        0,
-    ),
-    (
-        "STANDARD",
-        "Standard",
-        "For most work. Two networks look at each hand, and again where they do not agree; small and half "
-        "hidden hands are searched for",
-        "NONE",
-        1,
-    ),
-    (
-        "BEST",
-        "Best",
-        "For final shots. Each hand of a clip is looked at six times in every frame, turned and mirrored: a "
-        "little more exact and calmer, and hands take four times as long to find. Photos are as in Standard",
-        "NONE",
-        3,
-    ),
-    ("PAPER", "Paper", "The experiments of the published method, for comparison. Slow", "NONE", 2),
-)
 
 # Plug-ins may import anything, which Blender's process is to be spared.
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
@@ -85,15 +57,6 @@ BLEND: Any = {
     "max": 1.0,
     "subtype": "FACTOR",
 }
-
-listeners: dict[str, Callable[[Any], None]] = {}
-"""Name of a notifier -> the function that it calls with the group that has changed; modules' LISTENERS"""
-
-
-def notifier(name: str) -> Callable[[Any, bpy.types.Context], None]:
-    """A property's `update` function: calls the listener of that name."""
-    return lambda group, _context: listeners[name](group) if name in listeners else None
-
 
 choices_of_option: dict[str, Callable[[], list[str]]] = {}
 """Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
@@ -586,20 +549,8 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
 
 
-_OWNERS: Any = {
-    bpy.types.Scene: ManientSettings,
-    bpy.types.Object: ManientHand,
-    bpy.types.Collection: ManientCapture,
+PROPERTIES = {
+    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=_OVERRIDABLE),
+    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=_OVERRIDABLE),
+    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=_OVERRIDABLE),
 }
-
-
-def register() -> None:
-    """Add the groups to scenes, objects and collections."""
-    for owner, group in _OWNERS.items():
-        owner.manient = PointerProperty(type=group, override=_OVERRIDABLE)
-
-
-def unregister() -> None:
-    """Take them away again."""
-    for owner in _OWNERS:
-        del owner.manient

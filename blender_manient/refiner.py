@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from handfit_core.edit import RefineHand, gaps_between, landmark_points, result_from_message, to_message
-from handfit_core.edit.corrections import Pins, Touches, changed_quats
+from handfit_core.edit.corrections import Pins, Touches, changed_quats, point_rows
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.kept import kept_model
@@ -183,14 +183,7 @@ class Refiner:
         touching = [self.touches(row) for row in rows] if touches is None else touches
 
         def fields() -> dict[str, Any]:
-            places = np.full((len(rows), NUM_KEYPOINTS, 2), np.nan)
-            for at, pinned in enumerate(pins):
-                for keypoint, place in pinned.items():
-                    places[at, keypoint] = place
-            others = np.full((len(rows), NUM_KEYPOINTS), np.nan)
-            for at, touched in enumerate(touching):
-                for keypoint, other in touched.items():
-                    others[at, keypoint] = other
+            places, others = point_rows(pins, touching)
             start = rest.from_bones(shaped, poses.quats, poses.locations)
             step, holes = _steps(np.asarray(self.take.frame_numbers), rows)
             hand = RefineHand(

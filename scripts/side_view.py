@@ -14,11 +14,13 @@ import importlib.util
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
+
+import math
 
 import cv2
 import numpy as np
@@ -26,7 +28,13 @@ import numpy as np
 from handfit_core.errors import HandfitError
 from handfit_core.files import written_whole
 from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import axes
 from handfit_core.take import Take
+
+if TYPE_CHECKING:
+    import bpy
+
+    from blender_manient.scene.build import BuiltTake
 
 _AROUND: Final = 0.18
 """metres from the hands' middle to the edge of what is shown"""
@@ -76,7 +84,6 @@ def _cells(take: Take, name: str, frames: Sequence[int], degrees: float, side: i
     import bpy
 
     from blender_manient.scene.build import build_take
-    from blender_manient.scene.preview import turned_rows
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     built = build_take(take, picture=False, render_setup=False)
@@ -85,7 +92,7 @@ def _cells(take: Take, name: str, frames: Sequence[int], degrees: float, side: i
     middle = joints.mean(axis=(0, 1))
     turn = rotvec_to_rotmat(np.array([0.0, np.radians(degrees), 0.0]))
     wrist = turn @ (joints[:, 0].mean(axis=0) - middle)
-    views = turned_rows(built, take, frames, degrees, still=True, longest=_LONGEST)
+    views = turned_rows(built, take, frames, degrees, still=True)
     scale = views[0].shape[0] / take.height
     x, y = scale * take.intrinsics.project(middle[None])[0]
     half = scale * _AROUND * take.intrinsics.fx / middle[2]
@@ -102,6 +109,49 @@ def _cells(take: Take, name: str, frames: Sequence[int], degrees: float, side: i
         cv2.putText(cell, name, (10, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (230, 230, 230), 1, cv2.LINE_AA)
         cells.append(cell)
     return cells
+
+
+def turned_rows(
+    built: BuiltTake,
+    take: Take,
+    frames: Sequence[int],
+    degrees: float,
+    *,
+    still: bool = False,
+    longest: int = _LONGEST,
+) -> list[np.ndarray]:
+    """The hands of several frames alone, from the camera after it went round them by `degrees` to its right:
+    rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows.
+
+    `still`: one place for all frames, so that what moves in the rows is the hands. `longest`: pixels of a
+    view's longer side."""
+    from blender_manient.scene.preview import MISSING, remove_with_data, render_hands
+
+    scale = min(1.0, longest / max(take.width, take.height))
+    views = []
+    for frame in frames:
+        camera = _turned_camera(built, take, frames if still else [frame], degrees)
+        try:
+            hands = render_hands(built, take, frame, scale, camera)
+        finally:
+            remove_with_data(camera)
+        views.append(hands[..., :3] * hands[..., 3:] + np.array(MISSING) * (1 - hands[..., 3:]))
+    return views
+
+
+def _turned_camera(built: BuiltTake, take: Take, frames: Sequence[int], degrees: float) -> bpy.types.Object:
+    import bpy
+    from mathutils import Matrix, Vector
+
+    rows = np.searchsorted(take.frame_numbers, frames)
+    joints = [track.joints_3d[row] for row in rows for track in take.hands if track.present[row]]
+    centre = Vector(axes.points_to_world(np.concatenate(joints).mean(axis=0)).tolist())
+    own = built.camera.matrix_world
+    about_up = Matrix.Rotation(math.radians(degrees), 4, own.to_3x3() @ Vector((0.0, 1.0, 0.0)))
+    camera = bpy.data.objects.new("turned", built.camera.data.copy())
+    camera.data.show_background_images = False
+    camera.matrix_world = Matrix.Translation(centre) @ about_up @ Matrix.Translation(-centre) @ own
+    return camera
 
 
 if __name__ == "__main__":

@@ -195,15 +195,13 @@ class BvhExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """The context's armature is written."""
-        scene = bpy.context.scene
-        with bpy.context.temp_override(object=hands[0].armature):
-            yield {
-                "frame_start": scene.frame_start,
-                "frame_end": scene.frame_end,
-                # Only a hand's wrist moves; fingers have rotations alone.
-                "root_transform_only": hands[0].side is not None,
-            }
+        """Only a hand's wrist moves; fingers have rotations alone."""
+        scene, is_hand = bpy.context.scene, hands[0].side is not None
+        yield {
+            "frame_start": scene.frame_start,
+            "frame_end": scene.frame_end,
+            "root_transform_only": is_hand,
+        }
 
 
 class AlembicExporter(BlenderFormat, Exporter):

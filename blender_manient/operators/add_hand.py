@@ -21,10 +21,9 @@ from ..modes.view import free_corner
 from ..properties import SIDE_ITEMS
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
+from .base import LINKED_SCENE, ModalOperator, select_alone, show_frame_again
 from .capture import new_job
-from .mixins import PollMixin, TimerMixin, errors_reported, select_alone
 
-_TICK = 0.1
 _CLICK_PIXELS = 6.0
 """pixels at a user interface scale of 1. A drag that is shorter is a click"""
 _KEYS = (
@@ -127,14 +126,12 @@ def running() -> bool:
     return _mode is not None
 
 
-class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
-    bl_idname = "manient.add_hand"
+class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
+    """Lay a relaxed hand into the picture where none was found: drag from its wrist to the knuckle of the
+    middle finger. Then drag three to six of its points, fingertips first."""
+
     bl_label = "Add Hand"
-    bl_description = (
-        "Lay a relaxed hand into the picture where none was found: drag from its wrist to the knuckle of the "
-        "middle finger. Then drag three to six of its points, fingertips first"
-    )
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    tick = 0.1
 
     side: bpy.props.EnumProperty(name="Side", items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
     seen: bpy.props.EnumProperty(name="Seen", items=_SEEN, options={"SKIP_SAVE"})  # type: ignore
@@ -153,15 +150,14 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
         if _mode is not None:
             return "A hand is being added already"
         if context.scene is None or not context.scene.is_editable:
-            return "This scene is linked from another file: open or make one of your own"
+            return LINKED_SCENE
         if jobs.busy():
             return "A capture is running: wait for it, or stop it"
         if context.mode not in ("OBJECT", "POSE"):
             return "Go to Object or Pose Mode first"
         return shared_worker.capture_sentence()
 
-    @errors_reported
-    def invoke(self, context, _event):
+    def begin(self, context):
         """Begin in the viewport under the mouse, or the largest one; the picture is shown first."""
         global _mode
         viewport = view.first_viewport(context)
@@ -174,11 +170,10 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
             jobs.submit(new_job(context, only_frame=False, bare=True))
             return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
         _mode = _Mode(context, viewport, capture)
-        self._show_status(context, _KEYS)
-        return self._start_timer(context, _TICK)
+        self.show_status(context, _KEYS)
+        return None
 
-    @errors_reported
-    def execute(self, context):
+    def run(self, context):
         """Add it where wrist and knuckle say: for scripts, and without a window."""
         capture = target_capture(context)
         if capture is None:
@@ -191,12 +186,11 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
             raise OptionError("The picture is not in this scene: press Add Hand again")
         add_hand(context, capture, self.side, np.array([self.wrist, self.knuckle], dtype=float), self.seen)
         bpy.ops.ed.undo_push(message="Add Hand")
-        return {"FINISHED"}
 
-    def modal(self, context, event):
+    def follow(self, context, event):
         viewport = view.viewport_at(context, _mode.view.address) if _mode is not None else None
         if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
-            return self._end(context)
+            return self.end(context)
         mouse = viewport.mouse(event)
         inside, settings = viewport.contains(event.mouse_x, event.mouse_y), context.scene.manient
         if event.type in ("MOUSEMOVE", "INBETWEEN_MOUSEMOVE"):
@@ -209,7 +203,7 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
             return self._add(context)
         elif event.value == "PRESS" and event.type in ("ESC", "RIGHTMOUSE"):
             if _mode.pressed is None:
-                return self._end(context)
+                return self.end(context)
             _mode.pressed = None
         elif event.value == "PRESS" and event.type == "S" and inside and not (event.ctrl or event.alt):
             settings.added_side = "left" if settings.added_side == "right" else "right"
@@ -222,28 +216,23 @@ class MANIENT_OT_add_hand(PollMixin, TimerMixin, bpy.types.Operator):
         viewport.region.tag_redraw()
         return {"PASS_THROUGH"} if event.type.endswith("MOUSEMOVE") else {"RUNNING_MODAL"}
 
-    def cancel(self, context):
-        self._end(context)
-
     def _add(self, context):
         assert _mode is not None
         capture = bpy.data.collections.get(_mode.capture)
         if capture is None or _mode.ends is None:
-            return self._end(context)
+            return self.end(context)
         try:
             add_hand(context, capture, context.scene.manient.added_side, _mode.ends, _mode.seen)
         except HandfitError as error:
             _mode.pressed, _mode.message = None, str(error)
             return {"RUNNING_MODAL"}
-        self._end(context)
+        self.end(context)
         bpy.ops.ed.undo_push(message="Add Hand")
         bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
         return {"FINISHED"}
 
-    def _end(self, context):
+    def ended(self, context):
         unregister()
-        self._stop_timer(context)
-        return {"FINISHED"}
 
 
 def target_capture(context: bpy.types.Context) -> bpy.types.Collection | None:
@@ -274,11 +263,10 @@ def add_hand(
     if context.mode == "POSE":
         bpy.ops.object.mode_set(mode="OBJECT")
     select_alone(context, armature)
-    context.scene.frame_set(context.scene.frame_current, subframe=context.scene.frame_subframe)
+    show_frame_again(context)
     return armature
 
 
-@bpy.app.handlers.persistent
 def unregister(*_args) -> None:
     """End the mode; its operator finds out with its next event."""
     global _mode

@@ -19,20 +19,14 @@ from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
-from .mixins import PollMixin, TimerMixin, errors_reported
-
-_TICK = 0.02
-"""seconds between two looks at the worker"""
+from .base import LINKED_SCENE, InternalOperator, ModalOperator
 
 
-class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
-    bl_idname = "manient.capture"
+class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
+    """Find the hands in the source, fit a hand model to them and build rigged, animated hands. Blender stays
+    usable meanwhile; Esc stops and keeps what is finished."""
+
     bl_label = "Capture"
-    bl_description = (
-        "Find the hands in the source, fit a hand model to them and build rigged, animated hands. "
-        "Blender stays usable meanwhile; Esc stops and keeps what is finished"
-    )
-    bl_options = {"REGISTER"}  # noqa: RUF012
 
     only_frame: bpy.props.BoolProperty(  # type: ignore
         name="This Frame",
@@ -47,9 +41,6 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
         options={"HIDDEN", "SKIP_SAVE"},
     )
 
-    _ticking = False
-    """Whether an instance of this operator ticks the queue already"""
-
     @classmethod
     def description(cls, _context, properties):
         if properties.only_frame:
@@ -59,34 +50,23 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
     @classmethod
     def lacks(cls, context):
         if context.scene is None or not context.scene.is_editable:
-            return "This scene is linked from another file: open or make one of your own"
+            return LINKED_SCENE
         return shared_worker.capture_sentence()
 
-    @errors_reported
-    def invoke(self, context, _event):
-        """Queue the capture and follow it."""
+    def begin(self, context):
+        """Queue the capture, and follow the queue where nobody does."""
         if not self.queued:
             job = new_job(context, only_frame=self.only_frame, ask_if_many=True)
             if jobs.is_repeated(job):
-                self.report({"INFO"}, "This is being captured already")
-                return {"CANCELLED"}
+                return self._nothing_done("This is being captured already")
             jobs.submit(job)
-        if MANIENT_OT_capture._ticking:
-            self.report({"INFO"}, "It is captured after the one before")
-            return {"FINISHED"}
-        MANIENT_OT_capture._ticking = True
+        if self.bl_idname in self.running:
+            return self._done("It is captured after the one before")
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
-        return self._start_timer(context, _TICK)
+        return None
 
-    def modal(self, context, event):
+    def follow(self, context, event):
         """Tick the queue; Esc stops everything."""
-        try:
-            return self._follow(context, event)
-        except Exception:
-            self._end(context)  # else no later capture would begin
-            raise
-
-    def _follow(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":
             jobs.cancel_all()
         elif event.type != "TIMER":
@@ -96,15 +76,13 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
         self._report_finished(context)
         if jobs.busy():
             return {"RUNNING_MODAL"} if event.type == "ESC" else {"PASS_THROUGH"}
-        self._end(context)
-        return {"FINISHED"}
+        return self.end(context)
 
     def cancel(self, context):
         jobs.abandon()
-        self._end(context)
+        super().cancel(context)
 
-    @errors_reported
-    def execute(self, context):
+    def run(self, context):
         """Capture and wait for it: for scripts, and without a window."""
         if not self.queued:
             jobs.submit(new_job(context, only_frame=self.only_frame))
@@ -113,12 +91,15 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
             self._report(job)
         return {"FINISHED"} if all(job.state == "done" for job in waited) else {"CANCELLED"}
 
+    def ended(self, context):
+        screen.redraw_sidebars()
+
     def _show(self, context) -> None:
         job = jobs.current()
         waiting = sum(j.state == "waiting" for j in jobs.jobs())
         if job is not None:
             more = f"   ({waiting} waiting)" if waiting else ""
-            self._show_status(context, f"{job.name}: {job.status()}{more}   Esc: Stop")
+            self.show_status(context, f"{job.name}: {job.status()}{more}   Esc: Stop")
         screen.redraw_sidebars()
 
     def _report_finished(self, context) -> None:
@@ -142,40 +123,31 @@ class MANIENT_OT_capture(PollMixin, TimerMixin, bpy.types.Operator):
             said = ". ".join(filter(None, (job.message, job.scene_message)))
             self.report({"INFO"}, f"{job.name}: {said}")
 
-    def _end(self, context) -> None:
-        MANIENT_OT_capture._ticking = False
-        self._stop_timer(context)
-        screen.redraw_sidebars()
 
+class MANIENT_OT_cancel_capture(InternalOperator, bpy.types.Operator):
+    """Stop this capture and keep the frames that are finished."""
 
-class MANIENT_OT_cancel_capture(bpy.types.Operator):
-    bl_idname = "manient.cancel_capture"
     bl_label = "Cancel"
-    bl_description = "Stop this capture and keep the frames that are finished"
-    bl_options = {"INTERNAL"}  # noqa: RUF012
 
     index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})  # type: ignore
 
-    def execute(self, context):
+    def run(self, context):
         queue = jobs.jobs()
         if 0 <= self.index < len(queue):
             jobs.cancel(queue[self.index])
         else:
             jobs.cancel_all()
         screen.redraw_sidebars()
-        return {"FINISHED"}
 
 
-class MANIENT_OT_clear_captures(bpy.types.Operator):
-    bl_idname = "manient.clear_captures"
+class MANIENT_OT_clear_captures(InternalOperator, bpy.types.Operator):
+    """Remove finished captures from this list. The hands stay."""
+
     bl_label = "Clear List"
-    bl_description = "Remove finished captures from this list. The hands stay"
-    bl_options = {"INTERNAL"}  # noqa: RUF012
 
-    def execute(self, context):
+    def run(self, context):
         jobs.forget_finished()
         screen.redraw_sidebars()
-        return {"FINISHED"}
 
 
 def new_job(
@@ -293,8 +265,3 @@ def _lens(settings, scene: bpy.types.Scene) -> tuple[float, float, float] | None
     if settings.camera == "ACTIVE":
         return lens_of_camera(scene.camera, scene)
     return None
-
-
-def unregister() -> None:
-    """Forget that a capture is followed."""
-    MANIENT_OT_capture._ticking = False

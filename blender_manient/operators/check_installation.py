@@ -15,12 +15,11 @@ from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
 
 from .. import cache, details, installation, preferences, screen, shared_worker
 from ..wording import capitalised
-from . import check_mano
-from .mixins import PollMixin, TimerMixin
+from . import housekeeping
+from .base import InternalOperator, ModalOperator
 
 TEXT_NAME = "Hand Capture Check"
 
-_TICK = 0.05
 _LIMIT = 180.0
 """seconds; the first start of MediaPipe from a slow disk takes one or two dozen"""
 
@@ -53,45 +52,41 @@ def running() -> bool:
     return _checking is not None
 
 
-class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
-    bl_idname = "manient.check_installation"
+class MANIENT_OT_check_installation(ModalOperator, bpy.types.Operator):
+    """Start the Python that captures, try its detector and solver, and write versions and results into a text
+    that can be copied into a bug report."""
+
     bl_label = "Check Installation"
-    bl_description = (
-        "Start the Python that captures, try its detector and solver, and write versions and results into "
-        "a text that can be copied into a bug report"
-    )
-    bl_options = {"INTERNAL"}  # noqa: RUF012
+    bl_options = InternalOperator.bl_options
+    tick = 0.05
 
     @classmethod
-    def lacks(cls, _context):
+    def lacks(cls, context):
         return "The check is running: Esc stops it" if running() else None
 
-    def invoke(self, context, _event):
+    def begin(self, context):
         """Check beside the window's work."""
         global _checking
         self._check = _checking = _Check(None)
-        self._show_status(context, "Checking the installation of Hand Capture   Esc: Stop")
+        self.show_status(context, "Checking the installation of Hand Capture   Esc: Stop")
         screen.redraw("PREFERENCES")
-        return self._start_timer(context, _TICK)
 
-    def modal(self, context, event):
+    def follow(self, context, event):
         if event.type == "ESC" and event.value == "PRESS":
-            self.cancel(context)
-            self.report({"INFO"}, "The check was stopped")
-            return {"CANCELLED"}
+            self.end(context)
+            return self._nothing_done("The check was stopped")
         if event.type != "TIMER" or not self._check.look():
             return {"PASS_THROUGH"}
-        self.cancel(context)
+        self.end(context)
         return self._show(*self._check.outcome())
 
-    def cancel(self, context):
+    def ended(self, context):
         global _checking
         _checking = None
         self._check.worker.stop()
-        self._stop_timer(context)
         screen.redraw("PREFERENCES")
 
-    def execute(self, context):
+    def run(self, context):
         """Check and wait for it: for scripts, and without a window."""
         return self._show(*check())
 
@@ -99,9 +94,8 @@ class MANIENT_OT_check_installation(PollMixin, TimerMixin, bpy.types.Operator):
         global _last
         _last = result
         details.write_text(TEXT_NAME, text)
-        self.report({"INFO"} if result.ok else {"WARNING"}, f"{result.sentence} (text {TEXT_NAME})")
         screen.redraw("PREFERENCES")
-        return {"FINISHED"}
+        return self._done(f"{result.sentence} (text {TEXT_NAME})", kind="INFO" if result.ok else "WARNING")
 
 
 class _Check:
@@ -189,7 +183,7 @@ def _settings_text(worker: Worker) -> str:
         f"MANO files: {chosen.mano_folder or 'none chosen'}",
     ]
     if chosen.mano_folder:
-        lines += [f"  {result.sentence}" for result in check_mano.check(chosen.mano_folder)]
+        lines += [f"  {result.sentence}" for result in housekeeping.check(chosen.mano_folder)]
     return "\n".join(lines)
 
 

@@ -1,24 +1,27 @@
-"""Edit Keypoints: drag the 21 points over the picture, and the hand follows."""
+"""Edit Keypoints: drag the 21 points over the picture, and the hand follows; the same for scripts."""
 
 from __future__ import annotations
 
 import bpy
 
+from handfit_core.edit.corrections import Pins
 from handfit_core.errors import OptionError
+from handfit_core.skeleton import NUM_KEYPOINTS
 
+from .. import shared_worker
 from ..modes import keypoints as mode
 from ..modes import view
 from ..refiner import Refiner, why_not
-from ..scene.store import active_hand
-from .mixins import PollMixin, TimerMixin, errors_reported
+from ..scene.store import active_hand, hand_of
+from .base import ManientOperator, ModalOperator, show_frame_again
 
-_TICK = 0.008
-"""seconds between two looks at the worker"""
 _KEYS = (
     "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    "
     "Left/Right: Frame    Wheel: Zoom    Home: Hand    Shift Home: Picture    Enter, Esc: Done"
 )
-_ENDS = {"RET", "NUMPAD_ENTER", "TAB"}
+_ENDS = {"RET", "NUMPAD_ENTER", "TAB", "ESC"}
+_TIMEOUT_SECONDS = 120.0
+"""seconds for which Move Keypoint waits; the first answer may wait for the worker to start"""
 
 _mode: mode.KeypointMode | None = None
 
@@ -28,21 +31,18 @@ def running() -> bool:
     return _mode is not None
 
 
-class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
-    bl_idname = "manient.edit_keypoints"
+class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
+    """Show the 21 points of the hand over the picture. Dragging one fits the hand again so that it lies
+    there, and the frames around follow as far as Spread says."""
+
     bl_label = "Edit Keypoints"
-    bl_description = (
-        "Show the 21 points of the hand over the picture. Dragging one fits the hand again so that it "
-        "lies there, and the frames around follow as far as Spread says"
-    )
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    tick = 0.008
 
     @classmethod
     def lacks(cls, context):
         return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
-    @errors_reported
-    def invoke(self, context, _event):
+    def begin(self, context):
         """Begin the mode in the viewport under the mouse, or the largest one."""
         global _mode
         hand, viewport = active_hand(context), view.first_viewport(context)
@@ -53,34 +53,28 @@ class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
         _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
         # So that undoing the first drag leads back to here.
         bpy.ops.ed.undo_push(message="Edit Keypoints")
-        self._show_status(context, _KEYS)
-        return self._start_timer(context, _TICK)
+        self.show_status(context, _KEYS)
 
-    def execute(self, _context):
-        """Without a window there is nothing to drag."""
-        self.report({"ERROR"}, "Keypoints are edited in a window; scripts use manient.move_keypoint")
-        return {"CANCELLED"}
+    def run(self, context):
+        raise OptionError("Keypoints are edited in a window; scripts use manient.move_keypoint")
 
-    def modal(self, context, event):
+    def follow(self, context, event):
         if _mode is None:
-            return self._end(context)
+            return self.end(context)
         trouble = _mode.trouble(context)
         if trouble is not None:
             if trouble:
                 self.report({"INFO"}, trouble)
-            return self._end(context)
+            return self.end(context)
         _mode.tick(context)
         if event.type == "TIMER":
             return {"PASS_THROUGH"}
         viewport = view.viewport_at(context, _mode.view.address)
         if viewport is None:
-            return self._end(context)
+            return self.end(context)
         if _mode.drag is not None and not _mode.drag.released:
             return self._while_dragging(context, event, viewport)
         return self._between_drags(context, event, viewport)
-
-    def cancel(self, context):
-        self._end(context)
 
     def _while_dragging(self, context, event, viewport):
         assert _mode is not None
@@ -139,26 +133,90 @@ class MANIENT_OT_edit_keypoints(PollMixin, TimerMixin, bpy.types.Operator):
         if event.type == "HOME" and not (event.ctrl or event.alt or event.oskey):
             (_mode.show_picture if event.shift else _mode.show_hand)(viewport)
             return {"RUNNING_MODAL"}
-        if event.type in _ENDS or event.type == "ESC":
-            return self._end(context)
+        if event.type in _ENDS:
+            return self.end(context)
         return {"PASS_THROUGH"}
 
-    def _end(self, context):
+    def ended(self, context):
         global _mode
         ended, _mode = _mode, None
         if ended is not None:
             ended.end(context)
-        self._stop_timer(context)
-        return {"FINISHED"}
 
 
-@bpy.app.handlers.persistent
+class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
+    """Pin a point of the hand to a place in the picture and fit the hand to it again."""
+
+    bl_label = "Move Keypoint"
+
+    hand: bpy.props.StringProperty(  # type: ignore
+        name="Hand", description="Name of the hand's armature (empty: the active one)"
+    )
+    frame: bpy.props.IntProperty(  # type: ignore
+        name="Frame", description="Scene frame", options={"SKIP_SAVE"}
+    )
+    keypoint: bpy.props.IntProperty(  # type: ignore
+        name="Keypoint", description="0 is the wrist, 8 the index tip", min=0, max=NUM_KEYPOINTS - 1
+    )
+    x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")  # type: ignore
+    y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")  # type: ignore
+    remove: bpy.props.BoolProperty(  # type: ignore
+        name="Remove", description="Remove the point's pin instead", options={"SKIP_SAVE"}
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        """Anything that can be refined at all; `execute` checks the hand it is given."""
+        hand = active_hand(context)
+        return why_not(context, hand) if hand is not None else None
+
+    def run(self, context):
+        refiner = Refiner(self._armature(context))
+        frame = self.frame if self.properties.is_property_set("frame") else context.scene.frame_current
+        row = refiner.row_at(frame)
+        if row is None:
+            raise OptionError(f"frame {frame} was not captured: give a frame of the source")
+        pins = self._pins(refiner.pins(row))
+        if pins or refiner.touches(row):
+            fields = refiner.request([row], [pins], refiner.start_poses([row]))()
+            worker = shared_worker.worker()
+            poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_TIMEOUT_SECONDS))
+            if not poses.present[0]:
+                raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
+            refiner.correct(row, pins, poses, context.scene.manient.spread)
+        else:
+            refiner.unpin(row)
+        show_frame_again(context)
+
+    def _armature(self, context) -> bpy.types.Object:
+        if not self.hand:
+            hand = active_hand(context)
+            if hand is None:
+                raise OptionError("no captured hand is active: select one, or give its name")
+            return hand.armature
+        obj = context.scene.objects.get(self.hand)
+        hand = hand_of(obj) if obj is not None else None
+        if hand is None:
+            raise OptionError(f"there is no captured hand {self.hand!r} in this scene")
+        why = why_not(context, hand)
+        if why is not None:
+            raise OptionError(why)
+        return hand.armature
+
+    def _pins(self, pins: Pins) -> Pins:
+        others = {k: place for k, place in pins.items() if k != self.keypoint}
+        if not self.remove:
+            return {**others, self.keypoint: (self.x, self.y)}
+        if self.keypoint not in pins:
+            raise OptionError(f"keypoint {self.keypoint} has no pin in this frame")
+        return others
+
+
 def _on_undo(*_args) -> None:
     if _mode is not None and not _mode.own_undo:
         _mode.ended = "Keypoints: ended by an undo"
 
 
-@bpy.app.handlers.persistent
 def unregister(*_args) -> None:
     """End the mode; its operator finds out with its next event."""
     if _mode is not None:
@@ -166,7 +224,6 @@ def unregister(*_args) -> None:
         _mode.ended = ""
 
 
-@bpy.app.handlers.persistent
 def _on_load(*_args) -> None:
     unregister()
     mode.forget_views()

@@ -12,59 +12,51 @@ from handfit_core.options import CaptureOptions
 from .. import jobs, shared_worker, source_info
 from ..modes import find_hands as mode
 from ..modes import view
+from .base import LINKED_SCENE, ManientOperator, ModalOperator
 from .capture import new_job
-from .mixins import PollMixin, TimerMixin, errors_reported
 
-_TICK = 0.03
-"""seconds between two looks at the worker"""
 _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""
 
 
-class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
-    bl_idname = "manient.find_hands"
+class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
+    """Show all hands of the picture over it, to choose those that are captured, to say which are left and
+    right, and to draw a box around one that was missed. Of a clip the scene's current frame is shown."""
+
     bl_label = "Find Hands"
-    bl_description = (
-        "Show all hands of the picture over it, to choose those that are captured, to say which are left and "
-        "right, and to draw a box around one that was missed. Of a clip the scene's current frame is shown"
-    )
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    tick = 0.03
 
     @classmethod
     def lacks(cls, context):
         if mode.current is not None:
             return "Hands are being chosen already"
         if context.scene is None or not context.scene.is_editable:
-            return "This scene is linked from another file: open or make one of your own"
+            return LINKED_SCENE
         if jobs.busy():
             return "A capture is running: wait for it, or stop it"
         return shared_worker.capture_sentence()
 
-    @errors_reported
-    def invoke(self, context, _event):
+    def begin(self, context):
         """Begin the mode in the viewport under the mouse, or the largest one."""
         viewport = view.first_viewport(context)
         if viewport is None:
             raise OptionError("Hands are chosen in a 3D viewport: open one in this window")
         mode.current = mode.FindMode(chosen_source(context), viewport, context.scene.manient.source)
         self._panned: np.ndarray | None = None
-        self._show_status(context, mode.current.keys)
-        return self._start_timer(context, _TICK)
+        self.show_status(context, mode.current.keys)
 
-    def execute(self, _context):
-        """Without a window there is nothing to click on."""
-        self.report({"ERROR"}, "Hands are chosen in a window; scripts give regions to a capture")
-        return {"CANCELLED"}
+    def run(self, context):
+        raise OptionError("Hands are chosen in a window; scripts give regions to a capture")
 
-    def modal(self, context, event):
+    def follow(self, context, event):
         session = mode.current
         if session is None:
-            return self._end(context)
+            return self.end(context)
         trouble = session.trouble(context)
         if trouble is not None:
             if trouble:
                 self.report({"INFO"}, trouble)
-            return self._end(context)
+            return self.end(context)
         session.tick(context)
         viewport = view.viewport_at(context, session.address)
         if viewport is None or event.type == "TIMER":
@@ -92,9 +84,6 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
             viewport.area.tag_redraw()
             return done
         return {"PASS_THROUGH"}
-
-    def cancel(self, context):
-        self._end(context)
 
     def _moved(self, session, viewport, mouse, inside):
         if self._panned is not None and session.picture_view is not None:
@@ -125,7 +114,7 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
         elif kind == "ESC" and session.dragged is not None:
             session.dragged = None
         elif kind == "ESC":
-            return self._end(context)
+            return self.end(context)
         elif kind in ("RET", "NUMPAD_ENTER"):
             return self._do(context, session, "capture")
         elif kind == "Z" and (event.ctrl or event.oskey):
@@ -163,7 +152,7 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
             except HandfitError as error:
                 session.message = str(error)
                 return {"RUNNING_MODAL"}
-            ended = self._end(context)
+            ended = self.end(context)
             if jobs.busy():
                 bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
             elif todo == "add":
@@ -171,32 +160,28 @@ class MANIENT_OT_find_hands(PollMixin, TimerMixin, bpy.types.Operator):
             return ended
         return {"RUNNING_MODAL"}
 
-    def _end(self, context):
+    def ended(self, context):
         unregister()
-        self._stop_timer(context)
-        return {"FINISHED"}
 
 
-class MANIENT_OT_capture_found(PollMixin, bpy.types.Operator):
-    bl_idname = "manient.capture_found"
+class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
+    """Capture the hands that are chosen in the picture, and no others."""
+
     bl_label = "Capture Chosen Hands"
-    bl_description = "Capture the hands that are chosen in the picture, and no others"
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
 
     @classmethod
-    def lacks(cls, _context):
+    def lacks(cls, context):
         if mode.current is not None and mode.current.busy:
             return "The worker is still looking: wait a moment"
         chosen = mode.current is not None and mode.current.choice.chosen
         return None if chosen else "No hand is chosen: click one in the picture"
 
-    @errors_reported
-    def execute(self, context):
+    def run(self, context):
         """Queue the capture; the mode finds out with its next event."""
         capture_chosen(context)
         unregister()
         bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
-        return {"FINISHED"}
 
 
 def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -> None:
@@ -230,7 +215,6 @@ def _frame(current: int, options: CaptureOptions, info: source_info.SourceInfo) 
     return min(used, key=lambda n: abs(n - current)) if used[0] <= current <= used[-1] else used[0]
 
 
-@bpy.app.handlers.persistent
 def unregister(*_args) -> None:
     """End the mode; its operator finds out with its next event."""
     if mode.current is not None:

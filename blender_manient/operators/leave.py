@@ -7,33 +7,27 @@ import bpy
 from .. import screen
 from ..modes import find_hands as find_mode
 from . import add_hand, find_hands
-from .mixins import PollMixin
+from .base import InternalOperator
 from .refit_range import RangeFitOperator
 
-_LEAVE = {
-    "FIND": lambda: find_hands.unregister(),
-    "ADD": lambda: add_hand.unregister(),
-    "FIT": lambda: RangeFitOperator.stop(),
-}
+_LEAVE = {"FIND": find_hands.unregister, "ADD": add_hand.unregister, "FIT": RangeFitOperator.stop}
 """Ends each; its operator finds out with its next event"""
 
 
-class MANIENT_OT_leave(PollMixin, bpy.types.Operator):
-    bl_idname = "manient.leave"
+class MANIENT_OT_leave(InternalOperator, bpy.types.Operator):
+    """End this without changing anything, as Esc does."""
+
     bl_label = "Leave"
-    bl_description = "End this without changing anything, as Esc does"
-    bl_options = {"INTERNAL"}  # noqa: RUF012
 
     what: bpy.props.EnumProperty(  # type: ignore
         items=[(name, name.capitalize(), "") for name in _LEAVE], options={"SKIP_SAVE"}
     )
 
     @classmethod
-    def lacks(cls, _context):
-        begun = find_mode.current is not None or add_hand.running() or RangeFitOperator.running
+    def lacks(cls, context):
+        begun = find_mode.current is not None or add_hand.running() or RangeFitOperator.fitting()
         return None if begun else "Nothing is under way"
 
-    def execute(self, _context):
+    def run(self, context):
         _LEAVE[self.what]()
         screen.redraw("VIEW_3D")
-        return {"FINISHED"}

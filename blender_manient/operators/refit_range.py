@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from collections.abc import Callable, Generator, Iterator
+from typing import Any
 
 import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import slice_clock
 
 from .. import details, screen, shared_worker
-from ..refiner import Refiner, smoothing_of, why_not
+from ..refiner import BonePoses, Refiner, smoothing_of, why_not
 from ..scene import spans
-from ..scene.build import ChangeWatch
 from ..scene.corrections import corrections_of
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import active_hand, scene_frames
 from ..scene.timing import span_of
 from ..section import sentence
 from ..wording import counted
-from . import edit_keypoints
-from .mixins import PollMixin, TimerMixin, errors_reported
+from .base import StepsOperator, Waiting, Work, polled_hand, show_frame_again
 
-_TICK = 0.02
-_SLICE = 0.02
-"""seconds that one tick may write keys; a bone is written at once, whatever it takes"""
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
 _LONGEST_SUMMARY = (
@@ -40,34 +34,41 @@ _MARGIN = 0.5
 written"""
 
 
-class FitTask(Protocol):
-    """A range of frames on its way through the worker."""
+class RangeFit:
+    """The frames of a range on their way through the worker."""
 
-    count: int
-    """frames"""
+    fields: Callable[[], dict[str, Any]]
+    """Makes the request's fields"""
+    poses: BonePoses
+    fitted: int
+    """What is written, and of how many frames"""
 
-    @property
-    def fields(self) -> Callable[[], dict[str, Any]]:
-        """Makes the request's fields."""
-        ...
+    def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
+        """Raises HandfitError where nothing can be fitted."""
+        self.refiner = Refiner(polled_hand(context).armature)
+        self.rows = operator.rows(context, self.refiner)
+        self.count = len(self.rows)
+        self.spread = context.scene.manient.spread
 
-    def received(self, done: dict[str, Any]) -> None:
-        """The worker's answer."""
-        ...
+    def received(self, poses: BonePoses) -> None:
+        """Take over what the worker found in the rows. Raises OptionError where that is nothing."""
+        self.poses, self.fitted = poses, int(poses.present.sum())
+        if self.fitted == 0:
+            raise OptionError("no hand can be fitted in this range: nothing was detected or pinned there")
 
     def writing(self) -> Iterator[float]:
         """Write the keys; yields how much is done, 0..1."""
-        ...
+        raise NotImplementedError
 
 
-class RangeFitOperator(PollMixin, TimerMixin):
+class RangeFitOperator(StepsOperator):
     """The base of operators that ask for a range of frames and have the worker fit them."""
 
-    bl_idname: str
     bl_label: str
-    layout: Any
-    report: Any
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
+    title = "Re-fitting"
+    undone = "re-fitting was stopped by an undo: nothing more was changed"
+    progress_text = "Re-fitting"
+    """What is said while the worker fits"""
 
     scope: bpy.props.EnumProperty(  # type: ignore
         name="Range",
@@ -84,89 +85,55 @@ class RangeFitOperator(PollMixin, TimerMixin):
         description="The range was asked for already", options={"HIDDEN", "SKIP_SAVE"}
     )
 
-    progress_text = "Re-fitting"
-    """What is said while it works"""
-
     _dialog = False
     """Whether this instance asks for the range"""
     _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
     """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
-    running = ""
-    """The operator by which a range is being fitted"""
-    can_stop = False
-    """Whether the fit can still be stopped before anything is changed"""
+
+    @classmethod
+    def fitting(cls) -> tuple[str, Work] | None:
+        """The operator by which a range is being fitted, and its work; None where none is."""
+        names = [each.bl_idname for each in RangeFitOperator.__subclasses__()]
+        return next(((name, cls.running[name]) for name in names if name in cls.running), None)
+
+    @classmethod
+    def stop(cls) -> None:
+        """Stop what is being fitted, as long as nothing is written."""
+        if fit := cls.fitting():
+            fit[1].stop()
 
     @classmethod
     def lacks(cls, context):
-        if RangeFitOperator.running:
+        if cls.fitting():
             return "A range is being fitted already"
-        if edit_keypoints.running():
+        if "manient.edit_keypoints" in cls.running:
             return "Leave Edit Keypoints first"
         return why_not(context, active_hand(context))
 
-    @errors_reported
-    def execute(self, context):
-        """Fit and wait for it: for scripts, and without a window. After the dialog: fit as `invoke` does."""
-        if self._dialog:
-            # An operator cannot go on running from its own dialog: another one of its kind does.
-            try:
-                operator = getattr(bpy.ops.manient, type(self).bl_idname.removeprefix("manient."))
-                wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
-                operator("INVOKE_DEFAULT", **wanted, **self.other_properties())
-            except RuntimeError as error:  # its own report
-                self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
-            return {"CANCELLED"}
-        work = self.make_task(context)
-        worker = shared_worker.worker()
-        work.received(worker.wait(worker.submit("refit", **work.fields())))
-        for _ in work.writing():
-            pass
-        return self._finished(context, work)
-
-    @errors_reported
-    def invoke(self, context, _event):
-        """Ask for the range, then fit while the window stays free."""
-        if not self.asked:
-            self.suggest(context)
-            self.scope, self._dialog = "CUSTOM", True
-            return context.window_manager.invoke_props_dialog(
-                self, width=_WIDTH, title=self.bl_label, confirm_text=self.bl_label
-            )
-        self._work = self.make_task(context)
-        self._request = 0
-        self._writing: Iterator[float] | None = None
-        self._watch = ChangeWatch()
-        self._began = time.monotonic()
-        RangeFitOperator.running, RangeFitOperator.can_stop = type(self).bl_idname, True
-        return self._start_timer(context, _TICK)
-
-    @staticmethod
-    def stop() -> None:
-        """Stop what is being fitted, as long as nothing is written."""
-        RangeFitOperator.can_stop = False
-
-    def make_task(self, context) -> FitTask:
-        """What is to be done. Raises HandfitError."""
+    def make_fit(self, context: bpy.types.Context) -> RangeFit:
+        """What is to be fitted. Raises HandfitError."""
         raise NotImplementedError
 
-    def suggest(self, context):
-        """Set the range that is likely meant."""
+    def suggest(self, context: bpy.types.Context) -> None:
+        """Set the range that is likely meant. Raises HandfitError."""
         self.first, self.last = suggested_range(context)
 
     def other_properties(self) -> dict[str, Any]:
         """The values of the properties beside the range, for running the operator from its dialog."""
         return {}
 
-    def report_text(self, work: Any) -> tuple[str, str]:
-        """The kind and the text of the report at the end."""
-        return "INFO", f"{counted(work.fitted, 'frame')} fitted again"
+    def summary(self, context: bpy.types.Context) -> tuple[str, bool]:
+        """A sentence about what would be done, and whether it is a warning."""
+        raise NotImplementedError
+
+    def draw_properties(self):
+        """Draw the properties beside the range."""
 
     def check(self, _context):
         """Say anew what would be done whenever something changes."""
         return True
 
     def draw(self, context):
-        """The range, and what would be done there."""
         self.draw_properties()
         row = self.layout.row(align=True)
         row.prop(self, "first")
@@ -174,94 +141,74 @@ class RangeFitOperator(PollMixin, TimerMixin):
         asked = (self.first, self.last, *self.other_properties().values())
         if self._summary is None or self._summary[0] != asked:
             self._summary = asked, self.summary(context)
-        summary, alert = self._summary[1]
+        text, alert = self._summary[1]
+        reserve = [_LONGEST_SUMMARY]
         icon = "ERROR" if alert else "INFO"
-        sentence(
-            self.layout, context, summary, icon, alert=alert, width=_WIDTH, reserve_for=[_LONGEST_SUMMARY]
-        )
+        sentence(self.layout, context, text, icon, alert=alert, width=_WIDTH, reserve_for=reserve)
 
-    def draw_properties(self):
-        """Draw the properties beside the range."""
-
-    def summary(self, context) -> tuple[str, bool]:
-        """A sentence about what would be done, and whether it is a warning."""
-        raise NotImplementedError
-
-    def modal(self, context, event):
-        """Look for the answer; Esc stops, as long as nothing is written."""
-        try:
-            if self._watch.changed:
-                raise OptionError("re-fitting was stopped by an undo: nothing more was changed")
-            if event.type == "ESC" and event.value == "PRESS":
-                RangeFitOperator.stop()
-            if not RangeFitOperator.can_stop and self._writing is None:
-                self.report({"INFO"}, "Re-fitting was stopped; nothing was changed")
-                self._end(context)
-                return {"CANCELLED"}
-            if event.type != "TIMER":
-                return {"PASS_THROUGH"}
-            if self._step(context):
-                self._end(context)
-                return self._finished(context, self._work)
-        except HandfitError as error:
-            details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
-            self.report({"ERROR"}, str(error))
-            self._end(context)
-            return {"CANCELLED"}
-        except Exception:
-            # An operator that Blender ends after an error cannot clean up later.
-            self._end(context)
-            raise
-        return {"PASS_THROUGH"}
-
-    def cancel(self, context):
-        """Blender ends the operator, as on loading a file; a dialog that is left has begun nothing."""
+    def run(self, context):
+        """Fit and wait for it. From the dialog: an operator cannot go on running from its own dialog, so
+        another one of its kind does."""
         if not self._dialog:
-            self._end(context)
+            return super().run(context)
+        try:
+            operator = getattr(bpy.ops.manient, self.bl_idname.removeprefix("manient."))
+            wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
+            operator("INVOKE_DEFAULT", **wanted, **self.other_properties())
+        except RuntimeError as error:  # its own report
+            self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+        return {"CANCELLED"}
 
-    def _step(self, context) -> bool:
-        """Go on; whether all is done."""
-        if self._writing is not None:
-            is_over = slice_clock(_SLICE)
-            for part in self._writing:
-                self._show_status(context, f"Writing keys  {part:.0%}")
-                if is_over():
-                    return False
-            return True
-        if not self._request:
-            self._request = shared_worker.worker().submit("refit", **self._work.fields())
-        done = shared_worker.answer(self._request)
-        if done is not None:
-            self._request = 0
-            self._work.received(done)
-            self._writing, RangeFitOperator.can_stop = self._work.writing(), False
-            screen.redraw_sidebars()
-            return False
-        spent = time.monotonic() - self._began
-        self._show_status(
-            context, f"{self.progress_text}: {self._work.count} frames  {spent:.0f} s   Esc: Stop"
-        )
-        return False
+    def begin(self, context):
+        """Ask for the range, or fit while the window stays free."""
+        if self.asked:
+            return super().begin(context)
+        self.suggest(context)
+        self.scope, self._dialog = "CUSTOM", True
+        title = self.bl_label
+        return context.window_manager.invoke_props_dialog(self, width=_WIDTH, title=title, confirm_text=title)
 
-    def _finished(self, context, work: FitTask):
-        scene = context.scene
-        scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        kind, text = self.report_text(work)
-        self.report({kind}, text)
-        return {"FINISHED"}
+    def steps(self, context):
+        return self._fitting(self.make_fit(context))
 
-    def _end(self, context) -> None:
-        RangeFitOperator.running, RangeFitOperator.can_stop = "", False
-        self._watch.stop()
-        if self._request:
-            shared_worker.worker().cancel(self._request)
-            shared_worker.abandon(self._request)
-            self._request = 0
-        self._stop_timer(context)
+    def _fitting(self, fit: RangeFit) -> Generator[str, None, RangeFit]:
+        began = time.monotonic()
+        request = shared_worker.worker().submit("refit", **fit.fields())
+        try:
+            while (done := shared_worker.answer(request)) is None:
+                spent = time.monotonic() - began
+                yield Waiting(f"{self.progress_text}: {fit.count} frames  {spent:.0f} s")
+            request = 0
+        finally:
+            if request:
+                shared_worker.worker().cancel(request)
+                shared_worker.abandon(request)
+        fit.received(fit.refiner.poses(done, len(fit.rows)))
+        if self.bl_idname in self.running:
+            self.running[self.bl_idname].can_stop = False
+        screen.redraw_sidebars()
+        for part in fit.writing():
+            yield f"Writing keys  {part:.0%}"
+        return fit
+
+    def failed(self, error):
+        details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
+
+    def ended(self, context):
+        super().ended(context)
         screen.redraw("VIEW_3D")
 
-    def rows(self, context, refiner: Refiner) -> np.ndarray:
-        """The take's rows in the range."""
+    def finished(self, context, result):
+        show_frame_again(context)
+        kind, text = self.report_text(result)
+        return self._done(text, kind=kind)
+
+    def report_text(self, fit: Any) -> tuple[str, str]:
+        """The kind and the text of the report at the end."""
+        return "INFO", f"{counted(fit.fitted, 'frame')} fitted again"
+
+    def rows(self, context: bpy.types.Context, refiner: Refiner) -> np.ndarray:
+        """The take's rows in the range. Raises OptionError where there are none."""
         frames = refiner.scene_frames()
         first, last = frames[0], frames[-1]
         if self.scope == "CUSTOM":
@@ -278,15 +225,13 @@ class RangeFitOperator(PollMixin, TimerMixin):
 
 
 class MANIENT_OT_refit_range(RangeFitOperator, bpy.types.Operator):
-    bl_idname = "manient.refit_range"
-    bl_label = "Re-fit Range"
-    bl_description = (
-        "Fit a range of frames again, smoothly over time, with pinned points, touches and locked joints. "
-        "Asks for the range first, and says what keys of your own it would replace"
-    )
+    """Fit a range of frames again, smoothly over time, with pinned points, touches and locked joints. Asks
+    for the range first, and says what keys of your own it would replace."""
 
-    def make_task(self, context):
-        return RefitTask(context, self.rows)
+    bl_label = "Re-fit Range"
+
+    def make_fit(self, context):
+        return MotionFit(self, context)
 
     def summary(self, context):
         return replaced(context, self.first, self.last)
@@ -330,40 +275,29 @@ def rows_within(frames: np.ndarray, first: float, last: float) -> np.ndarray:
     return np.flatnonzero((frames >= first - 0.5) & (frames <= last + 0.5))
 
 
-class RefitTask:
+class MotionFit(RangeFit):
     """The frames of a range, and some around, fitted over time with their pins, touches and locks."""
 
-    def __init__(self, context, rows_of: Callable[[Any, Refiner], np.ndarray]) -> None:
-        hand = active_hand(context)
-        assert hand is not None
-        self.refiner = Refiner(hand.armature)
-        rows = rows_of(context, self.refiner)
-        self.count = len(rows)
-        self.fitted = 0
+    def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
+        super().__init__(operator, context)
         numbers = np.asarray(self.refiner.take.frame_numbers)
         margin = _MARGIN * self.refiner.take.fps
-        near = (numbers >= numbers[rows[0]] - margin) & (numbers <= numbers[rows[-1]] + margin)
-        self._fit_rows = np.flatnonzero(near)
-        self._is_written = np.isin(self._fit_rows, rows)
-        self.fields = self._request(smoothing_of(context.scene, hand.armature))
+        written, first, last = self.rows, numbers[self.rows[0]], numbers[self.rows[-1]]
+        self.rows = np.flatnonzero((numbers >= first - margin) & (numbers <= last + margin))
+        self._is_written = np.isin(self.rows, written)
+        self.fields = self.request(smoothing_of(context.scene, self.refiner.armature))
 
-    def _request(self, smoothing: float) -> Callable[[], dict[str, Any]]:
-        field, rows = corrections_of(self.refiner.armature), self._fit_rows.tolist()
+    def request(self, smoothing: float) -> Callable[[], dict[str, Any]]:
+        """The request's fields: what they start from, and the strength of smoothing."""
+        field, rows = corrections_of(self.refiner.armature), self.rows.tolist()
         pins = [field.pins(self.refiner.source_frame(row)) for row in rows]
         poses = self.refiner.keyed_poses(rows)
         return self.refiner.request(rows, pins, poses, mode="range", smoothing=smoothing)
 
-    def received(self, done: dict[str, Any]) -> None:
-        """The worker's answer."""
-        poses = self.refiner.poses(done, len(self._fit_rows))
+    def received(self, poses):
         # What was fitted only to lead into the range is left alone.
-        poses.quats[~self._is_written] = np.nan
-        poses.locations[~self._is_written] = np.nan
-        self.fitted = int(poses.present.sum())
-        if self.fitted == 0:
-            raise OptionError("no hand can be fitted in this range: nothing was detected or pinned there")
-        self._poses = poses
+        poses.quats[~self._is_written] = poses.locations[~self._is_written] = np.nan
+        super().received(poses)
 
-    def writing(self) -> Iterator[float]:
-        """Write the keys; yields how much is done."""
-        return self.refiner.replacing(self._fit_rows.tolist(), self._poses)
+    def writing(self):
+        yield from self.refiner.replacing(self.rows.tolist(), self.poses)

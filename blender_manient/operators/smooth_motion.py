@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import bpy
@@ -12,12 +11,11 @@ from handfit_core.errors import HandfitError, OptionError
 
 from .. import properties
 from ..refiner import Refiner, smoothing_of, why_not_smoothable
-from ..scene.own_keys import captured_poses
-from ..scene.smoothing import smoothed, writing
+from ..scene.own_keys import captured_poses, smoothed, writing
 from ..scene.store import active_hand
 from ..wording import capitalised, counted
-from .mixins import polled_hand
-from .refit_range import RangeFitOperator, RefitTask
+from .base import polled_hand
+from .refit_range import MotionFit, RangeFitOperator
 
 _QUIET_SECONDS = 0.3
 """seconds for which the slider rests before the motion is smoothed"""
@@ -29,13 +27,11 @@ _wanted: tuple[int, float] | None = None
 
 
 class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
-    bl_idname = "manient.smooth_motion"
+    """Fit the motion anew to the keypoints of the capture, with another strength of smoothing. Frames that
+    you corrected, posed or keyed stay as they are; keys around lead there over Spread. Works on the preview
+    range where it is used, else on all frames."""
+
     bl_label = "Smooth Motion"
-    bl_description = (
-        "Fit the motion anew to the keypoints of the capture, with another strength of smoothing. Frames "
-        "that you corrected, posed or keyed stay as they are; keys around lead there over Spread. Works on "
-        "the preview range where it is used, else on all frames"
-    )
     progress_text = "Smoothing"
 
     strength: bpy.props.FloatProperty(  # type: ignore
@@ -48,19 +44,21 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
         why = why_not_smoothable(hand) if hand is not None else None
         return capitalised(why) if why is not None else super().lacks(context)
 
-    def make_task(self, context):
-        strength = self.strength
-        if not self.properties.is_property_set("strength"):
-            strength = smoothing_of(context.scene, polled_hand(context).armature)
-        return _SmoothTask(context, self.rows, strength)
+    def make_fit(self, context):
+        return _SmoothFit(self, context)
 
     def suggest(self, context):
         """All frames, or the preview range."""
         refiner = Refiner(polled_hand(context).armature)
         places = refiner.scene_frames()[self.rows(context, refiner)]
         self.first, self.last = int(np.ceil(places[0])), int(places[-1])
-        if not self.properties.is_property_set("strength"):
-            self.strength = smoothing_of(context.scene, polled_hand(context).armature)
+        self.strength = self.wanted_strength(context)
+
+    def wanted_strength(self, context: bpy.types.Context) -> float:
+        """The strength that was asked for, else the one that the keys have."""
+        if self.properties.is_property_set("strength"):
+            return self.strength
+        return smoothing_of(context.scene, polled_hand(context).armature)
 
     def draw_properties(self):
         self.layout.prop(self, "strength", slider=True)
@@ -76,48 +74,46 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
     def other_properties(self) -> dict[str, Any]:
         return {"strength": self.strength}
 
-    def report_text(self, work: _SmoothTask) -> tuple[str, str]:
-        kept = work.count - work.fitted
+    def report_text(self, fit):
+        kept = fit.count - fit.fitted
         left = f", {kept} left as they were" if kept else ""
-        return "INFO", f"{counted(work.fitted, 'frame')} smoothed{left}"
+        return "INFO", f"{counted(fit.fitted, 'frame')} smoothed{left}"
 
-    def modal(self, context, event):
+    def follow(self, context, event):
         """Wait for the fit, unless the slider was moved on: then its next value is fitted instead."""
-        if _wanted is not None and _wanted[1] != self.strength and self._writing is None:
-            self._end(context)
+        if _wanted is not None and _wanted[1] != self.strength and self.running[self.bl_idname].can_stop:
+            self.end(context)
             return {"CANCELLED"}
-        return super().modal(context, event)
+        return super().follow(context, event)
 
-    def _end(self, context):
+    def ended(self, context):
         global _wanted
-        super()._end(context)
+        super().ended(context)
         if _wanted is not None and _wanted[1] == self.strength:
             _wanted = None
 
 
-class _SmoothTask(RefitTask):
+class _SmoothFit(MotionFit):
     """The motion of a range, fitted anew to the capture's keypoints with another strength of smoothing."""
 
-    def __init__(self, context, rows_of, strength: float) -> None:
-        self._strength, self._spread = strength, context.scene.manient.spread
-        super().__init__(context, rows_of)
+    def __init__(self, operator: MANIENT_OT_smooth_motion, context: bpy.types.Context) -> None:
+        self._strength = operator.wanted_strength(context)
+        super().__init__(operator, context)
 
-    def _request(self, smoothing: float):
+    def request(self, smoothing):
         # From the captured poses: what comes out does not depend on what was smoothed before.
-        rows = self._fit_rows.tolist()
+        rows = self.rows.tolist()
         poses, locked = self.refiner.keyed_poses(rows), np.array(self.refiner.armature.manient.locked)
-        quats, locations = captured_poses(self.refiner.hand, self._fit_rows)
+        quats, locations = captured_poses(self.refiner.hand, self.rows)
         poses.quats[:, ~locked] = quats[:, ~locked]
         if not locked[0]:
             poses.locations[:] = locations
         none: list[dict[int, Any]] = [{} for _ in rows]
         return self.refiner.request(rows, none, poses, mode="range", smoothing=self._strength, touches=none)
 
-    def received(self, done: dict[str, Any]) -> None:
-        """The worker's answer."""
-        poses = self.refiner.poses(done, len(self._fit_rows))
-        args = self.refiner.hand, self._fit_rows, self._is_written, poses.quats, poses.locations
-        self._smoothed = smoothed(*args, self._spread)
+    def received(self, poses):
+        args = self.refiner.hand, self.rows, self._is_written, poses.quats, poses.locations
+        self._smoothed = smoothed(*args, self.spread)
         self.fitted = self._smoothed.written
         if self.fitted == 0:
             raise OptionError(
@@ -125,7 +121,7 @@ class _SmoothTask(RefitTask):
                 "corrected or keyed by hand"
             )
 
-    def writing(self) -> Iterator[float]:
+    def writing(self):
         """Write the keys, and note how smooth they are; yields how much is done."""
         yield from writing(lambda: self.refiner.hand, self._smoothed)
         self.refiner.armature.manient.smoothing = self._strength
@@ -167,7 +163,7 @@ def _smooth() -> float | None:
     global _wanted
     if _wanted is None:
         return None
-    if RangeFitOperator.running:
+    if RangeFitOperator.fitting():
         return _RETRY_SECONDS
     windows = bpy.context.window_manager.windows
     try:
@@ -183,9 +179,9 @@ def _smooth() -> float | None:
     return None
 
 
-def register() -> None:
-    """Add the slider. The window manager is in no undo step: the operator's is the only one."""
-    bpy.types.WindowManager.manient_smoothing = bpy.props.FloatProperty(  # type: ignore
+PROPERTIES = {
+    # The window manager is in no undo step: the operator's is the only one.
+    (bpy.types.WindowManager, "manient_smoothing"): lambda: bpy.props.FloatProperty(
         name="Smoothing",
         get=_shown,
         set=_moved,
@@ -196,11 +192,6 @@ def register() -> None:
             "are. Works on the preview range where it is used",
         ),
     )
-
-
-def unregister() -> None:
-    """Take it away."""
-    _forget()
-    if bpy.app.timers.is_registered(_smooth):
-        bpy.app.timers.unregister(_smooth)
-    del bpy.types.WindowManager.manient_smoothing
+}
+TIMERS = (_smooth,)
+unregister = _forget

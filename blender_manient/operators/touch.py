@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import bpy
@@ -13,10 +12,10 @@ from handfit_core.errors import HandfitError, OptionError
 
 from ..refiner import Refiner
 from ..scene.corrections import correct_frames
-from ..scene.store import active_hand
 from ..scene.timing import frame_rate
 from ..wording import capitalised, counted
-from .refit_range import RangeFitOperator, rows_within, suggested_range
+from .base import polled_hand
+from .refit_range import RangeFit, RangeFitOperator, rows_within, suggested_range
 
 _MAX_TOUCH_GAP = 0.001
 """metres between skins that touch"""
@@ -29,13 +28,11 @@ _POINTS = [(str(point), name, f"The {name.lower()}") for point, name in enumerat
 
 
 class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
-    bl_idname = "manient.touch"
+    """Make two points of the hand touch, skin to skin, over a range of frames: two fingers, or a finger and
+    the palm. Other fingers stay; before and after it fades out over Spread. Asks for the points and the range
+    first."""
+
     bl_label = "Touch"
-    bl_description = (
-        "Make two points of the hand touch, skin to skin, over a range of frames: two fingers, or a finger "
-        "and the palm. Other fingers stay; before and after it fades out over Spread. Asks for the points "
-        "and the range first"
-    )
     progress_text = "Making points touch"
 
     point: bpy.props.EnumProperty(name="Point", items=_POINTS, default="4")  # type: ignore
@@ -63,7 +60,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     def summary(self, context):
         """How far apart the points are."""
         try:
-            gaps = _TouchTask(context, self).gaps
+            gaps = _TouchFit(self, context).gaps
         except HandfitError as error:
             return capitalised(str(error)), True
         if np.isnan(gaps).all():
@@ -72,18 +69,18 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
         return f"{counted(len(gaps), 'frame')}. The points are {far} mm apart there", False
 
-    def make_task(self, context) -> _TouchTask:
-        return _TouchTask(context, self)
+    def make_fit(self, context):
+        return _TouchFit(self, context)
 
     def other_properties(self) -> dict[str, Any]:
         return {"point": self.point, "other": self.other}
 
-    def report_text(self, work: _TouchTask) -> tuple[str, str]:
-        names = " and ".join(POINT_NAMES[point] for point in work.pair)
-        apart = np.flatnonzero(~(np.abs(work.gaps) <= _MAX_TOUCH_GAP))
+    def report_text(self, fit):
+        names = " and ".join(POINT_NAMES[point] for point in fit.pair)
+        apart = np.flatnonzero(~(np.abs(fit.gaps) <= _MAX_TOUCH_GAP))
         if not len(apart):
-            return "INFO", f"{names} touch in {counted(work.count, 'frame')}"
-        most = 1000 * np.nanmax(np.abs(work.gaps))
+            return "INFO", f"{names} touch in {counted(fit.fitted, 'frame')}"
+        most = 1000 * np.nanmax(np.abs(fit.gaps))
         return "WARNING", (
             f"{names} stay up to {most:.0f} mm apart in {counted(len(apart), 'frame')}: other fingers or "
             "locked joints are in the way"
@@ -93,9 +90,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
 def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[int, int]:
     """First and last scene frame around the present one in which two points are about as near as here; the
     preview range where it is used. Raises HandfitError."""
-    hand, scene = active_hand(context), context.scene
-    assert hand is not None
-    refiner = Refiner(hand.armature)
+    scene, refiner = context.scene, Refiner(polled_hand(context).armature)
     frames, around = refiner.scene_frames(), _SEARCH_SECONDS * frame_rate(scene)
     rows = rows_within(frames, scene.frame_current - around, scene.frame_current + around)
     try:
@@ -109,55 +104,37 @@ def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[
     far = np.flatnonzero(~(gaps <= gaps[here] + _MAX_EXTRA_GAP))
     first = max([-1, *far[far < here]]) + 1
     last = min([len(rows), *far[far > here]]) - 1
-    return (
-        suggested_range(context)
-        if first > last
-        else (round(float(frames[rows[first]])), round(float(frames[rows[last]])))
-    )
+    if first > last:
+        return suggested_range(context)
+    return round(float(frames[rows[first]])), round(float(frames[rows[last]]))
 
 
-class _TouchTask:
+class _TouchFit(RangeFit):
     """The frames of a range, fitted so that two points of the hand touch."""
 
-    def __init__(self, context: bpy.types.Context, wanted: MANIENT_OT_touch) -> None:
-        self.pair = touching_pair(int(wanted.point), int(wanted.other))
-        hand = active_hand(context)
-        assert hand is not None
-        self.refiner = Refiner(hand.armature)
-        self._rows = wanted.rows(context, self.refiner)
-        self.count, self._spread = len(self._rows), context.scene.manient.spread
-        start = self.refiner.start_poses(self._rows.tolist())
-        self.gaps = self.refiner.gaps(start, self.pair)
+    def __init__(self, operator: MANIENT_OT_touch, context: bpy.types.Context) -> None:
+        self.pair = touching_pair(int(operator.point), int(operator.other))
+        super().__init__(operator, context)
+        rows, refiner = self.rows.tolist(), self.refiner
+        start = refiner.start_poses(rows)
+        self.gaps = refiner.gaps(start, self.pair)
+        """(N,) metres between the two points"""
         point, other = self.pair
-        self._touches = [{**self.refiner.touches(row), point: other} for row in self._rows]
-        self.fields = self.refiner.request(
-            self._rows.tolist(),
-            [self.refiner.pins(row) for row in self._rows],
-            start,
-            touches=self._touches,
-        )
+        self._touches = [{**refiner.touches(row), point: other} for row in rows]
+        self.fields = refiner.request(rows, list(map(refiner.pins, rows)), start, touches=self._touches)
 
-    def received(self, done: dict[str, Any]) -> None:
-        """The worker's answer."""
-        poses = self.refiner.poses(done, self.count)
-        there = poses.present
-        if not there.any():
-            raise OptionError("no hand can be fitted in this range: nothing was detected or pinned there")
-        self.gaps = self.refiner.gaps(poses, self.pair)[there]
-        self.count = int(there.sum())
-        self._found = there, poses
+    def received(self, poses):
+        super().received(poses)
+        self.gaps = self.refiner.gaps(poses, self.pair)[poses.present]
 
-    def writing(self) -> Iterator[float]:
-        """Write the keys; yields how much is done."""
-        there, poses = self._found
-        frames = [self.refiner.source_frame(row) for row in self._rows[there]]
-        touches = [touched for touched, is_there in zip(self._touches, there, strict=True) if is_there]
+    def writing(self):
+        there, poses = self.poses.present, self.poses
         correct_frames(
             self.refiner.armature,
-            frames,
+            [self.refiner.source_frame(row) for row in self.rows[there]],
             poses.quats[there],
             poses.locations[there],
-            self._spread,
-            touches=touches,
+            self.spread,
+            touches=[touched for touched, is_there in zip(self._touches, there, strict=True) if is_there],
         )
         yield 1.0

@@ -1,1 +1,2 @@
-"""The sidebar tab "Hand Capture" in the 3D viewport, one section per file, in the order of `bl_order`."""
+"""What the sidebar and the preferences show, a section a file, in the order of `bl_order`. A line here draws
+what other rooms know; what is changed, the operators behind its buttons change."""

@@ -159,7 +159,7 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_capture_advanced"
     bl_label = "Advanced"
     bl_parent_id = "MANIENT_PT_capture"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """What few change."""

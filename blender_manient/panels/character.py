@@ -34,7 +34,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_character"
     bl_label = "Character"
     bl_order = 7
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """Whose hands, whose motion, and how."""
@@ -121,7 +121,7 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_character_bones"
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..exporters import EXPORTERS
-from ..operators.export_hand import format_buttons
+from ..operators.export import format_buttons
 from ..scene.characters import active_character, why_not_written
 from ..scene.store import active_hand, hand_of
 from ..section import Section, fitted, sentence, split
@@ -15,7 +15,7 @@ class MANIENT_PT_export(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_export"
     bl_label = "Export"
     bl_order = 9
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """What is exported, format, preset, button."""

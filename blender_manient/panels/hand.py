@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import preferences
-from ..operators import check_mano
+from ..operators import housekeeping
 from ..section import Section, sentence, split
 
 
@@ -13,7 +13,7 @@ class MANIENT_PT_hand(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_hand"
     bl_label = "Hand"
     bl_order = 2
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """Hands, model and size."""
@@ -29,7 +29,7 @@ class MANIENT_PT_hand(Section, bpy.types.Panel):
             elif not settings.model_path:
                 sentence(layout, context, "Choose your MANO file or folder", "ERROR", alert=True)
             layout.operator("manient.check_mano", text="Check Files")
-            for result in check_mano.results(settings.model_path or folder):
+            for result in housekeeping.results(settings.model_path or folder):
                 icon = "CHECKMARK" if result.ok else "ERROR"
                 sentence(layout, context, result.sentence, icon, alert=not result.ok)
         row = layout.row(heading="Expected Size")

@@ -12,7 +12,7 @@ class MANIENT_PT_poses(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_poses"
     bl_label = "Poses"
     bl_order = 8
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """The pictures, and what is done with the chosen one."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import cache, plugins, preferences, shared_worker
-from ..operators import check_installation, check_mano
+from ..operators import check_installation, housekeeping
 from ..section import sentence, split
 from ..wording import capitalised
 
@@ -51,7 +51,7 @@ def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     row = layout.row()
     row.enabled = bool(self.mano_folder)
     row.operator("manient.check_mano", icon="CHECKMARK").path = self.mano_folder
-    for result in check_mano.results(self.mano_folder):
+    for result in housekeeping.results(self.mano_folder):
         sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import preferences
-from ..operators.refit_range import RangeFitOperator
+from ..operators.base import ModalOperator
 from ..refiner import why_not_refinable, why_not_smoothable
 from ..scene import corrections
 from ..scene.store import CapturedHand, active_hand
@@ -18,7 +18,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_refine"
     bl_label = "Refine"
     bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """Editing, range and locks."""
@@ -65,11 +65,10 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
 
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""
-        begun = RangeFitOperator.running == operator
-        row.enabled = is_pressable(operator, "stop" if begun else "begin") and (
-            not begun or RangeFitOperator.can_stop
-        )
-        if begun:
+        work = ModalOperator.running.get(operator)
+        ready = is_pressable(operator, "begin" if work is None else "stop")
+        row.enabled = ready and (work is None or work.can_stop)
+        if work is not None:
             row.operator("manient.leave", text=stop, icon="CANCEL").what = "FIT"
         else:
             row.operator(operator, icon=icon, **shown)

@@ -6,8 +6,8 @@ import bpy
 
 from handfit_core.fit_quality import NOT_KNOWN
 
-from ..scene import captures, corrections, markers
-from ..scene.confidence import errors_of
+from ..scene import captures, corrections
+from ..scene.confidence import errors_of, is_marked
 from ..scene.plate import missing_picture
 from ..scene.retime import other_rate
 from ..scene.store import CapturedHand, captured_hands, hand_of
@@ -135,7 +135,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
                 jump.direction, jump.hand = direction, armature.name
         row = box.row(align=True)
         if count > 1:
-            marked = markers.is_marked(context.scene, hand)
+            marked = is_marked(context.scene, hand)
             markable = row.row(align=True)
             markable.enabled = marked or doubtful + filled > 0
             mark = markable.operator("manient.mark_doubtful", text="Markers", depress=marked)

@@ -13,7 +13,7 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_shape"
     bl_label = "Shape and Pose"
     bl_order = 6
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
         """What is done with the whole hand."""
@@ -42,7 +42,7 @@ class MANIENT_PT_proportions(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_proportions"
     bl_label = "Proportions"
     bl_parent_id = "MANIENT_PT_shape"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
@@ -67,7 +67,7 @@ class MANIENT_PT_other_proportions(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_other_proportions"
     bl_label = "Without a Name"
     bl_parent_id = "MANIENT_PT_proportions"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import key_preview
-from ..operators.simplify_keys import armature_of
+from ..operators.keys import armature_of
 from ..scene.actions import strip_below
 from ..scene.editable import why_not_keyable
 from ..scene.simplify import PARTS, Thinned, kept_action
@@ -17,7 +17,7 @@ class MANIENT_PT_keys(Section, bpy.types.Panel):
     bl_idname = "MANIENT_PT_keys"
     bl_label = "Keys"
     bl_parent_id = "MANIENT_PT_shape"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012
+    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .. import source_info
-from ..operators.use_source import MANIENT_MT_sources
+from ..operators.media import MANIENT_MT_sources
 from ..section import Section, sentence, split
 
 _KINDS = {
@@ -31,7 +31,7 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         layout, settings = self.layout, context.scene.manient
         row = layout.row(align=True)
         row.prop(settings, "source", text="")
-        row.menu(MANIENT_MT_sources.bl_idname, text="", icon="DOWNARROW_HLT")
+        row.menu(MANIENT_MT_sources.__name__, text="", icon="DOWNARROW_HLT")
         info = source_info.of(settings)
         if info.files is None:
             missing = not settings.source

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from handfit_core.edit.corrections import Correction, CorrectionField
-from handfit_core.errors import BuildInterrupted, OptionError
+from handfit_core.errors import BuildInterrupted
 from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
@@ -29,9 +29,9 @@ from handfit_core.take import HandTrack, Take
 from ..rigs.captured_hand import build_rig
 from ..wording import NAME_BYTES, hand_part, named_after, shortened_name
 from . import captures
-from .animation import CURVES, animating, computing_keys
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
+from .keys import CURVES, animating, computing_keys
 from .matching import Footage, note_matched
 from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate
@@ -80,8 +80,6 @@ class BuiltTake:
 class BuildOptions:
     """How a take is built."""
 
-    scene: bpy.types.Scene | None = None
-    """The current one, or None for it"""
     model: str | None = None
     """Instead of `take.model`, for takes whose model file has moved"""
     pose_correctives: bool = True
@@ -128,7 +126,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     finished = False
     watch = ChangeWatch()
     try:
-        steps = _steps(made, take, _checked_scene(how.scene), how)
+        steps = _steps(made, take, _open_scene(), how)
         done = 0.0
         while True:
             is_over = slice_clock()
@@ -431,12 +429,8 @@ def _rate(scene: bpy.types.Scene, take: Take, matched: bool) -> float:
     return take.fps if matched else frame_rate(scene)
 
 
-def _checked_scene(scene: bpy.types.Scene | None) -> bpy.types.Scene:
-    """The scene that Blender has open is the one that is evaluated, and that has a current frame to show."""
-    current = bpy.context.scene
-    assert current is not None
-    if scene is not None and scene != current:
-        raise OptionError(
-            f"the scene {scene.name!r} is not the one that is open ({current.name!r}); switch to it first"
-        )
-    return current
+def _open_scene() -> bpy.types.Scene:
+    """The one that is evaluated, and that has a current frame to show."""
+    scene = bpy.context.scene
+    assert scene is not None
+    return scene

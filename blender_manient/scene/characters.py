@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,9 +15,6 @@ from handfit_core.skeleton import SIDES, Side
 
 from ..rigs import found_hand, troubles
 from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture
-
-_REMEMBERED = 32
-"""hands"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,28 +38,6 @@ class CharacterObjects:
 def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The armatures of a scene that are no captured hands, by name."""
     return sorted(filter(_is_character, scene.objects), key=lambda o: o.name)
-
-
-@dataclass(frozen=True, eq=False)
-class _Recognised:
-    """What was recognised, and of what."""
-
-    heads: np.ndarray
-    names: tuple[str, ...]
-    found: Found | HandModelError
-    reported: tuple[str, ...]
-
-    def holds(self, bones: bpy.types.ArmatureBones, heads: np.ndarray) -> bool:
-        if not np.array_equal(self.heads, heads):
-            return False
-        if isinstance(self.found, HandModelError):
-            return self.names == tuple(bones.keys())
-        found = self.found.hand_map
-        return all(name in bones for name in (*found.bones, *found.palm, found.control) if name)
-
-
-_recognised: dict[tuple[int, Side], _Recognised] = {}
-"""By the armature's session_uid"""
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
@@ -142,36 +118,36 @@ def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
 def table_of(armature: bpy.types.Object, side: Side) -> HandMap:
     """The kept or recognised table of a hand, for display; an empty one where there is neither."""
     try:
-        return kept_map(armature, side) or recognised(armature, side).hand_map
+        return hand_map_of(armature, side)
     except HandModelError:
         return empty_map(side)
 
 
 def recognised(armature: bpy.types.Object, side: Side, reported: tuple[str, ...] = ()) -> Found:
     """The hand that is recognised by its bones, kept because panels ask at every redraw; recognised anew
-    where bones were moved or renamed, and where `reported`, the rig's troubles, are others than before, as
-    after a switch from IK to FK. Raises HandModelError."""
+    where bones were moved or renamed, and where `reported`, the rig's troubles, are others, as after a switch
+    from IK to FK. Raises HandModelError."""
     bones = armature.data.bones
-    key: tuple[int, Side] = (armature.session_uid, side)
     heads = np.empty((len(bones), 3), dtype=np.float32)
     bones.foreach_get("head_local", heads.ravel())
-    known = _recognised.get(key)
-    if known is None or not known.holds(bones, heads) or (reported and reported != known.reported):
-        if len(_recognised) >= _REMEMBERED:
-            _recognised.clear()
-        try:
-            found = found_hand(armature, side)
-        except HandModelError as error:
-            found = error
-        known = _recognised[key] = _Recognised(heads, tuple(bones.keys()), found, reported)
-    if isinstance(known.found, HandModelError):
-        raise HandModelError(str(known.found))
-    return known.found
+    found = _recognised(armature.session_uid, side, tuple(bones.keys()), heads.tobytes(), reported)
+    if isinstance(found, HandModelError):
+        raise HandModelError(str(found))
+    return found
+
+
+@functools.lru_cache(maxsize=32)
+def _recognised(uid: int, side: Side, _names: Any, _heads: Any, _reported: Any) -> Found | HandModelError:
+    armature = next(obj for obj in bpy.data.objects if obj.session_uid == uid)
+    try:
+        return found_hand(armature, side)
+    except HandModelError as error:
+        return error
 
 
 def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
     """Look anew, and let go of the kept table, unless nothing is recognised. Raises HandModelError then."""
-    _recognised.clear()
+    _recognised.cache_clear()
     found = recognised(armature, side)
     getattr(armature.manient.character, side).hand_map = ""
     return found

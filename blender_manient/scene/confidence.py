@@ -3,7 +3,7 @@ trusted, red where they are likely elsewhere, grey where nothing is told.
 
 That is how far each finger is likely to be off, in metres, where the solver told it, else how far the hand
 lies from what was detected, in parts of its length in the picture. It is said of the captured pose: frames
-that the artist has corrected have none.
+that the artist has corrected have none. Doubtful and filled frames are ranges and timeline markers, too.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ import contextlib
 import json
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Final, Literal
 
 import bpy
 import numpy as np
 
 from handfit_core.edit.corrections import CorrectionField
-from handfit_core.errors import TakeError
 from handfit_core.fit_quality import (
     IN_PICTURE,
     Scale,
@@ -30,8 +29,8 @@ from handfit_core.fit_quality import (
 from handfit_core.skeleton import JOINTS_BY_FINGER, KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
 
-from .corrections import corrections_of
-from .store import CapturedHand, captured_hands, hand_of, rows_at
+from .corrections import readable_corrections
+from .store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
 
 _CORRECTED: Final = 0.5
 """So much of a correction makes the frame the artist's"""
@@ -69,13 +68,7 @@ class Errors:
 
 def errors_of(hand: CapturedHand) -> Errors:
     """The errors of a captured hand, kept once they were computed."""
-    field = _NO_CORRECTIONS
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        field = corrections_of(hand.armature)
-    return _errors(hand.take, hand.track, field)
-
-
-_NO_CORRECTIONS: Final = CorrectionField()
+    return _errors(hand.take, hand.track, readable_corrections(hand.armature))
 
 
 @lru_cache(maxsize=8)  # takes and corrections are kept as they are read, and every redraw asks
@@ -245,3 +238,85 @@ def unregister() -> None:
     if _on_frame in bpy.app.handlers.frame_change_pre:
         bpy.app.handlers.frame_change_pre.remove(_on_frame)
     _errors.cache_clear()
+
+
+Direction = Literal["PREVIOUS", "NEXT"]
+
+_END = " End"
+
+
+def doubtful_ranges(hand: CapturedHand) -> list[tuple[int, int]]:
+    """First and last scene frame of each run of frames whose pose may well be wrong, in order."""
+    return _ranges(hand, errors_of(hand).doubtful)
+
+
+def filled_ranges(hand: CapturedHand) -> list[tuple[int, int]]:
+    """First and last scene frame of each gap that was bridged, in order."""
+    return _ranges(hand, hand.track.filled)
+
+
+def next_doubtful(hand: CapturedHand, frame: int, direction: Direction) -> int | None:
+    """Where the nearest doubtful range after (or before) scene frame `frame` begins; None: there is none.
+
+    From within a range, the way back leads to its own first frame.
+    """
+    firsts = [first for first, _ in doubtful_ranges(hand)]
+    if direction == "NEXT":
+        return next((first for first in firsts if first > frame), None)
+    return next((first for first in reversed(firsts) if first < frame), None)
+
+
+def mark_doubtful(scene: bpy.types.Scene, hand: CapturedHand, on: bool) -> int:
+    """Put timeline markers where the hand's doubtful and filled ranges begin, and where longer ones end; or
+    take them away. Returns how many markers there are of this hand afterwards.
+
+    Other markers stay. Markers of a hand are known by their names; where the scene has several captured
+    hands of one side, by name and frame.
+    """
+    wanted = _wanted(hand)
+    names = _names(hand)
+    rivals = [o for o in captured_hands(scene) if o.manient.side == hand.side and o != hand.armature]
+    for marker in list(scene.timeline_markers):
+        if marker.name not in names:
+            continue
+        ours = (marker.frame, marker.name) in wanted
+        if (ours and not on) or (not ours and not rivals):
+            scene.timeline_markers.remove(marker)
+    if not on:
+        return 0
+    there = {(marker.frame, marker.name) for marker in scene.timeline_markers}
+    for frame, name in sorted(wanted - there):
+        scene.timeline_markers.new(name, frame=frame)
+    return len(wanted)
+
+
+def is_marked(scene: bpy.types.Scene, hand: CapturedHand) -> bool:
+    """Whether the hand's ranges have their markers."""
+    wanted = _wanted(hand)
+    return any((marker.frame, marker.name) in wanted for marker in scene.timeline_markers)
+
+
+def _wanted(hand: CapturedHand) -> set[tuple[int, str]]:
+    """(scene frame, name) of the hand's markers."""
+    markers = set()
+    for name, ranges in zip(_names(hand)[:2], (doubtful_ranges(hand), filled_ranges(hand)), strict=True):
+        for first, last in ranges:
+            markers.add((first, name))
+            if last > first:
+                markers.add((last, name + _END))
+    return markers
+
+
+def _names(hand: CapturedHand) -> tuple[str, str, str, str]:
+    letter = hand.side[:1].upper()
+    doubtful, filled = f"Doubtful {letter}", f"Filled {letter}"
+    return doubtful, filled, doubtful + _END, filled + _END
+
+
+def _ranges(hand: CapturedHand, flags: np.ndarray | None) -> list[tuple[int, int]]:
+    if flags is None:
+        return []
+    frames = np.rint(scene_frames(hand.collection, hand.take)).astype(int)
+    edges = np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.int8), [0]]))
+    firsts, lasts = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0) - 1
+    return [(int(frames[a]), int(frames[b])) for a, b in zip(firsts, lasts, strict=True)]

@@ -35,6 +35,7 @@ from handfit_core.skeleton import NUM_JOINTS
 from ..blender_versions import action_slot, property_group
 from ..block_reference import BlockReference
 from ..rigs import rig_of
+from ..rigs.rig import Rig
 from . import store
 from .actions import own_action
 from .editable import check, check_keyable
@@ -47,6 +48,7 @@ from .keys import (
     read_pose_keys,
     remove_pose_keys,
     write_pose_keys,
+    writing_pose_keys,
 )
 from .timing import Timing
 
@@ -68,9 +70,7 @@ def timing_of(armature: bpy.types.Object) -> Timing:
 def corrected_places(armature: bpy.types.Object) -> np.ndarray:
     """(N,) the scene frames with a correction, which may lie between whole ones; none where corrections
     cannot be read."""
-    frames: list[float] = []
-    with contextlib.suppress(TakeError):
-        frames = corrections_of(armature).corrected
+    frames = readable_corrections(armature).corrected
     return timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
 
 
@@ -82,6 +82,17 @@ def corrected_frames(armature: bpy.types.Object) -> list[int]:
 def corrections_of(armature: bpy.types.Object) -> CorrectionField:
     """The hand's corrections. Raises TakeError where they cannot be read."""
     return _read(armature.manient.corrections)
+
+
+def readable_corrections(armature: bpy.types.Object) -> CorrectionField:
+    """The hand's corrections; none where they cannot be read."""
+    try:
+        return corrections_of(armature)
+    except TakeError:
+        return _NONE
+
+
+_NONE = CorrectionField()
 
 
 @lru_cache(maxsize=16)
@@ -238,14 +249,7 @@ def displaced(armature: bpy.types.Object) -> list[float]:
     """The corrected source frames whose keys are not the corrected ones any more: keys were moved to other
     frames, or another pose was keyed over them. Raises TakeError."""
     field = corrections_of(armature)
-    frames = field.corrected
-    places = timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
-    quats, locations = pose_at(rig_of(armature), places)
-    return [
-        g
-        for g, pose, location in zip(frames, quats, locations, strict=True)
-        if not field.corrections[g].is_in(pose, location)
-    ]
+    return [g for g, *pose in _keyed_poses(armature, field) if not field.corrections[g].is_in(*pose)]
 
 
 def forget_corrections(armature: bpy.types.Object) -> None:
@@ -301,15 +305,8 @@ def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable
 def carried_over(armature: bpy.types.Object, held: str) -> Iterator[None]:
     """Within, the armature gets another action, whose keys hold the present corrections, or else those that
     `held` says. Frames that are corrected otherwise now get the pose that they have now."""
-    field = CorrectionField()
-    if why_elsewhere(armature) is None:
-        with contextlib.suppress(TakeError):
-            field = corrections_of(armature)
-    frames = field.corrected
-    if frames:
-        lost = displaced(armature)
-        frames = [g for g in frames if g not in lost]
-    poses = _keyed_poses(armature, frames)
+    field = readable_corrections(armature)
+    poses = _known_poses(armature)
     yield
     if armature.manient.corrections and why_elsewhere(armature) is None:
         return
@@ -325,29 +322,29 @@ def carried_over(armature: bpy.types.Object, held: str) -> Iterator[None]:
 def marks_renewed(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
     """Something is added on purpose to the keys of all these (action, slot) within: corrections that were
     known by their keys' poses are known by the new ones afterwards."""
-    known: list[float] = []
-    if armature.manient.corrections and why_elsewhere(armature) is None:
-        with contextlib.suppress(TakeError):
-            lost = displaced(armature)
-            known = [g for g in corrections_of(armature).corrected if g not in lost]
+    known = [g for g, *_ in _known_poses(armature)]
     yield
     if known:
         field = corrections_of(armature)
-        new = {
-            g: replace(field.corrections[g], pose=pose, place=place)
-            for g, pose, place in _keyed_poses(armature, known)
-        }
+        poses = {g: pose for g, *pose in _keyed_poses(armature, field) if g in known}
+        new = {g: replace(field.corrections[g], pose=q, place=at) for g, (q, at) in poses.items()}
         keep_turned(armature, field.having(new), used)
 
 
-def _keyed_poses(
-    armature: bpy.types.Object, frames: Sequence[float]
-) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """What the keys say on source frames: the frame, (16, 4) and (3,)."""
-    if not frames:
+def _known_poses(armature: bpy.types.Object) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """`_keyed_poses` of the corrections that the present keys hold."""
+    field = readable_corrections(armature)
+    if not field.corrected or why_elsewhere(armature) is not None:
         return []
-    places = timing_of(armature).scene_frames(np.array(frames, dtype=np.float64))
-    return list(zip(frames, *pose_at(rig_of(armature), places), strict=True))
+    return [found for found in _keyed_poses(armature, field) if field.corrections[found[0]].is_in(*found[1:])]
+
+
+def _keyed_poses(
+    armature: bpy.types.Object, field: CorrectionField
+) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """What the keys say on corrected frames: the source frame, (16, 4) and (3,)."""
+    places = timing_of(armature).scene_frames(np.array(field.corrected, dtype=np.float64))
+    return list(zip(field.corrected, *pose_at(rig_of(armature), places), strict=True))
 
 
 def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
@@ -394,27 +391,22 @@ def replacing_poses(
     where the range begins; all other keys stay. One bone per step, for a window that stays free; yields how
     much is done, 0..1. Raises OptionError where the hand goes away meanwhile, and what `check_writable` does.
     """
-    # Here, not at the first step: until then the hand may have got another name.
-    return _replacing(BlockReference.of("objects", armature), frames, quats, locations)
+    reference = BlockReference.of("objects", armature)
 
-
-def _replacing(
-    reference: BlockReference, frames: Sequence[int], quats: np.ndarray, locations: np.ndarray
-) -> Iterator[float]:
-    count = len(frames)
-    for joint in range(NUM_JOINTS):
+    def find() -> Rig:
         armature = reference.find()
         if armature is None:
             raise OptionError("the hand is gone, so its keys cannot be written: undo what removed it")
-        if joint == 0:
-            check_writable(armature)
-            end_corrections(armature, frames, keep_pins=True)
+        return rig_of(armature)
+
+    def steps() -> Iterator[float]:
+        armature = find().armature
+        check_writable(armature)
+        end_corrections(armature, frames, keep_pins=True)
         places = timing_of(armature).scene_frames(np.asarray(frames))
-        keyed = np.zeros((count, NUM_JOINTS), dtype=bool)
-        keyed[:, joint] = True
-        keys = PoseKeys(places, quats, locations, keyed, np.full(count, joint == 0))
-        write_pose_keys(rig_of(armature), keys)
-        yield (joint + 1) / NUM_JOINTS
+        yield from writing_pose_keys(find, PoseKeys.everywhere(places, quats, locations))
+
+    return steps()
 
 
 def _key_ends(

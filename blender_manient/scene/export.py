@@ -184,7 +184,9 @@ def _write_one(
     with written_whole(path) as beside:
         try:
             with _opened(chosen, hands, stage, preset, whole) as written:
-                chosen.write(beside, written, preset, path)
+                objects = [o for hand in written for o in (hand.armature, *hand.meshes)]
+                with bpy.context.temp_override(object=next(iter(objects), None), selected_objects=objects):
+                    chosen.write(beside, written, preset, path)
             prove_whole(path, beside, chosen.is_whole)
         except (HandfitError, OSError):
             raise

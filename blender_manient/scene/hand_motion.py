@@ -33,14 +33,17 @@ class BoneKeys:
 
     rig: CharacterBones
     keys: PoseKeys
-    keyed: np.ndarray
-    """(B,) bool: the bones that get them"""
     side: Side | None = None
     """The hand that the only bone moves as a whole; None for fingers"""
     offset: np.ndarray | None = None
     """(3,) what is added to where that hand is, in the armature's space and units"""
     settings: tuple[float, ...] = ()
     """Travel, smoothing and marked frame of that hand"""
+
+    @property
+    def keyed(self) -> np.ndarray:
+        """(B,) bool: the bones that get them."""
+        return np.asarray(self.keys.rotation_keyed.any(axis=0))
 
 
 @dataclass(frozen=True, eq=False)

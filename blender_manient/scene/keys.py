@@ -13,7 +13,7 @@ been changed then.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
@@ -24,10 +24,13 @@ from mathutils import Euler, Quaternion
 
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
+from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.skeleton import NUM_JOINTS
 
-from ..blender_versions import assign_action
-from ..rigs.rig import PosedBones, bone_path
+from ..blender_versions import assign_action, channels, first_slot
+from ..rigs.rig import PosedBones, Rig, bone_path
 from .actions import channels_of, curves_in, own_action, strip_below
 
 SAME_FRAME = 0.01
@@ -141,6 +144,21 @@ def write_pose_keys(rig: PosedBones, keys: PoseKeys, *, holder: Any = None) -> N
         for part, values in zip(curves.location(names[0], make=True), keys.locations[rows].T, strict=True):
             _write(part, keys.frames[rows], values)
     curves.tag()
+
+
+def writing_pose_keys(
+    find: Callable[[], PosedBones], keys: PoseKeys, *, holder: Any = None
+) -> Iterator[float]:
+    """`write_pose_keys`, a bone per step, for a window that stays free; yields how much is done, 0..1. `find`
+    gives the bones, and raises where they have gone between two steps."""
+    joints = np.flatnonzero(keys.rotation_keyed.any(axis=0))
+    if not len(joints) and keys.location_keyed.any():
+        joints = np.zeros(1, dtype=int)
+    for done, joint in enumerate(joints, start=1):
+        rotated = keys.rotation_keyed & (np.arange(keys.rotation_keyed.shape[1]) == joint)
+        located = keys.location_keyed & (joint == joints[0])
+        write_pose_keys(find(), replace(keys, rotation_keyed=rotated, location_keyed=located), holder=holder)
+        yield done / len(joints)
 
 
 def remove_pose_keys(
@@ -565,3 +583,48 @@ def _plain(
 def _kind(name: str, kind: str) -> int:
     """The number of a key point's enumerated value."""
     return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value
+
+
+CURVES = NUM_JOINTS * 4 + 3
+"""How many curves a hand's action has"""
+
+_CHUNK = 250
+"""frames that are computed at once, in some milliseconds"""
+
+
+def computing_keys(
+    motion: HandMotion, shaped: ShapedHand, rest: RestPose, frames: np.ndarray
+) -> Generator[int, None, PoseKeys]:
+    """Compute a hand's keys, some frames at a time: yields how many, returns the keys.
+
+    `rest` is how the rig's bones lie at rest, `frames` (T,) where the motion lies in the scene. Frames
+    without a hand get no keys; filled ones do.
+    """
+    rows = np.flatnonzero(motion.present)
+    quats, locations = np.empty((len(rows), NUM_JOINTS, 4)), np.empty((len(rows), 3))
+    for start in range(0, len(rows), _CHUNK):
+        some = slice(start, start + _CHUNK)
+        quats[some], locations[some] = rest.to_bones(shaped, *(values[rows[some]] for values in motion.pose))
+        # The sign goes on from that of the frames before.
+        signed = slice(max(start - 1, 0), start + _CHUNK)
+        quats[signed] = unflip_quats(quats[signed])
+        yield len(quats[some])
+    return PoseKeys.everywhere(frames[rows], quats, locations)
+
+
+def animating(rig: Rig, keys: PoseKeys) -> Iterator[bpy.types.Action]:
+    """Key a new action on the armature, a curve at a time. Yields the action each time.
+
+    Straight lines join the keys: measured frames stay exactly as measured, and nothing overshoots in
+    the gaps, as Bezier curves through noisy per-frame data would.
+    """
+    action = bpy.data.actions.new(rig.armature.name)
+    assign_action(rig.armature, action)
+    yield action
+    parts = [(name, "rotation_quaternion", keys.quats[:, joint]) for joint, name in enumerate(rig.bones)]
+    for bone, attribute, values in (*parts, (rig.bones[0], "location", keys.locations)):
+        for index in range(values.shape[1]):
+            # Asked for each curve: an undo may have moved what holds them.
+            holder = channels(action, first_slot(action))
+            new_curve(holder, bone, attribute, index, keys.frames, values[:, index])
+            yield action

@@ -29,7 +29,7 @@ from .keys import (
     replace_keys,
     write_pose_keys,
 )
-from .simplify import all_actions, changed_alike, own_kept_actions
+from .simplify import all_actions, changed_alike, own_kept_actions, remove_unused
 
 _DEGREES = 0.5
 """How exactly a layer is merged into motion that was simplified"""
@@ -93,8 +93,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
             for holder in [channels(*kept) for kept in own_kept_actions(armature)]:
                 for bone in bones if holder is not None else ():
                     _write(*_merged(armature, bone, holder, on_top), holder=holder)
-    if layer.users - layer.use_fake_user == 0:
-        bpy.data.actions.remove(layer)
+    remove_unused(layer)
 
 
 def _changed_bones(armature: bpy.types.Object, strip: Any) -> list[str]:

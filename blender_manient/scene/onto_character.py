@@ -40,7 +40,6 @@ from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from ..wording import counted
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
-from .animation import computing_keys
 from .characters import why_not_reachable
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
@@ -48,12 +47,13 @@ from .keys import (
     SAME_FRAME,
     PoseKeys,
     check_unlocked,
+    computing_keys,
     frames_between,
     nearest,
     pose_at,
     read_pose_keys,
     remove_pose_keys,
-    write_pose_keys,
+    writing_pose_keys,
 )
 from .sampling import rotations_of, sample_unseen, sampled_pose
 from .store import CapturedHand
@@ -289,7 +289,8 @@ def computing(
             quats[some] = within_locks(armature, target.bones, rotmat_to_quat(target.channels(standing)))
             yield 0.0
         fingers = CharacterBones(armature, target.bones)
-        keys.append(BoneKeys(fingers, PoseKeys.everywhere(motion.frames, quats), keyed))
+        wanted = PoseKeys.everywhere(motion.frames, quats)
+        keys.append(BoneKeys(fingers, replace(wanted, rotation_keyed=wanted.rotation_keyed & keyed)))
         if not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
@@ -340,15 +341,9 @@ def writing_anew(
 
 def writing(keys: Sequence[BoneKeys], holder: Any = None) -> Generator[float, None, None]:
     """Write keys, a bone per step; tells how much is done, 0..1."""
-    steps = [(one, bone) for one in keys for bone in np.flatnonzero(one.keyed)]
-    for done, (one, bone) in enumerate(steps, start=1):
-        only = np.zeros_like(one.keys.rotation_keyed)
-        only[:, bone] = one.keys.rotation_keyed[:, bone]
-        located = one.keys.location_keyed & (bone == 0)
-        write_pose_keys(
-            one.rig, replace(one.keys, rotation_keyed=only, location_keyed=located), holder=holder
-        )
-        yield done / len(steps)
+    for number, one in enumerate(keys):
+        for done in writing_pose_keys(lambda one=one: one.rig, one.keys, holder=holder):
+            yield (number + done) / len(keys)
 
 
 def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.ndarray) -> np.ndarray:
@@ -431,7 +426,7 @@ def _moving(
     keys = PoseKeys.everywhere(motion.frames, quats, locations if located else None)
     rig = CharacterBones(armature, [control])
     settings = onto.travel, onto.smoothing, onto.reference
-    return BoneKeys(rig, keys, np.array([True]), target.hand_map.side, offset, settings)
+    return BoneKeys(rig, keys, target.hand_map.side, offset, settings)
 
 
 def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:

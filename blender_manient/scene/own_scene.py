@@ -51,9 +51,7 @@ def own_scene(name: str) -> Iterator[bpy.types.Scene]:
         try:
             with (
                 unseen_scene(name) as scene,
-                bpy.context.temp_override(
-                    scene=scene, view_layer=scene.view_layers[0], active_object=None, object=None
-                ),
+                bpy.context.temp_override(scene=scene, view_layer=scene.view_layers[0], active_object=None),
             ):
                 yield scene
         finally:

@@ -7,21 +7,17 @@ a scene that is removed afterwards.
 from __future__ import annotations
 
 import contextlib
-import math
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
 
 from handfit_core.errors import OutputError
 from handfit_core.files import check_room, written_whole
-from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
-from ..blender_versions import use_nodes
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import unseen_scene
@@ -31,13 +27,11 @@ from .render_setup import SUNS, picture_card, sun
 
 LONGEST_SIDE = 1200
 """pixels of one half of a preview"""
+MISSING = (0.18, 0.18, 0.18)
+"""Shown where the picture file is gone"""
 _SAMPLES = 16
 _SKIN_SAMPLES = 64
-"""Skin scatters light, which clay does not"""
-_CLAY = (0.12, 0.42, 0.62, 1.0)
-"""The hands' colour where fits are compared: nothing in a photo of a hand has it, so the two stay apart"""
-_MISSING = (0.18, 0.18, 0.18)
-"""Shown where the picture file is gone"""
+"""Skin scatters light"""
 
 
 def render_preview(
@@ -49,73 +43,26 @@ def render_preview(
     `frame` is a source frame number, `max_megapixels` as in `build_take`. The longer side of each half is at
     most `LONGEST_SIDE` pixels. Raises OutputError.
     """
-    rows = preview_rows(built, take, [frame], max_megapixels=max_megapixels)[0]
-    return write_png(rows, path)
+    return write_png(preview_rows(built, take, frame, max_megapixels=max_megapixels), path)
 
 
 def preview_rows(
-    built: BuiltTake,
-    take: Take,
-    frames: Sequence[int],
-    *,
-    max_megapixels: float | None = None,
-) -> list[np.ndarray]:
-    """The previews of several frames as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
+    built: BuiltTake, take: Take, frame: int, *, max_megapixels: float | None = None
+) -> np.ndarray:
+    """The preview of a frame as rows (H, 2 W, 3) of sRGB values 0..1, the first row on top."""
     scale = min(1.0, LONGEST_SIDE / max(take.width, take.height))
     plate, _ = load_plate(take, max_megapixels=max_megapixels)
-    previews = []
     try:
-        for frame in frames:
-            hands = _render_hands(built, take, frame, scale, clay=False)
-            height, width = hands.shape[:2]
-            if plate is None:
-                picture = np.broadcast_to(np.array(_MISSING), (height, width, 3))
-            else:
-                picture = render_plate(plate, take, frame, scale)[..., :3]
-            alpha = hands[..., 3:]
-            previews.append(np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1))
+        hands = render_hands(built, take, frame, scale)
+        if plate is None:
+            picture = np.broadcast_to(np.array(MISSING), (*hands.shape[:2], 3))
+        else:
+            picture = render_plate(plate, take, frame, scale)[..., :3]
     finally:
         if plate is not None:
             bpy.data.images.remove(plate.image)
-    return previews
-
-
-def turned_rows(
-    built: BuiltTake,
-    take: Take,
-    frames: Sequence[int],
-    degrees: float,
-    *,
-    still: bool = False,
-    longest: int = LONGEST_SIDE,
-) -> list[np.ndarray]:
-    """The hands of several frames alone, from the camera after it went round them by `degrees` to its right:
-    rows (H, W, 3) of sRGB values 0..1. What fits the picture may still be wrong in depth: here it shows.
-
-    `still`: one place for all frames, so that what moves in the rows is the hands. `longest`: pixels of a
-    view's longer side."""
-    scale = min(1.0, longest / max(take.width, take.height))
-    views = []
-    for frame in frames:
-        camera = _turned_camera(built, take, frames if still else [frame], degrees)
-        try:
-            hands = _render_hands(built, take, frame, scale, camera)
-        finally:
-            _remove_with_data(camera)
-        views.append(hands[..., :3] * hands[..., 3:] + np.array(_MISSING) * (1 - hands[..., 3:]))
-    return views
-
-
-def _turned_camera(built: BuiltTake, take: Take, frames: Sequence[int], degrees: float) -> bpy.types.Object:
-    rows = np.searchsorted(take.frame_numbers, frames)
-    joints = [track.joints_3d[row] for row in rows for track in take.hands if track.present[row]]
-    centre = Vector(axes.points_to_world(np.concatenate(joints).mean(axis=0)).tolist())
-    own = built.camera.matrix_world
-    about_up = Matrix.Rotation(math.radians(degrees), 4, own.to_3x3() @ Vector((0.0, 1.0, 0.0)))
-    camera = bpy.data.objects.new("turned", built.camera.data.copy())
-    camera.data.show_background_images = False
-    camera.matrix_world = Matrix.Translation(centre) @ about_up @ Matrix.Translation(-centre) @ own
-    return camera
+    alpha = hands[..., 3:]
+    return np.concatenate([picture, picture * (1 - alpha) + hands[..., :3] * alpha], axis=1)
 
 
 def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarray:
@@ -135,7 +82,7 @@ def render_plate(plate: Plate, take: Take, frame: int, scale: float) -> np.ndarr
             scene.cycles.samples = 1 if scale == 1.0 else _SAMPLES
             return _render(scene, frame)
         finally:
-            _remove_with_data(camera, card)
+            remove_with_data(camera, card)
 
 
 def write_png(rows: np.ndarray, path: Path) -> Path:
@@ -169,22 +116,18 @@ def spread_frames(take: Take, count: int) -> list[int]:
     return [int(n) for n in numbers[np.unique(picked)]]
 
 
-def _render_hands(
+def render_hands(
     built: BuiltTake,
     take: Take,
     frame: int,
     scale: float,
     camera: bpy.types.Object | None = None,
-    *,
-    clay: bool = True,
 ) -> np.ndarray:
     """The hands of that frame over nothing, through the solved camera or another: rows (H, W, 4), straight
     alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
     with _scene(take, scale) as scene:
         lights = [sun("preview light", *placed) for placed in SUNS]
-        material = bpy.data.materials.new("preview clay")
-        use_nodes(material).nodes["Principled BSDF"].inputs["Base Color"].default_value = _CLAY
         try:
             for light in lights:
                 scene.collection.objects.link(light)
@@ -195,14 +138,12 @@ def _render_hands(
             if camera is not None:
                 scene.collection.objects.link(camera)
             scene.camera = camera or built.camera
-            scene.view_layers[0].material_override = material if clay else None
             scene.render.film_transparent = True
-            scene.cycles.samples = _SAMPLES if clay else _SKIN_SAMPLES
+            scene.cycles.samples = _SKIN_SAMPLES
             scene.cycles.max_bounces = 2
             return _render(scene, frame)
         finally:
-            _remove_with_data(*lights)
-            bpy.data.materials.remove(material)
+            remove_with_data(*lights)
 
 
 @contextlib.contextmanager
@@ -252,7 +193,8 @@ def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:
             bpy.data.images.remove(image)
 
 
-def _remove_with_data(*objects: bpy.types.Object) -> None:
+def remove_with_data(*objects: bpy.types.Object) -> None:
+    """Remove objects, their data and the materials of that."""
     for obj in objects:
         data = obj.data
         materials = list(getattr(data, "materials", ()))

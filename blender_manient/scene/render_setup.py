@@ -20,9 +20,9 @@ from handfit_core.take import Take
 from ..blender_versions import use_nodes
 from ..wording import named_after
 from .camera import put_before
+from .matching import is_untouched
 from .plate import Plate
 from .store import has_properties
-from .surroundings import is_untouched
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
 """Key, fill and rim: degrees from the camera's axis (to the right, up), then strength in W/m2"""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,15 +10,14 @@ import numpy as np
 from mathutils import Matrix
 
 from handfit_core.batch import scatter
-from handfit_core.errors import TakeError
+from handfit_core.edit.corrections import point_rows
 from handfit_core.hand_model.motion import POSE_ARRAYS
 from handfit_core.retiming import shown_rows
-from handfit_core.skeleton import NUM_KEYPOINTS
 from handfit_core.take import HandTrack, Take, at_rows
 
 from .camera import CAMERA_AT_REST
 from .confidence import errors_of
-from .corrections import corrections_of
+from .corrections import readable_corrections
 from .keys import read_pose_keys
 from .own_scene import object_mode, shown_in_pose, unseen_scene
 from .sampling import of_bones, sample, stepped
@@ -72,6 +70,8 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
     joints_3d = scatter(joints, present, len(present))
     errors = np.linalg.norm(hand.take.intrinsics.project(joints_3d) - track.keypoints_2d, axis=-1)
     told, expected = errors_of(hand), track.expected_error
+    field, numbers = readable_corrections(hand.armature), hand.take.frame_numbers
+    placed, touches = point_rows([field.pins(n) for n in numbers], [field.touching(n) for n in numbers])
     if expected is not None:
         expected = np.where(np.isnan(told.frames)[:, None], np.nan, expected)
     return replace(
@@ -83,33 +83,9 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
         doubtful=None if track.doubtful is None else told.doubtful,
         expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
-        placed=_pinned_points(hand),
-        touches=_touches(hand),
+        placed=placed if track.added or np.isfinite(placed).any() else None,
+        touches=touches if np.isfinite(touches).any() else None,
     )
-
-
-def _pinned_points(hand: CapturedHand) -> np.ndarray | None:
-    """(T, 21, 2) pixels of the points that the artist has pinned; None where there are none, and the
-    hand was not added by hand."""
-    numbers = hand.take.frame_numbers
-    placed = np.full((len(numbers), NUM_KEYPOINTS, 2), np.nan)
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        field = corrections_of(hand.armature)
-        for row, number in enumerate(numbers):
-            for keypoint, place in field.pins(number).items():
-                placed[row, keypoint] = place
-    return placed if hand.track.added or np.isfinite(placed).any() else None
-
-
-def _touches(hand: CapturedHand) -> np.ndarray | None:
-    """(T, 21) which keypoint each one touches, as the artist says; None where none does."""
-    touches = np.full((len(hand.take.frame_numbers), NUM_KEYPOINTS), np.nan)
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        field = corrections_of(hand.armature)
-        for row, number in enumerate(hand.take.frame_numbers):
-            for keypoint, other in field.touching(number).items():
-                touches[row, keypoint] = other
-    return touches if np.isfinite(touches).any() else None
 
 
 def _posed_rows(hand: CapturedHand) -> np.ndarray:
@@ -118,9 +94,7 @@ def _posed_rows(hand: CapturedHand) -> np.ndarray:
     rows = rows_at(hand.collection, hand.take, keyed)
     posed = np.zeros(len(hand.take.frame_numbers), dtype=bool)
     posed[rows[rows >= 0]] = True
-    with contextlib.suppress(TakeError):  # corrections that cannot be read
-        posed |= np.isin(hand.take.frame_numbers, list(corrections_of(hand.armature).corrections))
-    return posed
+    return posed | np.isin(hand.take.frame_numbers, list(readable_corrections(hand.armature).corrections))
 
 
 def _bones(

@@ -21,6 +21,7 @@ from handfit_core.retiming import check_rate, is_other_rate, moved_keys, retimed
 from handfit_core.take import Take
 
 from .actions import present_curves
+from .confidence import is_marked, mark_doubtful
 from .corrections import check_writable, corrections_of, keep_field
 from .editable import check_unlayered
 from .keys import (
@@ -33,7 +34,6 @@ from .keys import (
     remove_pose_keys,
     write_pose_keys,
 )
-from .markers import is_marked, mark_doubtful
 from .own_keys import keyed_by_hand, note_fitted
 from .plate import movie_plate
 from .simplify import forget_all_keys

@@ -213,7 +213,7 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
             before, behind = spline.handles(one.frames)
             replace_keys(one.hand.rig, joint, one.frames[spline.rows], spline.values, before, behind)
     if dense is not present:
-        _remove_unused(present)
+        remove_unused(present)
     elif dense.users == dense.use_fake_user:  # nobody else has it, who would miss its name
         dense.name = with_note(note["name"], "(all keys)")
     dense.use_fake_user = True
@@ -298,13 +298,13 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
         present.use_fake_user = True
         forget_all_keys(present)
     else:
-        _remove_unused(present)
+        remove_unused(present)
     dense.name = note["name"]
     dense.update_tag()
     return present if changed else None
 
 
-def _remove_unused(action: bpy.types.Action) -> None:
+def remove_unused(action: bpy.types.Action) -> None:
     """Remove an action, unless another object or a strip uses it, too."""
     if action.users - action.use_fake_user == 0:
         bpy.data.actions.remove(action)

@@ -16,9 +16,9 @@ import numpy as np
 from handfit_core.edit.corrections import CorrectionField, fade
 from handfit_core.errors import OptionError
 
+from .confidence import doubtful_ranges
 from .corrections import corrections_of
 from .keys import SAME_FRAME
-from .markers import doubtful_ranges
 from .own_keys import keyed_by_hand
 from .store import CapturedHand, scene_frames, timing_of
 from .timing import frame_rate, span_of

@@ -33,6 +33,7 @@ from handfit_core.take import HandTrack, Take
 
 from ..rigs import rig_of
 from ..rigs.rig import Rig
+from .keys import nearest
 from .timing import Timing
 
 _CACHED = 8
@@ -267,9 +268,7 @@ def rows_at(collection: bpy.types.Collection, take: Take, frames: np.ndarray) ->
     timing = timing_of(collection)
     numbers = np.asarray(take.frame_numbers, dtype=np.float64)
     wanted = timing.source_frames(frames)
-    after = np.clip(np.searchsorted(numbers, wanted), 0, len(numbers) - 1)
-    before = np.maximum(after - 1, 0)
-    rows = np.where(np.abs(numbers[before] - wanted) < np.abs(numbers[after] - wanted), before, after)
+    rows, _ = nearest(numbers, wanted)
     # Retimed, a scene frame may lie between two rows that both are near.
     near = 0.5 * max(1.0, 1.0 / (abs(timing.scale) or 1.0)) + 1e-3
     return np.where(np.abs(numbers[rows] - wanted) <= near, rows, -1)

@@ -37,14 +37,12 @@ MOST_PARTS: Final = 3_000_000
 _MOST_NESTED: Final = 100
 MOST_BYTES: Final = 1 << 29
 """Bytes of all arrays that `plain` gives"""
+MOST_DENSE: Final = 2_000_000
+"""Numbers of a sparse matrix that is made dense; MANO's have 16 x 778"""
 
 
 class Refused(Exception):
     """What a pickle does that no such file needs, to be put after `the file`."""
-
-
-class NotAnArray(Exception):
-    """Why a value is no array of numbers, to be put after its name, as in `is not an array`."""
 
 
 @dataclass(eq=False, slots=True)
@@ -78,35 +76,14 @@ def load(data: bytes, *, most_steps: int = MOST_STEPS, numbered: bool = True) ->
     return _Reader(data, most_steps).load()
 
 
-def array_of(value: Any) -> np.ndarray:
-    """The plain array of integers or floats that a `Call` wants, in native byte order.
-
-    Raises NotAnArray for anything else, arrays of objects and of texts included.
-    """
-    if _wants(value, "_reconstruct") and isinstance(value.state, tuple) and len(value.state) in (4, 5):
-        shape, dtype, fortran, raw = value.state[-4:]
-    elif _wants(value, "_frombuffer") and len(value.args) == 4:
-        raw, dtype, shape, order = value.args
-        fortran = order == "F"
-    else:
-        raise NotAnArray("is not an array")
-    return reshaped(_numbers(raw, dtype), shape, "F" if fortran else "C")
-
-
-def reshaped(array: np.ndarray, shape: Any, order: Any) -> np.ndarray:
-    """A flat array in a shape that a file names. Raises NotAnArray where it does not fit."""
-    fits = isinstance(shape, tuple | list) and len(shape) <= 4
-    fits = fits and all(isinstance(n, int) and 0 <= n <= array.size for n in shape)
-    if not fits or math.prod(shape) != array.size:
-        raise NotAnArray(f"holds {array.size} numbers, which do not fill its shape")
-    return array.reshape(tuple(shape), order=order).astype(array.dtype.newbyteorder("="))
-
-
 def plain(value: Any) -> Any:
-    """What `load` gave as dictionaries, lists, texts, numbers and arrays: those of objects are lists, or
-    their only object where they have no dimension; keys are texts; what is none of these is None.
+    """What `load` gave as dictionaries, lists, texts, numbers and arrays; keys are texts.
 
-    Raises Refused for one that is nested without end, or names the same parts over and over.
+    Arrays are of integers or floats in native byte order, those of chumpy and SciPy's sparse ones as well;
+    those of objects are lists, or their only object where they have no dimension. What is none of these, or
+    damaged, is None.
+
+    Raises Refused for a value that is nested without end, or names the same parts over and over.
     """
     return _Plain().of(value, 0)
 
@@ -116,7 +93,7 @@ class _Plain:
 
     def __init__(self) -> None:
         self._left, self._bytes = MOST_PARTS, MOST_BYTES
-        self._arrays: dict[int, Any] = {}
+        self._made: dict[int, Any] = {}
 
     def of(self, value: Any, depth: int) -> Any:
         self._left -= 1
@@ -127,44 +104,80 @@ class _Plain:
         if isinstance(value, list | tuple):
             return [self.of(each, depth + 1) for each in value]
         if isinstance(value, Call):
-            if id(value) not in self._arrays:
-                self._arrays[id(value)] = self._made(value, depth)
-            return self._arrays[id(value)]
+            if id(value) not in self._made:
+                made = self._made[id(value)] = self._call(value, depth + 1)
+                self._bytes -= made.nbytes if isinstance(made, np.ndarray) else 0
+                if self._bytes < 0:  # one text may be the contents of many arrays
+                    raise Refused("has more numbers than such files have")
+            return self._made[id(value)]
         return value if value is None or isinstance(value, str | int | float | bool) else None
 
-    def _made(self, value: Call, depth: int) -> Any:
+    def _call(self, call: Call, depth: int) -> Any:
+        state, fields = call.state, call.fields
+        if call.name.startswith("chumpy.") and call.name != "chumpy.reordering.Select":
+            return self.of(fields.get("x"), depth)
         try:
-            if _wants(value, "scalar"):
-                return float(_numbers(value.args[1], value.args[0])[0])
-            array = array_of(value)
-            self._bytes -= array.nbytes
-            if self._bytes < 0:  # one text may be the contents of many arrays
-                raise Refused("has more numbers than such files have")
-            return array
-        except (NotAnArray, IndexError):
-            state = value.state
-        if not (isinstance(state, tuple) and len(state) in (4, 5) and isinstance(state[-1], list)):
-            return None  # texts and times
-        objects = self.of(state[-1], depth + 1)
-        return objects[0] if state[-4] == () and len(objects) == 1 else objects
+            if call.name.startswith("scipy."):
+                parts = [self.of(fields.get(name), depth) for name in ("data", "indices", "indptr")]
+                return _dense(parts, fields.get("_shape", fields.get("shape")), ".csc_" in call.name)
+            if call.name.startswith("chumpy."):
+                whole, chosen = (self.of(fields.get(name), depth) for name in ("a", "idxs"))
+                shape = fields.get("preferred_shape")
+                return _shaped(whole.reshape(-1)[_indices(chosen, whole.size)], shape or chosen.shape, "C")
+            if call.name.endswith(".scalar"):
+                return float(_numbers(call.args[1], call.args[0])[0])
+            if call.name.endswith("._frombuffer"):
+                raw, dtype, shape, order = call.args
+                return _shaped(_numbers(raw, dtype), shape, order)
+            shape, dtype, fortran, contents = state[-4:]
+            if not isinstance(contents, list):
+                return _shaped(_numbers(contents, dtype), shape, "F" if fortran else "C")
+        except (AttributeError, IndexError, TypeError, ValueError):
+            return None  # texts and times, and what is damaged
+        objects = self.of(contents, depth)
+        return objects[0] if shape == () and len(objects) == 1 else objects
 
 
-def _wants(value: Any, function: str) -> bool:
-    return isinstance(value, Call) and value.name.endswith(f".{function}")
+def _shaped(array: np.ndarray, shape: Any, order: str) -> np.ndarray:
+    """A flat array in a shape that a file names. Raises ValueError where it does not fit."""
+    if len(shape) > 4 or not all(0 <= n <= array.size for n in shape) or math.prod(shape) != array.size:
+        raise ValueError("another number of numbers")
+    return array.reshape(shape, order="F" if order == "F" else "C").astype(array.dtype.newbyteorder("="))
+
+
+def _indices(array: np.ndarray, size: int) -> np.ndarray:
+    """Indices that are there. Raises ValueError for others."""
+    if array.dtype.kind not in "iu" or np.any((array < 0) | (array >= size)):
+        raise ValueError("indices that do not exist")
+    return array.astype(np.int64)
+
+
+def _dense(parts: list[np.ndarray], shape: Any, by_columns: bool) -> np.ndarray:
+    """A sparse matrix of `data`, `indices` and `indptr`, as SciPy stores them. Raises ValueError."""
+    (data, minor, starts), (rows, columns) = parts, shape
+    majors, minors = (columns, rows) if by_columns else (rows, columns)
+    if not 0 < rows * columns <= MOST_DENSE or any(part.ndim != 1 for part in parts):
+        raise ValueError("no matrix, or a large one")
+    minor, counts = _indices(minor, minors), np.diff(_indices(starts, len(data) + 1))
+    if len(starts) != majors + 1 or starts[0] or starts[-1] != len(data) or np.any(counts < 0):
+        raise ValueError("other columns than it has")
+    dense = np.zeros((majors, minors))
+    np.add.at(dense, (np.repeat(np.arange(majors), counts), minor), data)
+    return dense.T if by_columns else dense
 
 
 def _numbers(raw: Any, dtype: Any) -> np.ndarray:
-    """The numbers (N,) of bytes, which protocol 2 writes as a text to be encoded, and Python 2 as a text."""
-    if _wants(raw, "encode") and raw.args[1:] == ("latin1",):
+    """The numbers (N,) of bytes, which protocol 2 writes as a text to be encoded, and Python 2 as a text.
+    Raises ValueError where they are of another kind."""
+    if isinstance(raw, Call) and raw.name == "_codecs.encode" and raw.args[1:] == ("latin1",):
         raw = raw.args[0]
     if isinstance(raw, str):
-        raw = raw.encode("latin1", "replace")
-    code = dtype.args[0] if _wants(dtype, "dtype") and dtype.args else None
-    known = isinstance(code, str) and re.fullmatch(r"[<>|=]?([iu][1248]|f[248])", code)
-    if not known or not isinstance(raw, bytes | bytearray) or len(raw) % int(known[0][-1]):
-        raise NotAnArray("is not an array of numbers")
+        raw = raw.encode("latin1")
+    known = re.fullmatch(r"[<>|=]?([iu][1248]|f[248])", dtype.args[0])
+    if not known or not isinstance(raw, bytes | bytearray):
+        raise ValueError("no numbers")
     big = isinstance(dtype.state, tuple) and dtype.state[1:2] == (">",)
-    return np.frombuffer(raw, np.dtype((">" if big else "<") + known[0][-2:]))
+    return np.frombuffer(raw, np.dtype((">" if big else "<") + known[1]))
 
 
 class _Keyed(dict[Any, Any]):

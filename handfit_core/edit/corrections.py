@@ -55,6 +55,17 @@ Touches = Mapping[int, int]
 """Keypoint index -> the smaller one that it touches, as `RefineHand.touches` has it"""
 
 
+def point_rows(pins: Sequence[Pins], touches: Sequence[Touches]) -> tuple[np.ndarray, np.ndarray]:
+    """Pins (N, 21, 2) in pixels and touches (N, 21) of N frames as arrays; NaN where there are none."""
+    placed = np.full((len(pins), NUM_KEYPOINTS, 2), np.nan)
+    touching = np.full((len(touches), NUM_KEYPOINTS), np.nan)
+    for rows, points in ((placed, pins), (touching, touches)):
+        for row, of_frame in zip(rows, points, strict=True):
+            for keypoint, kept in of_frame.items():
+                row[keypoint] = kept
+    return placed, touching
+
+
 def _pins(_: str, given: Any) -> dict[int, tuple[float, float]]:
     pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in given.items()}
     # Only finite numbers of the right shape ever reach keys.

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.doors.safe_pickle import Call, NotAnArray, Refused, array_of, load, reshaped
+from handfit_core.doors.safe_pickle import Refused, load, plain
 from handfit_core.doors.values import Unfit
 from handfit_core.errors import HandModelError
 from handfit_core.files import read_file, shown, why
@@ -53,7 +53,7 @@ def load_mano_pickle(path: str | os.PathLike[str]) -> HandModel:
             f"{where}: cannot be read ({why(error)}); give the path of a MANO .pkl file, which has 4 MB"
         ) from error
     try:
-        content = load(data)
+        content = plain(load(data))
     except Refused as error:
         raise HandModelError(
             f"{where}: refused: the file {error}; a MANO file never does, do not trust it"
@@ -84,7 +84,10 @@ def _arrays_and_side(content: Any) -> tuple[dict[str, np.ndarray], Side]:
         raise Unfit("this pickle holds no hand model")
     if missing := [key for key in _REQUIRED if key not in content]:
         raise Unfit(f"not a MANO hand model, it lacks {', '.join(missing)}")
-    arrays = {key: _array_of(key, content[key]) for key in _REQUIRED}
+    arrays = {key: content[key] for key in (*_REQUIRED, "tip_vertices") if key in content}
+    for key, array in arrays.items():
+        if not isinstance(array, np.ndarray):
+            raise Unfit(f"{key} is not an array of numbers")
     parents = arrays["kintree_table"]
     expected = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)])
     # Masked, because some converters store the root's parent as -1.
@@ -100,12 +103,10 @@ def _arrays_and_side(content: Any) -> tuple[dict[str, np.ndarray], Side]:
     side: Side = "right" if joints[1:, 0].mean() < joints[0, 0] else "left"
     if side == "left" and _has_left_fault(v_template, arrays["shapedirs"]):
         arrays["shapedirs"] = arrays["shapedirs"] * np.array([-1.0, 1.0, 1.0])[:, None]
-    tips = _array_of("tip_vertices", content["tip_vertices"]) if "tip_vertices" in content else _TIPS[side]
-    return arrays | {
+    return {"tip_vertices": np.array(_TIPS[side])} | arrays | {
         "faces": arrays["f"],
         "joint_regressor": regressor,
         "hands_mean": arrays["hands_mean"].reshape(-1),
-        "tip_vertices": np.asarray(tips),
     }, side
 
 
@@ -125,59 +126,3 @@ def _has_left_fault(v_template: np.ndarray, shapedirs: np.ndarray) -> bool:
     along, across = growth[0], growth[1] + growth[2]
     size = np.linalg.norm(along) * np.linalg.norm(across)
     return bool(along @ across < -0.1 * size)
-
-
-def _array_of(key: str, value: Any, depth: int = 0) -> np.ndarray:
-    """The plain array behind what a file asks to be made; J_regressor's sparse matrix becomes dense. Raises
-    Unfit."""
-    if depth > 4:
-        raise Unfit(f"{key} is nested too deeply")
-    try:
-        if not isinstance(value, Call):
-            raise NotAnArray("is not an array")
-        if value.name == "chumpy.reordering.Select":
-            return _selected(key, value.fields, depth + 1)
-        if value.name.startswith("chumpy."):  # plain ones hold their array as x
-            return _array_of(key, value.fields.get("x"), depth + 1)
-        if value.name.startswith("scipy."):
-            return _dense(key, value, depth + 1)
-        return array_of(value)
-    except NotAnArray as error:
-        raise Unfit(f"{key} {error}") from error
-
-
-def _selected(key: str, fields: dict[str, Any], depth: int) -> np.ndarray:
-    """Elements `idxs` of the flattened array `a`."""
-    whole, chosen = (_array_of(key, fields.get(name), depth) for name in ("a", "idxs"))
-    if chosen.dtype.kind not in "iu" or np.any((chosen < 0) | (chosen >= whole.size)):
-        raise Unfit(f"{key} selects elements that do not exist")
-    shape = fields.get("preferred_shape")
-    return reshaped(whole.reshape(-1)[chosen], chosen.shape if shape is None else shape, "C")
-
-
-def _dense(key: str, matrix: Call, depth: int) -> np.ndarray:
-    fields = matrix.fields
-    data, minor, starts = (_array_of(key, fields.get(k), depth) for k in ("data", "indices", "indptr"))
-    shape = fields.get("_shape", fields.get("shape"))
-    if not (isinstance(shape, tuple) and len(shape) == 2 and all(isinstance(n, int) for n in shape)):
-        raise Unfit(f"{key} is a sparse matrix without a shape")
-    by_columns = ".csc_" in matrix.name
-    majors, minors = shape[::-1] if by_columns else shape
-    sound = (
-        shape[0] == NUM_JOINTS
-        # The dense matrix must not be beyond what the file itself could hold.
-        and 0 < shape[1] <= LIMITS.vertices
-        and data.ndim == minor.ndim == starts.ndim == 1
-        and minor.dtype.kind in "iu"
-        and starts.dtype.kind in "iu"
-        and len(starts) == majors + 1
-        and starts[0] == 0
-        and starts[-1] == len(data) == len(minor)
-        and np.all(starts[1:] >= starts[:-1])
-        and np.all((minor >= 0) & (minor < minors))
-    )
-    if not sound:
-        raise Unfit(f"{key} is a damaged sparse matrix, or not of 16 joints")
-    dense = np.zeros((majors, minors))
-    np.add.at(dense, (np.repeat(np.arange(majors), np.diff(starts.astype(np.int64))), minor), data)
-    return dense.T if by_columns else dense

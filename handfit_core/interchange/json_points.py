@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -171,20 +171,18 @@ def _frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str,
     what was assumed. Where most have one, the others are left out; where most have none, all are counted from
     1. Raises InputError for files of several sequences."""
     files = document.files(".json")
-    numbered = [(match, file) for file in files if (match := _last_number(file.stem))]
-    assumed: tuple[str, ...] = ()
-    if others := [file for file in files if not _last_number(file.stem)]:
-        which = f"{shown(others[0].name)} has no number in its name"
-        if len(others) > 1:
-            which = f"{shown(others[0].name)} and {len(others) - 1} more have no number in their names"
-        if len(others) >= len(numbered):
-            said = f"{which}: frames are counted from 1, by the names"
-            return list(enumerate(files, 1)), (said,) if len(files) > 1 else ()
-        assumed = (f"{which}: left out",)
+    found = [(_last_number(file.stem), file) for file in files]
+    numbered = [(match, file) for match, file in found if match]
+    others = [shown(file.name) for match, file in found if not match]
+    more = f" and {len(others) - 1} more have no number in their names"
+    which = f"{others[0]}{more if len(others) > 1 else ' has no number in its name'}" if others else ""
+    if others and len(others) >= len(numbered):
+        said = f"{which}: frames are counted from 1, by the names"
+        return list(enumerate(files, 1)), (said,) if len(files) > 1 else ()
     around = {(file.stem[: match.start()], file.stem[match.end() :]) for match, file in numbered}
     if len(around) > 1:
         raise InputError(f"{shown(document.path)}: {several_clips(around)}; give each its own folder")
-    return [(int(match[0]), file) for match, file in numbered], assumed
+    return [(int(match[0]), file) for match, file in numbered], (f"{which}: left out",) if others else ()
 
 
 def several_clips(around: Collection[tuple[str, ...]]) -> str:
@@ -227,16 +225,16 @@ def size_in(header: Mapping[str, Any]) -> tuple[int, int] | None:
 # Hands
 
 
-@dataclass(frozen=True, eq=False)
-class JsonHand:
-    """One hand of one frame, as it is told."""
+class JsonHand(NamedTuple):
+    """One hand of one frame, or people's both, as it is told."""
 
-    points: np.ndarray | None
-    """(N, 4) x, y, z, and how sure it is; NaN: not told. None: only the world is told"""
-    world: np.ndarray | None
-    """(21, 3) metres"""
     side: Side | None
-    score: float | None
+    score: float
+    """NaN: not told"""
+    points: np.ndarray
+    """(N, 4) x, y, z, and how sure it is; NaN: not told"""
+    world: np.ndarray
+    """(21, 3) metres; NaN: not told"""
     mirrored: bool | None
     """Whether the side counts for mirrored pictures; None: not known"""
 
@@ -308,19 +306,22 @@ def _several(
     *,
     mirrored: bool | None,
 ) -> Iterator[JsonHand]:
-    score = next((of[key] for key in _SCORE if isinstance(of.get(key), int | float)), None)
+    score = next((of[key] for key in _SCORE if isinstance(of.get(key), int | float)), np.nan)
     count = max(len(points), len(world))
     for where, space, label in zip_longest(points, world, labels[:count]):
+        if where is None and space is None:
+            continue
         side, sure = _label(label)
-        seen = None if where is None else _numbers(where, columns)
-        if seen is not None and "keypointscores" in of:
+        seen = _numbers([None] * NUM_KEYPOINTS if where is None else where, columns)
+        there = _numbers([None] * NUM_KEYPOINTS if space is None else space, {3: "xyz", 4: "xyzc"})
+        if "keypointscores" in of:
             scores = np.array(of["keypointscores"], dtype=np.float64).ravel()
             if len(scores) != len(seen):
                 raise ValueError(f"{len(seen)} points with {len(scores)} scores")
             seen[:, 3] = scores
-        there = None if space is None else _numbers(space, {3: "xyz", 4: "xyzc"})[:, :3]
-        if seen is not None or there is not None:
-            yield JsonHand(seen, there, side, score if sure is None else sure, mirrored)
+        if not np.isnan(seen[:, 3]).all():
+            seen[:, 3] = np.nan_to_num(seen[:, 3])
+        yield JsonHand(side, score if sure is None else sure, seen, there[:, :3], mirrored)
 
 
 def _label(entry: Any) -> tuple[Side | None, float | None]:

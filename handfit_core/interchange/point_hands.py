@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -42,28 +42,27 @@ class ToldHands(Batch):
     """(N, 21, 3) metres about the hand's middle; NaN: not told"""
 
     @classmethod
-    def of(
-        cls,
-        row: np.ndarray,
-        side: np.ndarray,
-        hand: np.ndarray,
-        score: np.ndarray,
-        points: np.ndarray,
-        sure: np.ndarray,
-        world: np.ndarray,
-    ) -> ToldHands:
-        """Those that have any point. `score` (N,), NaN: the mean of the points' confidence; `sure` (N, 21),
-        NaN: not told. Raises ValueError for points that no hand has."""
+    def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ToldHands:
+        """Those of N hands that have any point. `score`, NaN: the mean of the points' confidence; `told`
+        (N, 21, 3) or, with confidences, (N, 21, 4), NaN: not told. Raises ValueError for points that no hand
+        has."""
+        row, side, hand = (np.array(each, dtype=int) for each in (row, side, hand))
+        told = np.array(told, dtype=np.float64)
+        columns = told.shape[-1] if len(row) else 4
+        told = told.reshape(len(row), NUM_KEYPOINTS, columns)
+        points = told[..., :3]
+        sure = told[..., 3] if columns > 3 else np.full(points.shape[:2], np.nan)
+        world = np.broadcast_to(np.array(world, dtype=np.float64), points.shape) if len(row) else points
         if np.any(np.abs(points) > LARGEST) or np.any(np.abs(world) > LARGEST):
             raise ValueError(f"a point lies beyond {LARGEST:g}")
         points, world = (np.where(np.isfinite(each), each, np.nan) for each in (points, world))
         there = known(points[..., :2]) & np.any(points[..., :2] != 0.0, axis=-1)
         sure = np.where(there, np.where(np.isnan(sure), 1.0, sure).clip(0.0, 1.0), 0.0)
+        score = np.array(score, dtype=np.float64)
         score = np.where(np.isfinite(score), score, sure.mean(axis=1)).clip(0.0, 1.0)
         kept = np.flatnonzero(sure.any(axis=1) | known(world).any(axis=1))
-        return cls(row, side, hand, score, points, sure, world).select(
-            kept[np.argsort(row[kept], kind="stable")]
-        )
+        order = kept[np.argsort(row[kept], kind="stable")]
+        return cls(row, side, hand, score, points, sure, world).select(order)
 
     @property
     def in_plane(self) -> np.ndarray:
@@ -128,11 +127,10 @@ def hands_in_space(
     return tuple(found), tuple(said)
 
 
-def metres_of(
-    hands: tuple[PointsHand, ...], units: Mapping[str, float], usual: str
-) -> tuple[float, tuple[str, ...]]:
+def metres_of(hands: tuple[PointsHand, ...], units: Mapping[str, float]) -> tuple[float, tuple[str, ...]]:
     """Metres of one of the file's units, by the palm's length, and what is said where it is not the first.
     Raises ValueError where none of the units makes a hand of it."""
+    usual = next(iter(units))
     palms = np.concatenate([np.linalg.norm(h.points[:, 9] - h.points[:, 0], axis=-1) for h in hands])
     palm = float(np.nanmedian(palms)) if np.isfinite(palms).any() else np.nan
     for name, unit in units.items():

@@ -14,6 +14,7 @@ from handfit_core.files import shown
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import (
     JsonFrames,
+    JsonHand,
     frames_of,
     hands_in,
     is_hand,
@@ -37,7 +38,7 @@ from handfit_core.interchange.point_hands import (
     without_hidden,
 )
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, Recording, known
+from handfit_core.interchange.recording import Asked, PointsHand, Recording, known
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.table_points import HandTable, columns_of
@@ -56,8 +57,10 @@ class PointLayout:
     """Where the program says so"""
     marks: tuple[str, ...] = ()
     """Keys of an object by which such JSON is recognised: all that stand in one of these, as in "a b\""""
+    table: Callable[[Table], bool] = lambda _: False
+    """Whether a table is of it"""
     recognises: Callable[[Document], bool] = lambda _: False
-    """Whether a file or folder without such keys is of it"""
+    """Whether any other file or folder is of it"""
     columns: str = "xy xyz xyzc"
     """What a list of numbers is that stands for a point, for each length: c is the confidence"""
     people: str = ""
@@ -66,8 +69,8 @@ class PointLayout:
     """The first point of each hand, by how many points a list has"""
     hands: Callable[[Any], Any] = lambda frame: frame
     """From a frame to objects with `side` and `points`, where hands are told in another way"""
-    read: Callable[[Document], Told | JsonFrames | None] = lambda _: None
-    """The hands, or frames with them, of what is neither a table nor frames of JSON"""
+    read: Callable[[Document], Told | None] = lambda _: None
+    """The hands of what is neither a table nor frames of JSON"""
     persons: Literal["one", "told", "unknown"] = "unknown"
     """Whether a file is of one person, or tells them; else nobody can be chosen"""
     least: float = 0.0
@@ -79,8 +82,8 @@ class PointLayout:
     units: Mapping[str, float] | None = None
     """Metres of the units that points in space may have, the usual one first; None: points are in the plane,
     or in metres of the camera frame"""
-    up: str = ""
-    """The axis of space that is up, if it is not the camera's frame"""
+    up: str = "y"
+    """The axis of such space that is up"""
     on_joints: bool = False
     """Whether points in space are a skeleton's joints"""
     sigma: float | None = 0.005
@@ -102,11 +105,12 @@ class PointLayout:
         return Reader(self.title, self.files, self._recognises, self._read, self.unseen)
 
     def _recognises(self, document: Document) -> bool:
+        if document.table is not None:
+            return self.table(document.table)
         marks = [set(mark.split()) for mark in self.marks]
-        if marks and (document.is_folder or document.table is None):
-            for content in some_contents(document):
-                if any(mark <= set(each) for each in objects_in(content) for mark in marks):
-                    return True
+        objects = (each for content in some_contents(document) for each in objects_in(content))
+        if marks and any(mark <= set(each) for each in objects for mark in marks):
+            return True
         return self.recognises(document)
 
     def _read(self, document: Document, asked: Asked) -> Recording:
@@ -115,15 +119,11 @@ class PointLayout:
             raise OptionError(f"{path}: {self.title}'s hands belong to no persons; leave --person out")
         try:
             told = self.read(document)
-            if isinstance(told, Told):
-                pass
-            elif told is None and not document.is_folder and document.table is not None:
+            if told is None and document.table is not None:
                 told = HandTable(document.table, document.path).hands(
                     first=self.first, in_space=self.units is not None, ours=self.ours
                 )
-            else:
-                told = self._of_json(told or frames_of(document, self._is_one), document, asked)
-            return self._recording(told, document, asked)
+            return self._recording(told or self._of_json(document, asked), document, asked)
         except InputError:
             raise
         except ValueError as error:
@@ -135,7 +135,8 @@ class PointLayout:
             return is_hand(content)
         return isinstance(content, list) and bool(content) and "keypointscores" in keyed(content[0])
 
-    def _of_json(self, frames: JsonFrames, document: Document, asked: Asked) -> Told:
+    def _of_json(self, document: Document, asked: Asked) -> Told:
+        frames = frames_of(document, self._is_one)
         columns = {len(each): each for each in self.columns.split()}
         told: list[tuple[Any, ...]] = []
         most, mirrored = 0, set()
@@ -159,19 +160,10 @@ class PointLayout:
             raise InputError(
                 f"{shown(document.path)}: there is no person {asked.person}; its frames have at most {most}"
             )
-        rows, hand, side, score, points, world = zip(*told, strict=True) if told else ((),) * 6
-        points = np.array(points, dtype=np.float64).reshape(-1, NUM_KEYPOINTS, 4)
+        row, hand, side, score, points, world = zip(*told, strict=True) if told else ((),) * 6
         return Told(
             frames.numbers,
-            ToldHands.of(
-                np.array(rows, dtype=int),
-                np.array(side, dtype=int),
-                np.array(hand, dtype=int),
-                np.array(score, dtype=np.float64),
-                points[..., :3],
-                points[..., 3],
-                np.array(world, dtype=np.float64).reshape(-1, NUM_KEYPOINTS, 3),
-            ),
+            ToldHands.of(row, side, hand, score, points, world),
             frames.fps,
             size_in(frames.header) or size_in(keyed(frames.contents[0])),
             in_space=self.units is not None,
@@ -189,21 +181,16 @@ class PointLayout:
             raise ValueError(f"it has no list of {self.people}")
         return people
 
-    def _parts(self, hand: Any) -> Iterator[tuple[Any, ...]]:
+    def _parts(self, hand: JsonHand) -> Iterator[tuple[Any, ...]]:
         """Side, score, points (21, 4) and world (21, 3) of each hand that a list of points has."""
-        nothing = np.full((NUM_KEYPOINTS, 4), np.nan)
-        points = nothing if hand.points is None else hand.points
-        world = nothing[:, :3] if hand.world is None else hand.world
-        if len(points) not in self.parts or len(world) != NUM_KEYPOINTS:
-            expected = ", ".join(map(str, self.parts))
-            raise ValueError(f"a hand of {len(points)} points; expected {expected}")
-        if not np.isnan(points[:, 3]).all():
-            points = np.concatenate([points[:, :3], np.nan_to_num(points[:, 3:])], axis=1)
-        for side, first in self.parts[len(points)].items():
-            name = side or hand.side
-            code = UNKNOWN if name is None else SIDES.index(name)
-            score = np.nan if hand.score is None else hand.score
-            yield code, score, points[first : first + NUM_KEYPOINTS], world
+        if len(hand.points) not in self.parts or len(hand.world) != NUM_KEYPOINTS:
+            raise ValueError(
+                f"a hand of {len(hand.points)} points; expected {', '.join(map(str, self.parts))}"
+            )
+        for side, first in self.parts[len(hand.points)].items():
+            named = side or hand.side
+            code = UNKNOWN if named is None else SIDES.index(named)
+            yield code, hand.score, hand.points[first : first + NUM_KEYPOINTS], hand.world
 
     def _recording(self, told: Told, document: Document, asked: Asked) -> Recording:
         """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""
@@ -216,33 +203,32 @@ class PointLayout:
             size=told.size,
             intrinsics=told.intrinsics,
         )
-        if (self.ours or self.units) and np.any(hands.side == UNKNOWN):
+        told_sides = self.ours or self.units is not None
+        if told_sides and np.any(hands.side == UNKNOWN):
             raise ValueError("some of them have no side; expected left or right")
-        if told.in_space:
-            return self._in_space(told, made, what)
-        if not known(hands.points[..., :2]).any() or _is_world(hands):
+        said, in_space = told.assumed, told.in_space
+        if not in_space and (not known(hands.points[..., :2]).any() or _is_world(hands)):
             world = hands.points if known(hands.points).any() else hands.world
             hands = replace(hands, points=world, confidence=known(world).astype(float))
-            check_some(hands, what)
-            hands, swapped = own_sides(hands, world, told.mirrored)
-            hands, sides = with_sides(hands, asked.hands, world)
-            points, several = hands_in_space(
-                hands, len(told.numbers), counted=False, on_joints=self.on_joints, sigma=self.sigma
+            said, in_space = (
+                (*said, "its points are metres without a place: the hands stay where they are"),
+                True,
             )
-            said = "its points are metres without a place, as of MediaPipe's world: hands stay where they are"
-            return replace(made, points=points, assumed=(*told.assumed, said, *swapped, *sides, *several))
-        hands, hidden = without_hidden(hands, self.least)
+        hands, hidden = without_hidden(hands, 0.0 if in_space else self.least)
         check_some(hands, what)
-        shapes = np.where(np.isfinite(hands.world).all(axis=(1, 2), keepdims=True), hands.world, hands.points)
-        hands, swapped = own_sides(hands, shapes, told.mirrored)
-        hands, sides = with_sides(hands, asked.hands, shapes)
+        said = (*said, *hidden)
+        if not told_sides:
+            whole = np.isfinite(hands.world).all(axis=(1, 2), keepdims=True)
+            shapes = np.where(whole, hands.world, hands.points)
+            hands, swapped = own_sides(hands, shapes, told.mirrored)
+            hands, sides = with_sides(hands, asked.hands, shapes)
+            said = (*said, *swapped, *sides)
+        if in_space:
+            points, assumed = self._in_space(hands, len(told.numbers))
+            return replace(made, points=points, assumed=(*said, *self.assumed, *assumed))
         hands, relative, scale = self._scaled(hands, told, asked)
-        made = replace(
-            made,
-            seen=seen_hands(hands),
-            size=RELATIVE if relative else told.size,
-            assumed=(*told.assumed, *scale, *hidden, *swapped, *sides),
-        )
+        size = RELATIVE if relative else told.size
+        made = replace(made, seen=seen_hands(hands), size=size, assumed=(*said, *scale))
         return made if told.size is None else scaled(made, *told.size)
 
     def _scaled(self, hands: ToldHands, told: Told, asked: Asked) -> tuple[ToldHands, bool, tuple[str, ...]]:
@@ -265,19 +251,18 @@ class PointLayout:
         )
         return replace(hands, points=points), True, (said,) if self.people else ()
 
-    def _in_space(self, told: Told, made: Recording, what: str) -> Recording:
-        check_some(told.hands, what)
-        points, several = hands_in_space(
-            told.hands, len(told.numbers), counted=self.ours, on_joints=self.on_joints, sigma=self.sigma
+    def _in_space(self, hands: ToldHands, count: int) -> tuple[tuple[PointsHand, ...], tuple[str, ...]]:
+        """The hands in metres before the camera, over that many frames, and what is said of them."""
+        points, said = hands_in_space(
+            hands, count, counted=self.ours, on_joints=self.on_joints, sigma=self.sigma
         )
-        unit, said = 1.0, ()
         if self.units:
-            unit, said = metres_of(points, self.units, next(iter(self.units)))
+            unit, guessed = metres_of(points, self.units)
+            axes = unit * UP_AXES[self.up].T
+            points = tuple(replace(hand, points=hand.points @ axes) for hand in points)
             # Devices that know joints know which hand they see.
-            said = said if self.on_joints else (*said, *odd_sides(points))
-        axes = UP_AXES[self.up].T if self.up else np.eye(3)
-        points = tuple(replace(hand, points=hand.points * unit @ axes) for hand in points)
-        return replace(made, points=points, assumed=(*told.assumed, *self.assumed, *several, *said))
+            said = (*said, *guessed, *(() if self.on_joints else odd_sides(points)))
+        return points, said
 
 
 def _is_world(hands: ToldHands) -> bool:
@@ -287,16 +272,6 @@ def _is_world(hands: ToldHands) -> bool:
         return False
     middles, reach = np.abs(points.mean(axis=1)), np.abs(points).max(axis=(1, 2))
     return bool(np.median(middles[:, :2].max(axis=1)) < 0.05 and np.median(reach) < 0.2)
-
-
-def tables(fits: Callable[[Table], bool]) -> Callable[[Document], bool]:
-    """Whether a document is a table of hands, and fits."""
-
-    def recognises(document: Document) -> bool:
-        table = None if document.is_folder else document.table
-        return table is not None and fits(table)
-
-    return recognises
 
 
 def is_hand_table(table: Table) -> bool:

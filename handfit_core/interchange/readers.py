@@ -73,7 +73,7 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
     name that there is not."""
     if name is not None:
         return name, READERS.get(name)
-    for known, reader in READERS.all().items():
+    for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] == "mediapipe"):
         with READERS.blamed(known):
             if reader.recognises(document):
                 return known, reader

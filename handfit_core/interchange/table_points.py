@@ -78,26 +78,23 @@ class HandTable:
         columns, frames = columns_of(self.table), self._frames()
         assumed: tuple[str, ...] = ()
         if columns is not None:
-            frames_of_rows = np.arange(first, first + self._count) if frames is None else frames
             hands, row_of = self._wide(columns)
             if frames is None:
+                frames = np.arange(first, first + self._count)
                 assumed = (f"its rows have no frame numbers: they are counted from {first}",)
         elif frames is None:
             raise ValueError("each row is a point, and no column tells the frame")
         else:
-            frames_of_rows = frames
-            in_space = ours and len(self.axes("{}m")) == 3
-            in_space = in_space and bool(np.isfinite(self.table.numbers(self.axes("{}m"))).all(axis=1).any())
-            hands, row_of = self._pointwise(
-                frames, self.axes("{}m") if in_space else self.axes(*_IN_PLANE), ours
-            )
-        numbers, place = np.unique(frames_of_rows, return_inverse=True)
-        times = self._numbers("time")
+            axes, metres = self.axes(*_IN_PLANE), self.axes("{}m") if ours else []
+            if len(metres) == 3 and np.isfinite(self.table.numbers(metres)).all(axis=1).any():
+                axes, in_space = metres, True
+            hands, row_of = self._pointwise(frames, axes, ours)
+        numbers, place = np.unique(frames, return_inverse=True)
         named_sides = columns is not None and any(column.side is not None for column in columns)
         return Told(
             numbers,
             ToldHands.of(place[row_of], *hands),
-            rate_of(frames_of_rows, times) if frames is not None else 0.0,
+            rate_of(frames, self._numbers("time")),
             self._size(),
             in_space=in_space,
             mirrored=False if named_sides else None,
@@ -156,7 +153,7 @@ class HandTable:
         sides = np.where(sides == UNKNOWN, self._sides()[row_of], sides)
         counted = self._counted()[row_of] + np.array([hand for _, hand in groups])[group_of]
         score = self._numbers("score")[row_of]
-        return (sides, counted, score, told[..., :3], told[..., 3], told[..., 4:]), row_of
+        return (sides, counted, score, told[..., :4], told[..., 4:]), row_of
 
     def _pointwise(
         self, frames: np.ndarray, axes: list[str], ours: bool
@@ -205,8 +202,7 @@ class HandTable:
         if not np.any(told[..., 3] > 0.0):
             told[..., 3] = np.nan
         rows = used[start]
-        nothing = np.full((len(start), NUM_KEYPOINTS, 3), np.nan)
-        return (sides[rows], hand[rows], nothing[:, 0, 0], told[..., :3], told[..., 3], nothing), rows
+        return (sides[rows], hand[rows], np.full(len(rows), np.nan), told), rows
 
 
 _IN_PLANE: Final = ("{}", "{}norm", "normalized{}", "{}px")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Final, cast
 
 import numpy as np
@@ -101,7 +101,6 @@ class HandMap:
         values: dict[str, Any] = {"side": cast(Side, data["side"])}
         values["bones"] = _names(data.get("bones"), JOINT_NAMES)
         values["palm"] = _names(data.get("palm", {}), PALM_FINGERS)
-        kinds = {f.name: f.type for f in fields(cls)}
         for name in ("control", "rig", "thumb_roll", "keep_rest", "fold"):
             if name not in data:
                 continue
@@ -110,8 +109,7 @@ class HandMap:
                 lowest, highest = _RANGES[name]
                 fits = type(value) in (int, float) and lowest <= value <= highest
             else:
-                kind = bool if kinds[name] == "bool" else str
-                fits = isinstance(value, kind) and len(str(value)) <= _MAX_NAME_LENGTH
+                fits = isinstance(value, type(getattr(cls, name))) and len(str(value)) <= _MAX_NAME_LENGTH
             if not fits:
                 raise HandModelError(f"{name} of this table of a hand's bones is {shown(str(value)[:40])!r}")
             values[name] = value

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.scene.animation import CURVES
 from blender_manient.scene.build import BuildOptions, build_take, building
+from blender_manient.scene.keys import CURVES
 from handfit_core.errors import BuildInterrupted
 
 from .conftest import action_curves

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
 import pytest
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Vector
 
+from blender_manient.scene.camera import lens_of_camera
 from blender_manient.screen import enlarged, zoom_and_offset
+from handfit_core.errors import OptionError
 
 PORTRAIT, LANDSCAPE, SQUARE = (620.0, 1080.0), (1920.0, 1080.0), (500.0, 500.0)
 
@@ -72,3 +77,29 @@ def test_a_place_stays_or_goes_where_it_is_to_be(factor):
         np.testing.assert_allclose(grown, factor)
     share = (here - before[0]) / np.ptp(before, axis=0)
     np.testing.assert_allclose(after[0] + share * np.ptp(after, axis=0), there)
+
+
+@pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
+@pytest.mark.parametrize("size", [(640, 360), (360, 640)])
+def test_projects_as_blender_does(fit, size):
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = size
+    data = bpy.data.cameras.new("camera")
+    data.sensor_fit, data.lens, data.shift_x, data.shift_y = fit, 41.0, 0.07, -0.04
+    data.sensor_height = 20.0
+    camera = bpy.data.objects.new("camera", data)
+    scene.collection.objects.link(camera)
+
+    focal, cx, cy = lens_of_camera(camera, scene)
+    point = np.array([0.11, -0.07, 0.6])  # x right, y down, z forward
+    width, height = size
+    mine = [focal * point[0] / point[2] + cx, (focal * width * point[1] / point[2]) / height + cy]
+    seen = world_to_camera_view(scene, camera, Vector((point[0], -point[1], -point[2])))
+    assert mine == pytest.approx([seen.x, 1.0 - seen.y], abs=1e-5)
+
+
+def test_a_camera_without_perspective_is_refused():
+    data = bpy.data.cameras.new("camera")
+    data.type = "ORTHO"
+    with pytest.raises(OptionError, match="perspective"):
+        lens_of_camera(bpy.data.objects.new("camera", data), bpy.context.scene)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import bpy
@@ -11,9 +10,17 @@ import pytest
 
 import blender_manient
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene import confidence, corrections
+from blender_manient.scene import confidence, corrections, store
 from blender_manient.scene.build import build_take
-from blender_manient.scene.confidence import UNSEEN_COLOR, bone_errors, errors_of
+from blender_manient.scene.confidence import (
+    UNSEEN_COLOR,
+    bone_errors,
+    doubtful_ranges,
+    errors_of,
+    is_marked,
+    mark_doubtful,
+    next_doubtful,
+)
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
@@ -226,32 +233,6 @@ def test_other_objects_are_left_alone():
     assert shown(rig, evaluated=False) == {}
 
 
-def test_a_frame_costs_as_much_in_a_long_take_as_in_a_short_one(make_take):
-    def medians(frames: int) -> tuple[float, float]:
-        """Processor time of colouring two hands, and of Blender's own frame without that."""
-        bpy.ops.wm.read_homefile(use_empty=True)
-        made = make_take(frame_numbers=np.arange(1, frames + 1))
-        for hand in build_take(made.take, scene=bpy.context.scene).hands:
-            hand.armature.manient.show_confidence = True
-        bpy.app.handlers.frame_change_pre.remove(confidence._on_frame)
-        scene, spent, whole = bpy.context.scene, [], []
-        for frame in range(1, 51):
-            scene.frame_current = frame
-            times = [time.thread_time()]
-            confidence._on_frame(scene)
-            times.append(time.thread_time())
-            scene.frame_set(frame)
-            times.append(time.thread_time())
-            spent.append(times[1] - times[0])
-            whole.append(times[2] - times[1])
-        return float(np.median(spent)), float(np.median(whole))
-
-    (short, frame), (long, _) = medians(50), medians(5000)
-    print(f"{short * 1000:.2f} and {long * 1000:.2f} ms, a frame {frame * 1000:.2f} ms")
-    assert short < 6 * frame
-    assert long < 3 * short
-
-
 FINGERS_OFF = np.array([0.002, 0.014, 0.005, 0.005, 0.005])
 """metres: the thumb is sure, the index finger is not"""
 
@@ -305,3 +286,125 @@ def test_what_the_artist_has_corrected_is_not_doubted_any_more(expecting):
     corrections.clear_corrections(armature)
     np.testing.assert_array_equal(errors_of(expecting).frames, before.frames)
     assert errors_of(expecting).doubtful[ROW]
+
+
+def with_flags(take):
+    """Doubtful: frames 3 and 4, 8, and 17 and 18; filled: 7. (FRAMES says which rows they are.)"""
+    doubtful = np.isin(FRAMES, (3, 4, 8, 17, 18))
+    filled = np.zeros(len(FRAMES), dtype=bool)
+    filled[UNSEEN] = True
+    hands = []
+    for track in take.hands:
+        pose = {}
+        for name in ("global_orient", "hand_pose", "transl", "joints_3d"):
+            pose[name] = np.array(getattr(track, name))
+            pose[name][UNSEEN] = pose[name][UNSEEN - 1]
+        hands.append(replace(track, doubtful=doubtful, filled=filled, **pose))
+    return replace(take, hands=tuple(hands))
+
+
+@pytest.fixture
+def hand(make_take):
+    built = build_take(with_flags(make_take().take))
+    return store.hand_of(built.hands[1].armature)
+
+
+def markers() -> list[tuple[int, str]]:
+    return sorted((m.frame, m.name) for m in bpy.context.scene.timeline_markers)
+
+
+OURS = [
+    (3, "Doubtful R"),
+    (4, "Doubtful R End"),
+    (7, "Filled R"),
+    (8, "Doubtful R"),
+    (17, "Doubtful R"),
+    (18, "Doubtful R End"),
+]
+
+
+def test_a_take_that_nobody_judged_has_none(make_take):
+    built = build_take(make_take().take)
+    assert doubtful_ranges(store.hand_of(built.hands[0].armature)) == []
+
+
+def test_markers_come_once_and_go(hand):
+    scene = bpy.context.scene
+    scene.timeline_markers.new("Cut", frame=8)
+    for _ in range(2):
+        assert mark_doubtful(scene, hand, True) == len(OURS)
+        assert markers() == sorted([*OURS, (8, "Cut")])
+        assert is_marked(scene, hand)
+    assert mark_doubtful(scene, hand, False) == 0
+    assert markers() == [(8, "Cut")]
+    assert not is_marked(scene, hand)
+
+
+def test_stale_markers_are_replaced(hand):
+    scene = bpy.context.scene
+    scene.timeline_markers.new("Doubtful R", frame=5)
+    mark_doubtful(scene, hand, True)
+    assert markers() == OURS
+
+
+def test_the_other_hand_keeps_its_markers(hand, make_take):
+    scene = bpy.context.scene
+    other = store.hand_of(next(o for o in store.captured_hands(scene) if o.manient.side == "left"))
+    mark_doubtful(scene, hand, True)
+    mark_doubtful(scene, other, True)
+    assert len(markers()) == 2 * len(OURS)
+    mark_doubtful(scene, other, False)
+    assert markers() == OURS
+
+
+def test_another_capture_of_the_same_side_keeps_its_markers(hand, make_take):
+    scene = bpy.context.scene
+    scene.frame_set(103)
+    later = build_take(with_flags(make_take(seed=4).take), match_scene=False)
+    mark_doubtful(scene, hand, True)
+    mark_doubtful(scene, store.hand_of(later.hands[1].armature), True)
+    assert markers() == sorted([*OURS, *((frame + 100, name) for frame, name in OURS)])
+    mark_doubtful(scene, store.hand_of(later.hands[1].armature), False)
+    assert markers() == OURS
+
+
+@pytest.mark.parametrize(
+    ("frame", "direction", "expected"),
+    [
+        (1, "NEXT", 3),
+        (3, "NEXT", 8),
+        (8, "NEXT", 17),
+        (17, "NEXT", None),
+        (18, "PREVIOUS", 17),
+        (17, "PREVIOUS", 8),
+        (8, "PREVIOUS", 3),
+        (3, "PREVIOUS", None),
+    ],
+)
+def test_next_doubtful(hand, frame, direction, expected):
+    assert next_doubtful(hand, frame, direction) == expected
+
+
+def test_operators(hand):
+    scene = bpy.context.scene
+    name = hand.armature.name
+    bpy.context.view_layer.objects.active = None
+    assert bpy.ops.manient.mark_doubtful(hand=name) == {"FINISHED"}
+    assert markers() == OURS
+    assert bpy.ops.manient.mark_doubtful(hand=name) == {"FINISHED"}
+    assert markers() == []
+
+    bpy.context.view_layer.objects.active = hand.mesh
+    scene.frame_set(1)
+    for expected in (3, 8, 17):
+        assert bpy.ops.manient.jump_doubtful(direction="NEXT") == {"FINISHED"}
+        assert scene.frame_current == expected
+    assert bpy.ops.manient.jump_doubtful(direction="NEXT") == {"CANCELLED"}
+    assert bpy.ops.manient.jump_doubtful(direction="PREVIOUS", hand=name) == {"FINISHED"}
+    assert scene.frame_current == 8
+
+
+@pytest.mark.parametrize("operator", ["mark_doubtful", "jump_doubtful"])
+def test_operators_without_a_hand_say_so(operator):
+    with pytest.raises(RuntimeError, match="No captured hand: select"):
+        getattr(bpy.ops.manient, operator)()

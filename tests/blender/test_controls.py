@@ -134,9 +134,6 @@ def test_their_bones_are_named_and_drawn_apart(hand):
     shapes = {hand.pose.bones[controls[finger]].custom_shape for finger in FINGERS}
     assert len(shapes) == 1
     assert all(not shape.users_collection for shape in shapes)
-    names = rig_of(hand).bones
-    assert all(all(hand.pose.bones[name].lock_location) for name in names[1:])
-    assert not any(hand.pose.bones[names[0]].lock_location)
 
 
 def test_curl_bends_a_fingers_joints_in_proportion(hand):
@@ -148,16 +145,6 @@ def test_curl_bends_a_fingers_joints_in_proportion(hand):
         at = np.array(joints) - 1
         turned[at] = 20.0 * joint_limits(hand.manient.side).upper[at, 2] / (0.5 * np.pi)
         np.testing.assert_allclose(bends(hand) - before, turned, atol=1e-3)
-
-
-def test_curl_closes_the_hand(hand):
-    """Fingertips come nearer to the wrist's palm side, on both sides alike."""
-    flatten(hand)
-    before = shown(hand)
-    control(hand, "fingers").rotation_euler.x = np.radians(40.0)
-    palm = before[0, :3, 2]  # Z of the wrist's bone points out of the palm
-    tips = [joints[2] for finger, joints in FINGER_JOINTS.items() if finger != "thumb"]
-    assert ((shown(hand)[tips, :3, 3] - before[tips, :3, 3]) @ palm > 0.005).all()
 
 
 def test_spread_fans_the_fingers_out(make_take):

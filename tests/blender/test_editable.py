@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from blender_manient.blender_versions import channels
-from blender_manient.operators.export_hand import MANIENT_OT_export_hand
+from blender_manient.operators.export import MANIENT_OT_export_hand
 from blender_manient.refiner import why_not
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names

@@ -93,16 +93,6 @@ def test_it_fades_out_over_spread_and_clear_takes_it_back(hand):
     assert turned(before, read_pose_keys(rig_of(armature))).max() < 1e-5
 
 
-def test_without_a_spread_it_stays_in_its_frame(hand):
-    armature, _, _ = hand
-    bpy.context.scene.manient.spread = 0
-    before = read_pose_keys(rig_of(armature))
-    bpy.context.scene.frame_set(6)
-    bpy.ops.manient.apply_pose(pose="Relaxed")
-    change = turned(before, read_pose_keys(rig_of(armature))).max(axis=1)
-    np.testing.assert_array_equal(change > 1e-4, before.frames == 6)
-
-
 def test_between_the_frames_of_a_retimed_clip(make_take, picture):
     """The current frame is relaxed, although the clip has none there; clearing takes its key away again."""
     scene = bpy.context.scene
@@ -154,22 +144,16 @@ def test_bones_without_keys_are_only_posed(hand):
     np.testing.assert_allclose(finger_rotations(armature, side), expected, atol=1e-4)
 
 
-def test_auto_keying_keys_them_too(hand):
+@pytest.mark.parametrize("auto", [False, True])
+def test_without_animation_auto_keying_keys(hand, auto):
     armature, _, _ = hand
     armature.animation_data_clear()
-    bpy.context.scene.tool_settings.use_keyframe_insert_auto = True
+    bpy.context.scene.tool_settings.use_keyframe_insert_auto = auto
     bpy.context.scene.frame_set(5)
     bpy.ops.manient.apply_pose(pose="Relaxed")
     keys = read_pose_keys(rig_of(armature))
-    assert keys.frames.tolist() == [5.0]
-    assert keys.rotation_keyed[0].tolist() == [False] + [True] * 15
-
-
-def test_without_animation_there_are_no_keys(hand):
-    armature, _, _ = hand
-    armature.animation_data_clear()
-    bpy.ops.manient.apply_pose(pose="Relaxed")
-    assert armature.animation_data is None or armature.animation_data.action is None
+    assert keys.frames.tolist() == [5.0] * auto
+    assert keys.rotation_keyed.tolist() == [[False] + [True] * 15] * auto
     assert np.abs(displayed_pose(rig_of(armature))[1:, 1]).min() > 0.01
 
 
@@ -618,22 +602,11 @@ def test_both_hands_of_a_character_or_the_one_with_selected_bones():
     assert kept_pose(bpy.data.actions["Mine"].asset_data).side == "left"
 
 
-def test_what_a_character_cannot_take_is_said_before_anything_is_changed():
-    armature = character("right")
+def test_a_hand_that_cannot_take_a_pose_keeps_the_other_from_it():
+    armature = two_hands()
     armature.data.pose_position = "REST"
     assert not bpy.ops.manient.apply_pose.poll()
     armature.data.pose_position = "POSE"
-    bpy.ops.manient.apply_pose(pose="Fist")
-    curves = list(action_curves(armature.animation_data.action))
-    curves[0].lock = True
-    values = [c.keyframe_points[0].co[1] for c in curves]
-    with pytest.raises(RuntimeError, match="locked"):
-        bpy.ops.manient.apply_pose(pose="Spread")
-    assert [c.keyframe_points[0].co[1] for c in curves] == values
-
-
-def test_a_hand_that_cannot_take_a_pose_keeps_the_other_from_it():
-    armature = two_hands()
     bpy.ops.manient.apply_pose(pose="Fist")
     curves = list(action_curves(armature.animation_data.action))
     locked = next(c for c in curves if joint_name(4, "right") in c.data_path)
@@ -740,7 +713,3 @@ def test_a_damaged_pose_asset_ends_in_a_sentence(hand, value):
     with pytest.raises(RuntimeError, match="pose of a hand"):
         bpy.ops.manient.apply_pose(pose="Bad")
     np.testing.assert_array_equal(finger_rotations(armature, side), before)
-
-
-def test_the_asset_browsers_entry_wants_an_asset(hand):
-    assert not bpy.ops.manient.apply_pose_asset.poll()

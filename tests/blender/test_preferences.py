@@ -11,7 +11,7 @@ import pytest
 
 import blender_manient
 from blender_manient import cache, preferences
-from blender_manient.operators import check_mano
+from blender_manient.operators import housekeeping
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
 from tests.blender.conftest import FRAMES, write_png
@@ -84,7 +84,7 @@ def test_how_opaque_the_hand_is_can_be_set_where_keypoints_are_edited(entry, mak
 
 def checked(path) -> list[tuple[bool, str]]:
     assert bpy.ops.manient.check_mano(path=str(path)) == {"FINISHED"}
-    return [(r.ok, r.sentence) for r in check_mano.results(str(path))]
+    return [(r.ok, r.sentence) for r in housekeeping.results(str(path))]
 
 
 def test_good_files(registered, imitation_mano):
@@ -116,11 +116,11 @@ def test_the_paths_that_are_checked_by_themselves(registered, imitation_mano, tm
         bpy.ops.manient.check_mano()
     preferences.get().mano_folder = str(tmp_path)
     bpy.ops.manient.check_mano()
-    assert check_mano.results(str(tmp_path))
+    assert housekeeping.results(str(tmp_path))
     bpy.context.scene.manient.model_path = str(imitation_mano)
     bpy.ops.manient.check_mano()
-    assert check_mano.results(str(imitation_mano))
-    assert not check_mano.results(str(tmp_path))  # of another path nothing is said
+    assert housekeeping.results(str(imitation_mano))
+    assert not housekeeping.results(str(tmp_path))  # of another path nothing is said
 
 
 # The cache

@@ -352,7 +352,7 @@ def touch(**others) -> None:
     [((0.0128, 0.0131), "13 mm"), ((0.0124, 0.0131, np.nan), "12 to 13 mm"), ((-0.002, 0.0001), "0 mm")],
 )
 def test_how_far_apart(monkeypatch, gaps, said):
-    monkeypatch.setattr(touching, "_TouchTask", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
+    monkeypatch.setattr(touching, "_TouchFit", lambda *_: SimpleNamespace(gaps=np.array(gaps)))
     count = f"{len(gaps)} frames. The points are {said} apart there"
     assert MANIENT_OT_touch.summary(SimpleNamespace(), bpy.context) == (count, False)
 

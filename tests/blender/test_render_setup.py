@@ -13,8 +13,8 @@ import blender_manient
 from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
 from blender_manient.scene.export import export_take
+from blender_manient.scene.matching import clear_view
 from blender_manient.scene.plate import rows_of
-from blender_manient.scene.surroundings import clear_view
 from handfit_core.media.source import Source
 
 from .conftest import HEIGHT, WIDTH, world, write_png

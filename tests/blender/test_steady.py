@@ -13,8 +13,9 @@ from blender_manient import jobs, source_info, steady
 from blender_manient.modes import find_hands as find_mode
 from blender_manient.modes.find_hands import row_of
 from blender_manient.operators import add_hand
+from blender_manient.operators.base import Work
 from blender_manient.operators.capture import new_job
-from blender_manient.operators.refit_range import MANIENT_OT_refit_range, RangeFitOperator
+from blender_manient.operators.refit_range import MANIENT_OT_refit_range
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.source import MANIENT_PT_source
@@ -187,19 +188,18 @@ def hand(make_take, registered):
 
 @pytest.mark.parametrize("operator", ["manient.refit_range", "manient.touch"])
 def test_a_fit_is_stopped_where_it_was_begun(hand, clock, monkeypatch, operator):
-    before = drawn(MANIENT_PT_refine).rows
+    before, running = drawn(MANIENT_PT_refine).rows, MANIENT_OT_refit_range.running
     here = before.index(operator)
-    monkeypatch.setattr(RangeFitOperator, "running", operator)
-    monkeypatch.setattr(RangeFitOperator, "can_stop", True)
+    monkeypatch.setitem(running, operator, Work())
     page = drawn(MANIENT_PT_refine)
     assert page.rows == [*before[:here], "Stop", *before[here + 1 :]]
     assert "Stop" in page.grey
     clock.now += 0.7
     assert "Stop" not in drawn(MANIENT_PT_refine).grey
     assert bpy.ops.manient.leave(what="FIT") == {"FINISHED"}
-    assert not RangeFitOperator.can_stop
+    assert running[operator].stopped
     assert "Stop" in drawn(MANIENT_PT_refine).grey
-    monkeypatch.setattr(RangeFitOperator, "running", "")
+    del running[operator]
     with pytest.raises(RuntimeError, match="Nothing is under way"):
         bpy.ops.manient.leave(what="FIT")
 

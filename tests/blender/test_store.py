@@ -100,14 +100,6 @@ def test_a_mesh_leads_to_its_hand_and_other_objects_to_none(make_take):
     assert store.hand_of(bpy.context.object) is None
 
 
-def test_decoding_happens_once(make_take):
-    built = build_take(make_take().take)
-    no_memory()
-    first = store.kept_take(built.collection)
-    assert store.kept_take(built.collection) is first
-    assert all(store.hand_of(h.armature).take is first for h in built.hands)
-
-
 def test_keeping_another_take_replaces_the_first(make_take):
     built = build_take(make_take().take)
     other = make_take(seed=5).take

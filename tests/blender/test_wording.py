@@ -11,7 +11,7 @@ import pytest
 from blender_manient import jobs, refiner
 from blender_manient.block_reference import BlockReference
 from blender_manient.jobs import Building, Job
-from blender_manient.operators.doubtful_frames import MANIENT_OT_jump_worst
+from blender_manient.operators.review import MANIENT_OT_jump_worst
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import os
 import re
 import shutil
@@ -105,3 +106,14 @@ def test_a_reader_of_labelled_pictures(tmp_path: Path) -> None:
     assert rows["raw-image"]["kind"] == "points"
     assert float(rows["raw-image"]["detection_rate"]) == 100.0
     assert 0.0 < float(rows["raw-image"]["error_2d"]) < 10.0
+
+
+def test_a_trackers_points(tmp_path: Path) -> None:
+    install("A tracker's points", tmp_path)
+    (hand,) = Take.load(ROOT / "samples" / "rendered_hand" / "truth.take.npz").hands
+    joints = 100.0 * hand.joints_3d * [1.0, -1.0, -1.0]
+    frames = [{"hands": [{"glove_id": 7, "side": hand.side, "joints": points}]} for points in joints.tolist()]
+    (tmp_path / "a.json").write_text(json.dumps({"frames": frames}))
+    said = run(tmp_path, "info", tmp_path / "a.json").stdout
+    assert "format   glove" in said
+    assert f"points in space: {hand.side} hand in {len(frames)} frames" in said

@@ -121,10 +121,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
             assert module.split(".")[0] not in (*HEAVY, *THREADED), name
 
 
-ASSEMBLIES = (
-    *("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take"),
-    "scene.smoothing",
-)
+ASSEMBLIES = ("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take")
 PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.commands")
 """Modules of the add-on that work without Blender"""
 
@@ -161,6 +158,31 @@ def test_rooms_know_only_what_comes_before_them(room: str) -> None:
         names = (m.split(".") for m in imported_modules(path))
         known |= {name[1] for name in names if name[0] == "handfit_core" and len(name) > 1}
     assert known <= set(ARROWS[room])
+
+
+ROOMS = (
+    "block_reference blender_versions installation plugins preferences screen section wording",
+    "rigs",
+    "scene exporters",  # which know each other: scene/export.py and scene/clean_rig.py ask for formats
+    "cache details error_graph hand_adjusting hand_table jobs key_preview live_link properties refiner "
+    "shared_worker source_info steady",
+    "modes",
+    "operators",
+    "panels",
+    "batch",
+    "command modules registration unusable",
+)
+"""The add-on's folders and single modules, from the bottom up: each may import its own line
+and those before"""
+
+
+def test_no_arrow_leads_up_in_the_addon() -> None:
+    rank = {room: at for at, line in enumerate(ROOMS) for room in line.split()}
+    addon = {name: name.split(".")[1] for name in MODULES if name.startswith("blender_manient.")}
+    assert set(addon.values()) == set(rank)
+    assert len([room for room in rank if (ROOT / "blender_manient" / room).is_dir()]) <= 8
+    arrows = [(name, other) for name in addon for other in local_imports(name, everywhere=True)]
+    assert [a for a in arrows if a[1] in addon and rank[addon[a[1]]] > rank[addon[a[0]]]] == []
 
 
 @pytest.mark.parametrize(

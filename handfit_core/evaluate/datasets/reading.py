@@ -165,7 +165,7 @@ def read_pickle(path: Path, layout: str) -> dict[Any, Any]:
     data = read_bytes(path, layout, 500_000_000)
     try:
         # RHD's 41 000 training labels have about 3 million instructions.
-        content = safe_pickle.load(data, most_steps=10_000_000, numbered=True)
+        content = safe_pickle.load(data, most_steps=10_000_000)
     except safe_pickle.Refused as error:
         raise DatasetError(f"{path}: refused: the file {error}; labels never do, do not trust it") from error
     except Exception as error:  # a damaged pickle can fail in any way
@@ -179,11 +179,10 @@ def pickled_array(where: str, content: Any, key: str, shape: tuple[int, ...]) ->
     """The float64 array under `key` of a pickle's dictionary. Raises DatasetError."""
     if not isinstance(content, dict) or key not in content:
         raise DatasetError(f"{where}: there is no {key} in its labels")
-    try:
-        array = safe_pickle.array_of(content[key]).astype(np.float64)
-    except safe_pickle.NotAnArray as error:
-        raise DatasetError(f"{where}: {key} {error}") from error
-    return shaped(where, key, array, shape)
+    array = safe_pickle.plain(content[key])
+    if not isinstance(array, np.ndarray):
+        raise DatasetError(f"{where}: {key} is not an array of numbers")
+    return shaped(where, key, array.astype(np.float64), shape)
 
 
 def numbers_or_none(value: Any) -> np.ndarray | None:

@@ -127,6 +127,8 @@ def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
         raise _Wrong("does not say Frames and Frame Time after MOTION")
     count, width = int(said[1]), sum(map(len, skeleton.channels))
     LIMITS.check(document.path, count, points=max(len(skeleton.names), width // 3))
+    if len(text) - said.end() > 64 * (count * width + 100):
+        raise _Wrong(f"says {count} frames of {width} channels, and has far more numbers")
     try:
         seconds = float(said[2])
         with warnings.catch_warnings():
@@ -258,11 +260,13 @@ _GROUND: Final = (0.0, -120.0, -40.0)
 
 def _called(name: str) -> str:
     """MotionBuilder's name of a bone that VRM calls so."""
-    side = next((side for side in SIDES if name.startswith(side)), "")
-    for finger, joints in FINGER_JOINTS.items() if side else ():
-        if name.startswith(f"{side}{finger.title()}"):
-            number = [bone_names(side)[joint] for joint in joints].index(name) + 1
-            return f"{side.title()}{_CALLED[finger.title()]}{number}"
+    side: Side | None = next((side for side in SIDES if name.startswith(side)), None)
+    if side is None:
+        return _CALLED[name]
+    joint = bone_names(side).index(name) if name in bone_names(side) else 0
+    for finger, joints in FINGER_JOINTS.items():
+        if joint in joints:
+            return f"{side.title()}{_CALLED[finger.title()]}{joints.index(joint) + 1}"
     return side.title() + _CALLED[name[len(side) :]]
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +17,7 @@ from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import JsonFrames, hands_in, keyed, objects_in, some_contents
 from handfit_core.interchange.point_hands import Told, ToldHands
 from handfit_core.interchange.point_names import is_apple
-from handfit_core.interchange.point_reader import PointLayout, is_hand_table, tables
+from handfit_core.interchange.point_reader import PointLayout, is_hand_table
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.table_points import columns_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
@@ -27,7 +28,8 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 def _from_minus_one(frames: JsonFrames) -> bool:
     """Whether what is told of anybody lies between -1 and 1 (--keypoint_scale 4), where a missing point is at
     (-1, -1), with the others at (0, 0)."""
-    people = [keyed(human) for content in frames.contents for human in content["people"]]
+    contents = (content for content in frames.contents if isinstance(content, Mapping))
+    people = [keyed(human) for content in contents for human in content["people"]]
     lists = [value for human in people for key, value in human.items() if "keypoints" in key and value]
     if not lists:
         return False
@@ -68,51 +70,38 @@ MMPOSE: Final = PointLayout(
     unseen=True,
 )
 
+
+def _names_apples(rows: Iterable[Iterable[str]]) -> bool:
+    """Whether cells or keys of objects are Vision's names."""
+    return any(is_apple(name) for names in rows for name in islice(names, 200))
+
+
 APPLE_VISION: Final = PointLayout(
     "apple-vision",
     "Apple Vision",
     "JSON or CSV with points by its names, such as VNHLKITIP or indexTip",
     "https://developer.apple.com/documentation/vision/vnhumanhandposeobservation",
-    recognises=lambda document: _names_apples(document),
+    table=lambda table: is_hand_table(table) and _names_apples((table.columns, *table.rows[:50])),
+    recognises=lambda document: any(map(_names_apples, map(objects_in, some_contents(document)))),
     columns="xy xyc xyzc",
     from_below=True,
     unseen=True,
 )
 
 
-def _names_apples(document: Document) -> bool:
-    if not document.is_folder and document.table is not None:
-        table = document.table
-        return any(is_apple(cell) for row in (table.columns, *table.rows[:50]) for cell in row) and (
-            is_hand_table(table)
-        )
-    return any(
-        any(map(is_apple, list(each)[:100]))
-        for content in some_contents(document)
-        for each in objects_in(content)
-    )
-
-
 # MediaPipe
 
 
 def _has_hand(document: Document) -> bool:
-    """Whether JSON is a hand, a frame with one, or has such a frame in it."""
-    if not document.is_folder and document.table is not None:
-        return is_hand_table(document.table)
-    for content in some_contents(document):
-        within = [content, *content.values()] if isinstance(content, dict) else [content]
-        frames = [content]
-        for each in within:
-            frames += each.values() if isinstance(each, dict) else each if isinstance(each, list) else ()
-        if any(_first_hand(frame) for frame in frames):
-            return True
-    return False
+    """Whether JSON has a hand somewhere."""
+    return any(
+        _first_hand(each) for content in some_contents(document) for each in (content, *objects_in(content))
+    )
 
 
 def _first_hand(frame: Any) -> bool:
     try:
-        return any(True for _ in hands_in(frame, {len(each): each for each in MEDIAPIPE.columns.split()}))
+        return any(True for _ in hands_in(frame, {2: "xy", 3: "xyz", 4: "xyzc"}))
     except (TypeError, ValueError, AttributeError, OverflowError):
         return False
 
@@ -122,6 +111,7 @@ MEDIAPIPE: Final = PointLayout(
     "MediaPipe",
     "JSON or CSV with 21 landmarks a hand, whoever has written it",
     "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
+    table=is_hand_table,
     recognises=_has_hand,
 )
 
@@ -154,21 +144,17 @@ def _of_arrays(document: Document) -> Told | None:
         if points is None or points.ndim != 3 or points.shape[1:] != (NUM_KEYPOINTS, 3):
             found = "no array" if points is None else f"an array of the shape {points.shape}"
             raise ValueError(f"{shown(file.name)} is {found}; expected (frames, 21, 3)")
-        LIMITS.check(file, len(points))
         told.append(points)
+        LIMITS.check(file, len(points), len(told))
     if not told:
         return None
     count = len(told[0])
     if any(len(each) != count for each in told):
         raise ValueError("its left and right hand have different numbers of frames")
-    points, nothing = np.concatenate(told), np.full(len(told) * count, np.nan)
     side = np.repeat([side for side, _ in sides], count)
-    rows, sure = np.tile(np.arange(count), len(told)), np.full(points.shape[:2], np.nan)
-    return Told(
-        np.arange(count),
-        ToldHands.of(rows, side, side, nothing, points, sure, np.full_like(points, np.nan)),
-        in_space=True,
-    )
+    rows, score = np.tile(np.arange(count), len(told)), np.full(len(side), np.nan)
+    hands = ToldHands.of(rows, side, side, score, np.concatenate(told))
+    return Told(np.arange(count), hands, in_space=True)
 
 
 def _in_space(table: Table) -> bool:
@@ -193,7 +179,8 @@ FREEMOCAP: Final = PointLayout(
     "FreeMoCap",
     "output_data with *left_hand_3d_xyz.npy, one such file, or a table of trajectories",
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
-    recognises=lambda document: bool(_arrays(document)) or tables(_in_space)(document),
+    table=_in_space,
+    recognises=lambda document: bool(_arrays(document)),
     read=_of_arrays,
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
@@ -256,8 +243,8 @@ LEAP: Final = PointLayout(
 # This project's own
 
 
-def _own_points(document: Document) -> Told | JsonFrames | None:
-    """The frames of docs/interchange.md's JSON, which has a list of frames for each hand."""
+def _own_points(document: Document) -> Told:
+    """The hands of docs/interchange.md's JSON, which has a list of frames for each hand."""
     header = document.json
     if whole("version", header.get("version"), 1) > 1:
         raise ValueError("a newer version wrote these points; read them with that version")
@@ -273,24 +260,18 @@ def _own_points(document: Document) -> Told | JsonFrames | None:
     LIMITS.check(document.path, len(numbers), len(hands))
     kind, width = ("keypoints_3d", 3) if in_space else ("keypoints_2d", 2)
     nothing = [None] * width
-    points = np.full((len(hands), len(numbers), NUM_KEYPOINTS, 3), np.nan)
-    sure = np.full(points.shape[:3], np.nan)
-    for told, certain, (_, hand) in zip(points, sure, hands, strict=True):
+    told = np.full((len(hands), len(numbers), NUM_KEYPOINTS, 4), np.nan)
+    for points, (_, hand) in zip(told, hands, strict=True):
         rows = [[p or nothing for p in (row or [nothing] * NUM_KEYPOINTS)] for row in hand[kind]]
-        told[..., :width] = np.array(rows, dtype=np.float64).reshape(told.shape[0], NUM_KEYPOINTS, width)
+        shape = (len(numbers), NUM_KEYPOINTS, width)
+        points[..., :width] = np.array(rows, dtype=np.float64).reshape(shape)
         if "confidence" in hand and not in_space:
-            certain[:] = np.nan_to_num(np.array(hand["confidence"], dtype=np.float64))
-    each, row = (index.ravel() for index in np.indices(points.shape[:2]))
+            points[..., 3] = np.nan_to_num(np.array(hand["confidence"], dtype=np.float64))
+    each, row = (index.ravel() for index in np.indices(told.shape[:2]))
     side = np.array([SIDES.index(side) for side, _ in hands], dtype=int)[each]
-    points, sure = points.reshape(-1, NUM_KEYPOINTS, 3), sure.reshape(-1, NUM_KEYPOINTS)
-    return Told(
-        numbers,
-        ToldHands.of(row, side, each, np.full(len(row), np.nan), points, sure, np.full_like(points, np.nan)),
-        number("fps", header["fps"], 1e-3, 1e6) if "fps" in header else 0.0,
-        size,
-        camera,
-        in_space,
-    )
+    found = ToldHands.of(row, side, each, np.full(len(row), np.nan), told)
+    fps = number("fps", header["fps"], 1e-3, 1e6) if "fps" in header else 0.0
+    return Told(numbers, found, fps, size, camera, in_space)
 
 
 POINTS: Final = PointLayout(
@@ -313,11 +294,9 @@ POINTS_TABLE: Final = PointLayout(
     "Points as a table",
     "the CSV of docs/interchange.md",
     "docs/interchange.md",
-    recognises=tables(
-        lambda table: (
-            {"frame", "side", "point"} <= set(table.columns)
-            and ({"x_px", "y_px"} <= set(table.columns) or {"x_m", "y_m", "z_m"} <= set(table.columns))
-        )
+    table=lambda table: any(
+        {"frame", "side", "point", *axes.split()} <= set(table.columns)
+        for axes in ("x_px y_px", "x_m y_m z_m")
     ),
     persons="one",
     on_joints=True,

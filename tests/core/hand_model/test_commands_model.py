@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from handfit_core.errors import HandfitError, HandModelError, OptionError, OutputError
+from handfit_core.errors import HandModelError, OptionError, OutputError
 from handfit_core.hand_model import load_model, load_model_npz, save_model_npz
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.hand_model.mano_pickle import load_mano_pickle
@@ -32,6 +30,7 @@ def test_convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert out == f"{target}: left hand, 778 vertices\n"
     converted, original = load_model_npz(target), load_mano_pickle(source)
     assert (converted.side, converted.name) == ("left", "MANO_LEFT")
+    assert converted.digest == original.digest
     np.testing.assert_allclose(converted.shapedirs, original.shapedirs, atol=1e-8)
     assert load_model(target.parent, "left").side == "left"
 
@@ -40,9 +39,8 @@ def test_convert_refuses_other_targets(tmp_path: Path) -> None:
     source = write_mano_pickle(tmp_path / "MANO_RIGHT.pkl", imitation_arrays())
     with pytest.raises(OptionError, match=r"ends in \.npz"):
         run("convert", source, tmp_path / "out.pkl")
-    (tmp_path / "file").write_text("in the way")
     with pytest.raises(OutputError, match="cannot write here"):
-        run("convert", source, tmp_path / "file" / "out.npz")
+        run("convert", source, source / "out.npz")
 
 
 @pytest.mark.parametrize("command", [("convert", "out.npz"), ("info",)])
@@ -52,7 +50,6 @@ def test_bad_sources_are_one_line(tmp_path: Path, command: tuple[str, ...]) -> N
     for source in (tmp_path / "nowhere.pkl", tmp_path, damaged):
         with pytest.raises(HandModelError) as caught:
             run(command[0], source, *(tmp_path / name for name in command[1:]))
-        assert isinstance(caught.value, HandfitError)
         assert str(source) in str(caught.value)
         assert "\n" not in str(caught.value)
     assert not (tmp_path / "out.npz").exists()
@@ -85,14 +82,3 @@ def test_info_of_the_open_hand(capsys: pytest.CaptureFixture[str]) -> None:
     out = capsys.readouterr().out
     assert out.count("side ") == 2
     assert out.index("left") < out.index("right")
-
-
-def test_commands_import_light() -> None:
-    code = (
-        "import sys, argparse; from handfit_core.hand_model.commands import add_model_commands; "
-        "add_model_commands(argparse.ArgumentParser().add_subparsers()); "
-        "print([m for m in ('torch', 'scipy', 'cv2', 'mediapipe') if m in sys.modules])"
-    )
-    root = Path(__file__).resolve().parents[3]
-    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

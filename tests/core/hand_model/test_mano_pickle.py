@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import HandModelError
-from handfit_core.hand_model import load_model, mano_pickle, save_model_npz
+from handfit_core.hand_model import load_model, mano_pickle
+from handfit_core.hand_model.data import LIMITS
 from handfit_core.hand_model.mano_pickle import load_mano_pickle
 from scripts.build_open_hand import save_mano_pickle
 from tests.imitation_mano import TIPS, csc_fields, imitation_arrays, imitation_model, write_mano_pickle
@@ -26,6 +27,9 @@ MODEL_ARRAYS = {
     "hands_mean": "hands_mean",
     "hands_components": "hands_components",
 }
+
+
+MISSING = object()
 
 
 def assert_same_arrays(model: Any, arrays: dict[str, np.ndarray]) -> None:
@@ -60,15 +64,6 @@ def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
     assert model.tip_vertices.tolist() == [745, 317, 444 if side == "right" else 445, 556, 673]
 
 
-def test_digest_of_converted_file(tmp_path: Path) -> None:
-    """Or converting after a capture would look like another model."""
-    model = load_mano_pickle(write_mano_pickle(tmp_path / "MANO_RIGHT.pkl", imitation_arrays("right")))
-    converted = load_model(save_model_npz(model, tmp_path / "mano_right.npz"), "right")
-    assert converted.digest == model.digest
-    other = load_mano_pickle(write_mano_pickle(tmp_path / "other.pkl", imitation_arrays("right", seed=1)))
-    assert other.digest != model.digest
-
-
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_reads_every_protocol(tmp_path: Path, protocol: int) -> None:
     arrays = imitation_arrays()
@@ -79,7 +74,7 @@ def test_reads_every_protocol(tmp_path: Path, protocol: int) -> None:
     assert_same_arrays(load_mano_pickle(path), arrays)
 
 
-@pytest.mark.parametrize("protocol", [0, 1, 2, 4])
+@pytest.mark.parametrize("protocol", [0, 2, 4])
 def test_reads_modern_sparse_matrices(tmp_path: Path, protocol: int) -> None:
     sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
     arrays = imitation_arrays()
@@ -116,22 +111,22 @@ def test_open_hand_has_no_left_fault() -> None:
     assert mano_pickle._has_left_fault(model.v_template, faulty)
 
 
-INERT = {
-    "a path through chumpy": b"cchumpy\nos.system\n(Vx\ntR.",
-    "encode of no text": b"c_codecs\nencode\n(I1\nVlatin1\ntR.",
-    "reconstructor of a list": b"ccopy_reg\n_reconstructor\n(]c__builtin__\nobject\nNtR.",
-    "state on a class": b"cnumpy\nndarray\n(dVevil\nI1\nsb.",
-    "slots on a class": b"cnumpy\ndtype\n(N(dV__setstate__\nI1\nstb.",
-    "set of everything": b"c__builtin__\nset\n(L99999999999999L\ntR.",
-    "unknown opcode": b"\x80\x02\xff.",
-    "new protocol": b"\x80\x63.",
-    "text": b"this is no pickle\n",
-    "zip": b"PK\x03\x04" + bytes(100),
-    "html": b"<!DOCTYPE html><html>please log in</html>",
-}
-
-
-@pytest.mark.parametrize("data", INERT.values(), ids=INERT.keys())
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"cchumpy\nos.system\n(Vx\ntR.",
+        b"c_codecs\nencode\n(I1\nVlatin1\ntR.",
+        b"ccopy_reg\n_reconstructor\n(]c__builtin__\nobject\nNtR.",
+        b"cnumpy\nndarray\n(dVevil\nI1\nsb.",
+        b"cnumpy\ndtype\n(N(dV__setstate__\nI1\nstb.",
+        b"c__builtin__\nset\n(L99999999999999L\ntR.",
+        b"(dVitems\nI1\ns}Vitems\nI1\nsb.",
+        b"\x80\x02\xff.",
+        b"\x80\x63.",
+        b"PK\x03\x04" + bytes(100),
+        b"<!DOCTYPE html><html>please log in</html>",
+    ],
+)
 def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "MANO_RIGHT.pkl"
     path.write_bytes(data)
@@ -139,33 +134,18 @@ def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
     assert "copy it again" in message or "do not trust it" in message
 
 
-def test_truncated_anywhere(tmp_path: Path) -> None:
+def test_damaged_files(tmp_path: Path) -> None:
     whole = write_mano_pickle(tmp_path / "whole.pkl", imitation_arrays()).read_bytes()
     path = tmp_path / "MANO_RIGHT.pkl"
     for end in [*range(1, 200, 7), *np.linspace(200, len(whole) - 1, 60).astype(int)]:
         path.write_bytes(whole[:end])
         assert "copy it again" in message_of(path)
-
-
-def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with path.open("wb") as stream:
+        stream.truncate(LIMITS.file_bytes + 1)  # sparse, takes no room
+    assert "too large" in message_of(path)
     assert "cannot be read" in message_of(tmp_path / "nowhere.pkl")
     (tmp_path / "folder.pkl").mkdir()
     assert "cannot be read" in message_of(tmp_path / "folder.pkl")
-
-
-def test_too_large_a_file_is_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "large.pkl"
-    with path.open("wb") as stream:
-        stream.truncate(mano_pickle.LIMITS.file_bytes + 1)  # sparse, takes no room
-    assert "too large" in message_of(path)
-
-
-@pytest.mark.parametrize("key", [*MODEL_ARRAYS.values(), "kintree_table"])
-def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
-    path = write_mano_pickle(tmp_path / "hand.pkl", imitation_arrays())
-    content = pickle.dumps({k: v for k, v in imitation_arrays().items() if k != key})
-    path.write_bytes(content)
-    assert f"lacks {key}" in message_of(path)
 
 
 @pytest.mark.parametrize(
@@ -191,11 +171,13 @@ def test_a_missing_key_is_named(tmp_path: Path, key: str) -> None:
         ("weights", np.array(["text"]), "weights is not an array of numbers"),
         ("weights", [[1.0]], "weights is not an array"),
         ("v_template", None, "v_template is not an array"),
+        *((key, MISSING, f"lacks {key}") for key in (*MODEL_ARRAYS.values(), "kintree_table")),
     ],
 )
 def test_wrong_arrays_are_named(tmp_path: Path, key: str, value: Any, says: str) -> None:
     path = tmp_path / "hand.pkl"
-    path.write_bytes(pickle.dumps(dict(imitation_arrays(), **{key: value}), protocol=2))
+    content = {k: v for k, v in (imitation_arrays() | {key: value}).items() if v is not MISSING}
+    path.write_bytes(pickle.dumps(content, protocol=2))
     message = message_of(path)
     assert says in message
     assert "copy it again" in message
@@ -241,27 +223,20 @@ def test_name_contradicts_geometry(tmp_path: Path) -> None:
 # Writing
 
 
-@pytest.mark.parametrize("side", ["right", "left"])
-def test_written_models_come_back(tmp_path: Path, side: str) -> None:
-    model = imitation_model(side)
-    path = save_mano_pickle(model, tmp_path / "new" / f"MANO_{side.upper()}.pkl")
-    back = load_mano_pickle(path)
-    assert back.side == side
-    assert back.digest == model.digest
-    assert back.tip_vertices.tolist() == list(TIPS.values())
-    np.testing.assert_array_equal(back.faces, model.faces)
-
-
 def test_the_written_file_is_manos(tmp_path: Path) -> None:
     pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
-    data = save_mano_pickle(imitation_model(), tmp_path / "MANO_RIGHT.pkl").read_bytes()
+    model = imitation_model("left")
+    path = save_mano_pickle(model, tmp_path / "new" / "MANO_LEFT.pkl")
+    back = load_mano_pickle(path)
+    assert (back.side, back.digest) == ("left", model.digest)
+    assert back.tip_vertices.tolist() == list(TIPS.values())
+    np.testing.assert_array_equal(back.faces, model.faces)
+    data = path.read_bytes()
     assert data[:2] == b"\x80\x02"
     assert b"numpy._core" not in data
-    assert b"chumpy" not in data
     content = pickle.loads(data, encoding="latin1")
-    assert content["kintree_table"].dtype == np.uint32
+    assert content["kintree_table"].dtype == content["f"].dtype == np.uint32
     assert content["kintree_table"][0, 0] == 2**32 - 1
-    assert content["f"].dtype == np.uint32
     assert (content["bs_style"], content["bs_type"]) == ("lbs", "lrotmin")
     assert content["J_regressor"].toarray().shape == (16, 778)
 

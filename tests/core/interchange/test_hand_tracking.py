@@ -15,7 +15,6 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import forward_kinematics
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
-from handfit_core.interchange.settings import LIMITS
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
@@ -211,12 +210,6 @@ def turned_by_a_quarter() -> Any:
 def test_bad_files_are_named_in_a_sentence(tmp_path: Path, content: Any, words: str | None) -> None:
     with pytest.raises(InputError, match=words or "lacks joints"):
         read(tmp_path, content())
-
-
-def test_frames_without_hands_are_bounded(tmp_path: Path) -> None:
-    content = [*frames("flat"), *({} for _ in range(LIMITS.frames))]
-    with pytest.raises(InputError, match=f"100004 frames, and at most {LIMITS.frames} are read; cut it"):
-        read(tmp_path, content)
 
 
 def test_a_second_hand_of_a_side_is_left_out_and_said(tmp_path: Path) -> None:

@@ -64,13 +64,6 @@ def test_points_in_pictures_are_read_back(truth: Take, written: Path) -> None:
     assert read.seen.left.tolist() == [truth.hands[0].side == "left"] * len(truth.frame_numbers)
 
 
-@pytest.mark.parametrize("side", ["Left", "L", "", None])
-def test_a_side_is_left_or_right_in_pictures_too(written: Path, side: str | None) -> None:
-    hands = json.loads(in_pictures(written).read_text(encoding="utf-8"))["hands"]
-    with pytest.raises(InputError, match="must be left or right"):
-        read_recording(changed(written, hands=[hand | {"side": side} for hand in hands]), CaptureOptions())
-
-
 def test_a_size_and_a_rate_that_the_file_does_not_tell(truth: Take, written: Path) -> None:
     content = json.loads(in_pictures(written).read_text(encoding="utf-8"))
     kept = {key: value for key, value in content.items() if key not in ("width", "height", "intrinsics")}
@@ -93,13 +86,18 @@ def test_a_size_and_a_rate_that_the_file_does_not_tell(truth: Take, written: Pat
     )
 
 
-def test_points_of_a_copy_whose_size_is_told(truth: Take, written: Path) -> None:
+@pytest.mark.parametrize("by_the_file", [True, False])
+def test_points_of_a_smaller_copy(truth: Take, written: Path, by_the_file: bool) -> None:
+    """They are brought to the pictures' size."""
     content = json.loads(in_pictures(written).read_text(encoding="utf-8"))
-    hands = [h | {"keypoints_2d": (np.array(h["keypoints_2d"]) / 2.0).tolist()} for h in content["hands"]]
-    kept = {key: value for key, value in content.items() if key not in ("width", "height", "intrinsics")}
-    written.write_text(json.dumps(kept | {"hands": hands}))
-    size = truth.width // 2, truth.height // 2
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=written, frames="3-4", picture_size=size)
+    content["width"], content["height"] = size = truth.width // 2, truth.height // 2
+    for hand in content["hands"]:
+        hand["keypoints_2d"] = (np.array(hand["keypoints_2d"]) / 2.0).tolist()
+    for name in () if by_the_file else ("width", "height", "intrinsics"):
+        del content[name]
+    written.write_text(json.dumps(content))
+    told = {} if by_the_file else {"picture_size": size}
+    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=written, frames="3-4", **told)
     rows = np.isin(truth.frame_numbers, take.frame_numbers)
     assert np.abs(take.hands[0].keypoints_2d - truth.hands[0].keypoints_2d[rows]).max() < 0.01
 
@@ -126,16 +124,6 @@ def test_points_beside_their_pictures_take_the_place_of_a_search(truth: Take, wr
     rows = np.isin(truth.frame_numbers, take.frame_numbers)
     seen = take.hands[0].keypoints_2d
     assert np.abs(seen - truth.hands[0].keypoints_2d[rows]).max() < 1e-3
-
-
-def test_points_of_a_smaller_copy_are_brought_to_the_pictures_size(truth: Take, written: Path) -> None:
-    hands = json.loads(in_pictures(written).read_text(encoding="utf-8"))["hands"]
-    for hand in hands:
-        hand["keypoints_2d"] = (np.array(hand["keypoints_2d"]) / 2.0).tolist()
-    half = changed(written, width=truth.width // 2, height=truth.height // 2, hands=hands)
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=half, frames="3-4")
-    rows = np.isin(truth.frame_numbers, take.frame_numbers)
-    assert np.abs(take.hands[0].keypoints_2d - truth.hands[0].keypoints_2d[rows]).max() < 0.01
 
 
 def test_points_of_another_clip_are_refused(written: Path) -> None:
@@ -170,6 +158,7 @@ def test_a_file_of_points_has_no_other_keypoints(written: Path) -> None:
         ({"frames": []}, "reshape"),
         ({"frames": [1] * 24}, "numbers do not increase"),
         ({"frames": [1], "hands": [{"side": "both", "keypoints_3d": [None]}]}, "must be left or right"),
+        ({"hands": [{"side": "Left", "keypoints_2d": []}]}, "must be left or right"),
         ({"hands": []}, "none of its frames has a hand"),
         ({"hands": 3}, "not iterable"),
         ({"hands": [{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]}, "inhomogeneous|reshape"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -12,11 +13,11 @@ import pytest
 from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
-from handfit_core.media.pictures import read_picture
 from handfit_core.media.size_limit import (
     PICTURE,
     SMALL_FILE,
     VIDEO,
+    Limit,
     check_for_blender,
     check_frame_size,
     check_picture,
@@ -72,20 +73,6 @@ def test_the_largest_small_pictures_stay_below_a_gigabyte(tmp_path: Path) -> Non
         assert peak_megabytes(code, tmp_path / name) < 650
 
 
-def test_limits(tmp_path: Path) -> None:
-    check_picture(jpeg(tmp_path / "a.jpg", 8000, 8000))
-    for path in (jpeg(tmp_path / "b.jpg", 8001, 8000), jpeg(tmp_path / "c.jpg", 25000, 10001, SMALL_FILE)):
-        with pytest.raises(InputError, match="allow more"):
-            check_picture(path)
-        check_picture(path, 251)
-    check_picture(jpeg(tmp_path / "d.jpg", 25000, 10000, SMALL_FILE))  # a medium-format camera's
-    with pytest.raises(InputError, match="no more than 1 are read"):
-        check_picture(jpeg(tmp_path / "e.jpg", 1001, 1000), 1)
-    (tmp_path / "wide.png").write_bytes(with_claimed_size(".png", 100_000, 1))
-    with pytest.raises(InputError, match="100000 x 1 pixels"):
-        check_picture(tmp_path / "wide.png")
-
-
 def deep_png(path: Path, width: int, height: int, size: int = 0) -> Path:
     """One with 16 bits per channel, of at least `size` bytes."""
     data = bytearray(with_claimed_size(".png", width, height))
@@ -95,31 +82,50 @@ def deep_png(path: Path, width: int, height: int, size: int = 0) -> Path:
     return path
 
 
-def test_a_named_limit_counts_pixels_alone(tmp_path: Path) -> None:
-    small, large = (deep_png(tmp_path / f"{size}.png", 10_000, 10_000, size) for size in (0, 10**8))
-    check_picture(large)  # a medium-format camera's
-    with pytest.raises(InputError, match=r"count as 300\), and no more than 250"):  # fewer bytes than pixels
-        check_picture(deep_png(tmp_path / "a.png", 10_000, 10_000, SMALL_FILE))
-    with pytest.raises(InputError, match=r"which count as 300\), and in a file under 10 MB no more than 64"):
-        check_picture(small)
-    for path in (small, large):
-        check_picture(path, 100)
-        with pytest.raises(InputError, match=r"\(100 megapixels\), and no more than 99 are read"):
-            check_picture(path, 99)
+MANY = Limit(PICTURE.large_file, PICTURE.large_file)
+"""Of each of many pictures that are large together"""
 
 
-def test_a_sequences_pictures_have_one_limit(tmp_path: Path) -> None:
-    files = [deep_png(tmp_path / f"a{i}.png", 9_000, 9_000, SMALL_FILE // 2) for i in range(2)]
-    limit = common_limit(files, None)
-    for file in files:
-        check_picture(file, limit)
-    # 250 megapixels of 16 bits would take four gigabytes.
-    with pytest.raises(InputError, match=r"which count as 750\), and in a file .* no more than 250 are read"):
-        check_picture(deep_png(tmp_path / "b.png", 25_000, 10_000, SMALL_FILE // 2), limit)
-    assert common_limit(files, 12.5) == 12.5
-    assert common_limit(files[:1], None) is None
-    few_bytes = [jpeg(tmp_path / f"b{i}.jpg", 100, 100) for i in range(2)]
-    assert common_limit([*few_bytes, tmp_path / "gone.jpg"], None) is None
+@pytest.mark.parametrize(
+    ("make", "width", "height", "size", "limit", "said"),
+    [
+        (jpeg, 8000, 8000, 0, None, ""),
+        (jpeg, 8001, 8000, 0, None, "in a file under 10 MB no more than 64 are read; .* allow more"),
+        (jpeg, 8001, 8000, 0, 251, ""),
+        (jpeg, 25_000, 10_000, SMALL_FILE, None, ""),  # a medium-format camera's
+        (jpeg, 25_000, 10_001, SMALL_FILE, None, "no more than 250 are read"),
+        (jpeg, 25_000, 10_001, SMALL_FILE, 251, ""),
+        (jpeg, 1001, 1000, 0, 1, "no more than 1 are read"),
+        (jpeg, 65_535, 1, 0, None, ""),
+        (deep_png, 65_536, 1, 0, 251, "claims 65536 x 1 pixels, and no side of more than 65535 is read"),
+        (deep_png, 10_000, 10_000, 0, None, r"count as 300\), and in a file under 10 MB no more than 64"),
+        # Fewer bytes than pixels
+        (deep_png, 10_000, 10_000, SMALL_FILE, None, r"count as 300\), and no more than 250"),
+        (deep_png, 10_000, 10_000, 10**8, None, ""),
+        (deep_png, 10_000, 10_000, 0, 100, ""),
+        (deep_png, 10_000, 10_000, 10**8, 99, r"\(100 megapixels\), and no more than 99 are read"),
+        (deep_png, 9000, 9000, SMALL_FILE // 2, MANY, ""),
+        # 250 megapixels of 16 bits would take four gigabytes.
+        (deep_png, 25_000, 10_000, 0, MANY, r"count as 750\), and in a file .* no more than 250 are read"),
+    ],
+)
+def test_limits(
+    tmp_path: Path, make: Any, width: int, height: int, size: int, limit: float | Limit | None, said: str
+) -> None:
+    path = make(tmp_path / "a", width, height, size)
+    if not said:
+        check_picture(path, limit)
+        return
+    with pytest.raises(InputError, match=said):
+        check_picture(path, limit)
+
+
+def test_one_limit_for_all_pictures_of_an_input(tmp_path: Path) -> None:
+    large = [deep_png(tmp_path / f"{i}.png", 10, 10, SMALL_FILE // 2) for i in range(2)]
+    assert common_limit(large, None) == MANY
+    assert common_limit(large, 12.5) == 12.5
+    assert common_limit(large[:1], None) is None
+    assert common_limit([large[0], jpeg(tmp_path / "b.jpg", 9, 9), tmp_path / "gone.jpg"], None) is None
 
 
 def test_a_frame_with_few_bytes_is_read_as_its_neighbours_are(tmp_path: Path) -> None:
@@ -132,14 +138,12 @@ def test_a_frame_with_few_bytes_is_read_as_its_neighbours_are(tmp_path: Path) ->
 
 
 def test_the_limit_is_an_option(tmp_path: Path) -> None:
-    pixels = np.full((1000, 1200, 3), 90, dtype=np.uint8)
-    cv2.imwrite(str(tmp_path / "a1.png"), pixels)
-    cv2.imwrite(str(tmp_path / "a2.png"), pixels)
-    assert open_media(tmp_path, max_megapixels=1.3).width == 1200
+    for name in ("a1.png", "a2.png"):
+        cv2.imwrite(str(tmp_path / name), np.full((1000, 1200, 3), 90, dtype=np.uint8))
     for source in (tmp_path, tmp_path / "a1.png", str(tmp_path / "a%d.png")):
+        assert open_media(source, max_megapixels=1.3).width == 1200
         with pytest.raises(InputError, match="1200 x 1000 pixels"):
             open_media(source, max_megapixels=1.1)
-    assert read_picture(tmp_path / "a1.png")[0].shape == (1000, 1200, 3)
 
 
 def test_videos_have_limits_of_their_own(tmp_path: Path) -> None:

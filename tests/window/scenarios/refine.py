@@ -296,9 +296,9 @@ def smoothed(stage, source):
             for _ in range(notches):
                 yield from stage.key("WHEELUPMOUSE", ctrl=True)
                 yield 0.05
-            yield from stage.until(lambda: refit().RangeFitOperator.running, 10.0, "the fit to begin")
+            yield from stage.until(lambda: refit().RangeFitOperator.fitting(), 10.0, "the fit to begin")
             yield from stage.screenshot("smooth-running")
-            yield from stage.until(lambda: not refit().RangeFitOperator.running, WARM, "the fit")
+            yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
             yield 0.3
             yield from stage.screenshot("smooth-done")
             (armature,) = hands()
@@ -348,8 +348,8 @@ def range_refitted(stage, source):
         yield 0.1
     yield from stage.screenshot("refit-range-wider")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().MANIENT_OT_refit_range.running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().MANIENT_OT_refit_range.running, WARM, "the fit")
+    yield from stage.until(lambda: refit().RangeFitOperator.fitting(), 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
     yield 0.3
     changed = _changed(armature, before)
     yield from stage.screenshot("refit-range-done")
@@ -379,8 +379,8 @@ def touched(stage, source):
     yield 0.5
     yield from stage.screenshot("touch-asks")
     yield from stage.key("RET")
-    yield from stage.until(lambda: refit().RangeFitOperator.running, 10.0, "the fit to begin")
-    yield from stage.until(lambda: not refit().RangeFitOperator.running, WARM, "the fit")
+    yield from stage.until(lambda: refit().RangeFitOperator.fitting(), 10.0, "the fit to begin")
+    yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
     yield 0.3
     yield from stage.screenshot("touch-done")
     refiner = part("refiner").Refiner(armature)

@@ -1,4 +1,4 @@
-"""Write a captured hand, or all hands of its capture, to a file for other programs."""
+"""Captured hands, or a character, written to a file for other programs."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from handfit_core.errors import OptionError
 from ..exporters import EXPORTERS, PRESETS
 from ..exporters.exporter import Exporter, HandObjects
 from ..properties import EXPORT_FORMATS
+from ..scene.characters import CharacterObjects, active_character, why_not_written
 from ..scene.editable import why_not_readable
 from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence, split
-from .mixins import HandOperator, errors_reported, polled_hand
+from .base import NO_CHARACTER, HandOperator, ManientOperator, polled_character, polled_hand
 
 _OF_HANDS = "holds captured hands, no characters"
 
 
-def why_not_written(exporter: Exporter, *, character: bool) -> str:
+def _why_no_format(exporter: Exporter, *, character: bool) -> str:
     """Why a format cannot be written of a hand or a character, as part of a sentence; empty if it can."""
     return _OF_HANDS if character and exporter.writes == "captured" else exporter.why_not()
 
@@ -44,7 +45,7 @@ def format_buttons(
     for start in range(0, len(EXPORT_FORMATS), 3):
         row = column.row(align=True)
         for key, label, _ in EXPORT_FORMATS[start : start + 3]:
-            reason = why_not_written(EXPORTERS[key], character=character)
+            reason = _why_no_format(EXPORTERS[key], character=character)
             cell = row.row(align=True)
             cell.enabled = not reason
             cell.prop_enum(data, name, key)
@@ -52,13 +53,13 @@ def format_buttons(
                 reasons.setdefault(reason, []).append(label)
     for reason, labels in reasons.items():
         sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
-    return not why_not_written(EXPORTERS[getattr(data, name)], character=character)
+    return not _why_no_format(EXPORTERS[getattr(data, name)], character=character)
 
 
-class ExportOperator:
+class _ExportOperator(ManientOperator):
     """The base of operators that ask for a file and write it; of what, each of them says."""
 
-    bl_options = {"REGISTER"}  # noqa: RUF012
+    bl_options = {"REGISTER"}
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore
     filter_glob: bpy.props.StringProperty(options={"HIDDEN"})  # type: ignore
@@ -88,7 +89,7 @@ class ExportOperator:
         """The frames that have keys."""
         raise NotImplementedError
 
-    def invoke(self: Any, context, _event):
+    def invoke(self, context, _event):
         """Ask for the file, with the format of the panel."""
         self._fill_in(context)
         if not self.filepath:
@@ -108,7 +109,7 @@ class ExportOperator:
         self.filepath = str(path)
         return True
 
-    def draw(self: Any, context):
+    def draw(self, context):
         layout = self.layout
         format_buttons(layout, context, self, "file_format", character=self.character)
         split(layout)
@@ -118,8 +119,7 @@ class ExportOperator:
             layout.prop(self, "frame_range")
         self._draw_own(layout)
 
-    @errors_reported
-    def execute(self: Any, context):
+    def run(self, context):
         self._fill_in(context)
         if not self.filepath:
             raise OptionError("choose a file to export to")
@@ -134,9 +134,7 @@ class ExportOperator:
             self.file_format,
             preset=self.preset if self._exporter.presets else "PLAIN",
         )
-        wrote = f"Wrote {', '.join(f.name for f in files)} to {path.parent}"
-        self.report({"INFO"}, wrote + self._left_out(chosen))
-        return {"FINISHED"}
+        return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{self._left_out(chosen)}"
 
     def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
         """What the report says of what is not in the file."""
@@ -145,7 +143,7 @@ class ExportOperator:
     def _draw_own(self, layout: bpy.types.UILayout) -> None:
         """What only this operator has."""
 
-    def _fill_in(self: Any, context) -> None:
+    def _fill_in(self, context) -> None:
         """What the caller left open is as the panel says."""
         settings = context.scene.manient
         for name, value in (("file_format", settings.export_format), ("preset", settings.export_preset)):
@@ -178,10 +176,10 @@ class ExportOperator:
         return Stage.of_scene(scene, math.floor(min(frames)), math.ceil(max(frames)))
 
 
-class MANIENT_OT_export_hand(ExportOperator, HandOperator, bpy.types.Operator):
-    bl_idname = "manient.export_hand"
+class MANIENT_OT_export_hand(_ExportOperator, HandOperator, bpy.types.Operator):
+    """Write the active hand and the others of its capture, as they are now, to a file."""
+
     bl_label = "Export Hands"
-    bl_description = "Write the active hand and the others of its capture, as they are now, to a file"
     why_not = staticmethod(why_not_readable)
     anywhere = True
     character = False
@@ -218,3 +216,49 @@ class MANIENT_OT_export_hand(ExportOperator, HandOperator, bpy.types.Operator):
 
     def _keyed(self, chosen: Any) -> list[float]:
         return [f for hand in chosen for f in read_pose_keys(hand.rig).frames.tolist()]
+
+
+class MANIENT_OT_export_character(_ExportOperator, bpy.types.Operator):
+    """Write the active character, as it moves now, to a file: the bones that deform it, without its controls,
+    or for avatars what its fingers and wrists do."""
+
+    bl_label = "Export Character"
+    character = True
+
+    file_format: bpy.props.EnumProperty(name="Format", items=EXPORT_FORMATS, default="vrma")  # type: ignore
+    meshes: bpy.props.BoolProperty(  # type: ignore
+        name="Meshes",
+        description="Write what the character deforms or carries and renders show",
+        default=True,
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        armature = active_character(context)
+        if armature is None:
+            return NO_CHARACTER
+        return why_not_written(armature, context.scene)
+
+    def _fill_in(self, context):
+        # Scripts that name none want VRM, as they always did.
+        if self.properties.is_property_set("file_format"):
+            super()._fill_in(context)
+
+    def _title(self, context):
+        return polled_character(context).name
+
+    def _draw_own(self, layout):
+        if self._exporter.bakes:
+            layout.prop(self, "meshes")
+
+    def _chosen(self, context):
+        character = CharacterObjects.of(polled_character(context))
+        return [character if self.meshes else CharacterObjects(character.armature, ())]
+
+    def _keyed(self, chosen):
+        animation = chosen[0].armature.animation_data
+        if animation is None:
+            return []
+        strips = [strip for track in animation.nla_tracks for strip in track.strips]
+        frames = [frame for strip in strips for frame in (strip.frame_start, strip.frame_end)]
+        return [*frames, *(animation.action.frame_range if animation.action is not None else ())]

@@ -1,22 +1,25 @@
-"""Put a pose of the library on the selected hand."""
+"""Poses on the selected hand: put there from the library, and saved for it."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from typing import Any
 
 import bpy
+import numpy as np
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.hand_model.poses import Pose
 
-from ..blender_versions import property_group
+from ..blender_versions import channels, new_slot, property_group
 from ..properties import BLEND
+from ..scene.controls import rotations_now
+from ..scene.keys import PoseKeys, write_pose_keys
 from ..scene.poses import (
     PROPERTY,
     PosableHand,
     forget_previews,
+    keep_pose,
     kept_pose,
     posable_hands,
     pose_named,
@@ -25,14 +28,11 @@ from ..scene.poses import (
 )
 from ..scene.spans import SCOPES, RequestedFrames, suggested_range
 from ..scene.store import CapturedHand
-from .mixins import PollMixin, errors_reported
+from .base import ManientOperator, show_frame_again
 
 
-class _PoseOperator(PollMixin):
+class _PoseOperator(ManientOperator):
     """The base of operators that put a pose on the active captured hand or character."""
-
-    report: Any
-    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012
 
     blend: bpy.props.FloatProperty(**BLEND)  # type: ignore
     scope: bpy.props.EnumProperty(**SCOPES)  # type: ignore
@@ -45,7 +45,7 @@ class _PoseOperator(PollMixin):
 
     def _put(
         self, context: bpy.types.Context, pose_of: Callable[[PosableHand], Pose | None], name: str
-    ) -> set[str]:
+    ) -> str | None:
         hands = posable_hands(context)
         asked = RequestedFrames(self.scope, self.first, self.last, context.scene.manient.spread)
         # All of them, before one is changed.
@@ -53,22 +53,19 @@ class _PoseOperator(PollMixin):
         for hand, posed in zip(hands, poses, strict=True):
             hand.put(context, posed)
         spans = [posed.span for posed in poses if posed.span is not None]
-        if spans:
-            scene = context.scene
-            scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-            first, last = min(span.first for span in spans), max(span.last for span in spans)
-            self.report({"INFO"}, f"{name}: frames {first:g} to {last:g}")
-        return {"FINISHED"}
+        if not spans:
+            return None
+        show_frame_again(context)
+        first, last = min(span.first for span in spans), max(span.last for span in spans)
+        return f"{name}: frames {first:g} to {last:g}"
 
 
 class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
-    bl_idname = "manient.apply_pose"
+    """Put a pose on the fingers: those with selected bones, else all; the wrist stays. On a captured hand
+    this fades out over Spread, and Clear takes it back; bones that are animated get keys, others one on the
+    current frame with Auto Keying. A character's bones get keys."""
+
     bl_label = "Apply Pose"
-    bl_description = (
-        "Put a pose on the fingers: those with selected bones, else all; the wrist stays. On a captured hand "
-        "this fades out over Spread, and Clear takes it back; bones that are animated get keys, others one "
-        "on the current frame with Auto Keying. A character's bones get keys"
-    )
 
     source: bpy.props.EnumProperty(  # type: ignore
         name="Source",
@@ -94,8 +91,7 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
         )
         return f"{cls.bl_description}.\n{source}.\n{scope}"
 
-    @errors_reported
-    def execute(self, context):
+    def run(self, context):
         name = self.pose or context.scene.manient.pose
         if self.source == "LIBRARY":
             pose = pose_named(name)
@@ -110,12 +106,10 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
 
 
 class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
-    bl_idname = "manient.apply_pose_asset"
+    """Put this pose, which Hand Capture saved, on the selected captured hand or character, whatever its bones
+    are called; the other side's is mirrored."""
+
     bl_label = "Apply to Hand"
-    bl_description = (
-        "Put this pose, which Hand Capture saved, on the selected captured hand or character, whatever its "
-        "bones are called; the other side's is mirrored"
-    )
 
     @classmethod
     def lacks(cls, context):
@@ -124,10 +118,57 @@ class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
             return "Choose a pose asset that Save Pose Asset made"
         return super().lacks(context)
 
-    @errors_reported
-    def execute(self, context):
+    def run(self, context):
         pose = kept_pose(context.asset.metadata)
         return self._put(context, lambda _: pose, context.asset.name)
+
+
+class MANIENT_OT_save_pose_asset(ManientOperator, bpy.types.Operator):
+    """Keep the fingers' pose of the current frame in the pose library of this file: for every captured hand
+    and every character, left or right."""
+
+    bl_label = "Save Pose Asset"
+
+    asset_name: bpy.props.StringProperty(  # type: ignore
+        name="Name", description="Name of the asset", default="Hand Pose"
+    )
+    wrist: bpy.props.BoolProperty(  # type: ignore
+        name="Wrist Rotation",
+        description="Keep how a captured hand's wrist is turned too, for Blender's own way of applying "
+        "poses; its place is never kept",
+        default=False,
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        return why_not_posable(context, reading=True)
+
+    def invoke(self, context, event):
+        return context.window_manager.invoke_props_dialog(self)
+
+    def run(self, context):
+        hands = posable_hands(context)
+        if len(hands) > 1:
+            raise OptionError(
+                "this character has two hands: select a bone of the one whose pose is to be kept"
+            )
+        rig, pose = hands[0].rig, hands[0].read()
+        name = self.asset_name.strip() or "Hand Pose"
+        action = bpy.data.actions.new(name)
+        slot = new_slot(action, rig.armature.name)
+        chosen = np.ones((1, len(rig.bones)), dtype=bool)
+        if rig.armature.manient.is_hand:
+            chosen[0, 0] = self.wrist
+        keys = PoseKeys(
+            np.array([1.0]), rotations_now(rig)[None], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool)
+        )
+        write_pose_keys(rig, keys, holder=channels(action, slot, make=True))
+        action.asset_mark()
+        action.asset_data.description = f"Pose of a {pose.side} hand"
+        for tag in ("hand", pose.side):
+            action.asset_data.tags.new(tag, skip_if_exists=True)
+        keep_pose(action, pose)
+        return f"Saved {action.name} with {chosen.sum()} bones"
 
 
 def _in_menu(menu, context) -> None:
@@ -146,14 +187,9 @@ def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
 
 
 LISTENERS = {"pose_scope": _scope_chosen}
-
-
-def register() -> None:
-    """Add it to the asset browser's menu."""
-    bpy.types.ASSETBROWSER_MT_context_menu.prepend(_in_menu)
+MENUS = {("ASSETBROWSER_MT_context_menu", "prepend"): _in_menu}
 
 
 def unregister() -> None:
-    """Take it away, and the pictures."""
-    bpy.types.ASSETBROWSER_MT_context_menu.remove(_in_menu)
+    """Forget the pictures of poses."""
     forget_previews()

@@ -1,0 +1,241 @@
+"""What captured hands do, on the hands of a character; and which of its bones these are."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy_extras.io_utils import ExportHelper, ImportHelper
+from mathutils import Matrix, Vector
+
+from handfit_core.errors import HandfitError, HandModelError, OptionError
+from handfit_core.files import shown, written_whole
+from handfit_core.retarget.hand_map import HandMap, read_preset, to_preset
+from handfit_core.skeleton import SIDES, other_side
+
+from ..block_reference import BlockReference
+from ..properties import SIDE_ITEMS
+from ..scene.characters import hand_map_of, hands_to_move, keep_map, recognise_again, table_of
+from ..scene.onto_character import TransferOptions, putting, shortcomings
+from ..wording import capitalised, counted
+from .base import CharacterOperator, StepsOperator, polled_character, select_alone, show_frame_again
+
+_OPPOSITE = 0.02
+"""How far from the mirror image of a bone's ends those of the opposite one lie at most, as a share of its
+distance from the middle"""
+_LENGTH = 0.5
+"""of an offset's arrows, as a share of the hand's own bone"""
+
+
+class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.Operator):
+    """Key what the captured hands do on the hands of the selected character, whatever its bones are called
+    and however they lie."""
+
+    bl_label = "Apply to Character"
+    title = "Apply to Character"
+    undone = "an undo or a deletion stopped Apply to Character"
+
+    mode: bpy.props.EnumProperty(  # type: ignore
+        name="Apply",
+        items=(
+            ("ANIMATION", "Animation", "All that the captured hands do"),
+            ("POSE", "Pose", "Their pose in the current frame, into the present action"),
+        ),
+        default="ANIMATION",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def lacks(cls, context):
+        if cls.bl_idname in cls.running:
+            return "Motion is being applied already"
+        why = super().lacks(context)
+        if why is not None:
+            return why
+        try:
+            hands_to_move(polled_character(context), context)
+        except HandfitError as error:
+            return capitalised(str(error))
+        return None
+
+    def steps(self, context) -> Generator[str, None, list]:
+        armature, scene = polled_character(context), context.scene
+        reference, posing = BlockReference.of("objects", armature), self.mode == "POSE"
+        onto = TransferOptions.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
+        frames = [scene.frame_current_final] if posing else None
+        working = putting(armature, hands_to_move(armature, context), onto, frames)
+        while True:
+            try:
+                done = next(working)
+            except StopIteration as stop:
+                return stop.value
+            except ReferenceError as error:
+                gone = "a hand was deleted while its motion was being applied: nothing was changed"
+                raise OptionError(gone) from error
+            yield f"Applying to {reference.name}  {done:.0%}"
+            if reference.find() is None:
+                raise OptionError(self.undone)
+
+    def finished(self, context, result):
+        show_frame_again(context)
+        for sentence in shortcomings(result):
+            self.report({"WARNING"}, sentence[:1].upper() + sentence[1:])
+        bones, frames = sum(one.bones for one in result), max(one.frames for one in result)
+        return f"Keyed {counted(bones, 'bone')} in {counted(frames, 'frame')}"
+
+
+class MANIENT_OT_recognise_hand(CharacterOperator, bpy.types.Operator):
+    """Let go of the table and look for this hand's bones anew."""
+
+    bl_label = "Recognise Again"
+
+    side: bpy.props.EnumProperty(items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
+
+    def run(self, context):
+        armature = polled_character(context)
+        found = recognise_again(armature, self.side)
+        return f"The {self.side} hand was recognised: {found.hand_map.rig}"
+
+
+class MANIENT_OT_copy_hand_table(CharacterOperator, bpy.types.Operator):
+    """Have the other hand's table name the bones that lie opposite to those of this one."""
+
+    bl_label = "Copy to Other Side"
+
+    side: bpy.props.EnumProperty(  # type: ignore
+        items=SIDE_ITEMS, description="The hand whose table is copied", options={"SKIP_SAVE"}
+    )
+
+    def run(self, context):
+        armature = polled_character(context)
+        keep_map(armature, opposite(armature, table_of(armature, self.side)))
+        return f"The {other_side(self.side)} hand has the opposite bones now"
+
+
+class MANIENT_OT_save_hand_preset(CharacterOperator, bpy.types.Operator, ExportHelper):
+    """Write which bones are this character's hands to a file, for others of its kind."""
+
+    bl_label = "Save Preset"
+    bl_options = {"REGISTER"}
+
+    filename_ext = ".json"
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore
+
+    def run(self, context):
+        armature = polled_character(context)
+        tables = [table for side in SIDES if (table := table_of(armature, side)).mapped]
+        if not tables:
+            raise HandModelError("neither hand has a bone yet: choose some in the table first")
+        path = Path(bpy.path.abspath(self.filepath))
+        with written_whole(path, read_preset) as beside:
+            beside.write_text(to_preset(tables), encoding="utf-8")
+        return f"Wrote the {_hands(tables)} to {path.name}"
+
+
+class MANIENT_OT_load_hand_preset(CharacterOperator, bpy.types.Operator, ImportHelper):
+    """Read which bones are this character's hands from a file that was saved here."""
+
+    bl_label = "Load Preset"
+
+    filename_ext = ".json"
+    filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore
+
+    def run(self, context):
+        armature = polled_character(context)
+        path = Path(bpy.path.abspath(self.filepath))
+        tables = read_preset(path)
+        try:
+            for table in tables:
+                table.check(armature.data.bones)
+        except HandModelError as error:
+            raise HandModelError(f"{shown(path)}: {error}") from error
+        for table in tables:
+            keep_map(armature, table)
+        return f"Took over the {_hands(tables)} from {path.name}"
+
+
+class MANIENT_OT_mark_frame(CharacterOperator, bpy.types.Operator):
+    """Mark the current frame: the one in which the character's hand stands as it is to stand in the captured
+    pose of this frame."""
+
+    bl_label = "Mark"
+
+    def run(self, context):
+        armature = polled_character(context)
+        armature.manient.character.reference = context.scene.frame_current
+
+
+def _hands(tables: Sequence[HandMap]) -> str:
+    return " and the ".join(f"{table.side} hand" for table in tables)
+
+
+def opposite(armature: bpy.types.Object, hand_map: HandMap) -> HandMap:
+    """The table of the other hand: of the bones that lie where a mirror at x = 0 shows those of this one, the
+    ones whose names are the most alike. Raises HandModelError where a bone has none."""
+    bones = armature.data.bones
+    hand_map.check(bones)
+
+    def mirrored(name: str) -> str:
+        if not name:
+            return ""
+        ends = [Vector((-end.x, end.y, end.z)) for end in (bones[name].head_local, bones[name].tail_local)]
+        within = _OPPOSITE * abs(ends[0].x)
+        there = [
+            bone.name
+            for bone in bones
+            if (bone.head_local - ends[0]).length <= within and (bone.tail_local - ends[1]).length <= within
+        ]
+        if not there:
+            raise HandModelError(
+                f"no bone lies opposite to {shown(name)!r}: choose those of the {other_side(hand_map.side)} "
+                "hand in its table"
+            )
+        likeness = [difflib.SequenceMatcher(None, name, other).ratio() for other in there]
+        return there[int(np.argmax(likeness))]
+
+    return replace(
+        hand_map,
+        side=other_side(hand_map.side),
+        bones=tuple(map(mirrored, hand_map.bones)),
+        palm=tuple(map(mirrored, hand_map.palm)),  # type: ignore[arg-type]
+        control=mirrored(hand_map.control),
+    )
+
+
+class MANIENT_OT_add_hand_offset(CharacterOperator, bpy.types.Operator):
+    """Select the empty that moves this hand's whole motion, or add it where the hand is now: drag it, and the
+    hand is so much farther there in every frame. Delete it to have the hand back."""
+
+    bl_label = "Offset"
+
+    side: bpy.props.EnumProperty(items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
+
+    def run(self, context):
+        armature = polled_character(context)
+        own = getattr(armature.manient.character, self.side)
+        handle = own.offset
+        if handle is None or not handle.users_collection:
+            handle = _handle(armature, hand_map_of(armature, self.side).bones[0], self.side)
+            for collection in armature.users_collection:
+                collection.objects.link(handle)
+            own.offset = handle
+        if context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        select_alone(context, handle)
+
+
+def _handle(armature: bpy.types.Object, bone: str, side: str) -> bpy.types.Object:
+    """An empty that begins where a bone is shown, and whose location counts from there in the armature's
+    space."""
+    shown = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones[bone]
+    handle = bpy.data.objects.new(f"{armature.name} {side} hand offset", None)
+    handle.empty_display_type = "ARROWS"
+    handle.empty_display_size = _LENGTH * float(np.linalg.norm(shown.vector))
+    handle.show_in_front = handle.show_name = True
+    handle.parent, handle.matrix_parent_inverse = armature, Matrix.Translation(shown.head)
+    handle.lock_rotation = handle.lock_scale = (True, True, True)
+    return handle

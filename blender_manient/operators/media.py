@@ -1,0 +1,317 @@
+"""What is captured or imported: takes, pictures and clips that are dropped, or in the file already."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy_extras.io_utils import ImportHelper
+
+from handfit_core.errors import HandfitError, InputError
+from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
+from handfit_core.take import Take
+
+from .. import jobs, preferences, screen, source_info
+from ..cache import cache_folder
+from ..properties import MATCHING, POSE_CORRECTIVES
+from ..scene.build import build_take
+from ..scene.captures import comes_in_front
+from ..scene.matching import Footage, clear_view, matches, scene_sentence
+from ..scene.plate import rows_of
+from ..scene.preview import write_png
+from ..section import sentence
+from .base import ManientOperator, SceneOperator
+from .capture import new_job
+
+_WIDTH = 340
+"""pixels of the dialog, at a user interface scale of 1"""
+
+
+class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
+    """Build the rigged, animated hands and the camera of a captured take."""
+
+    bl_label = "Import Hand Take"
+
+    filename_ext = ".npz"
+    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
+    pose_correctives: bpy.props.BoolProperty(**POSE_CORRECTIVES)  # type: ignore
+    picture: bpy.props.BoolProperty(  # type: ignore
+        name="Picture Behind",
+        description="Show the photo or video that was captured behind the hands",
+        default=True,
+    )
+    matching: bpy.props.EnumProperty(**MATCHING, options={"SKIP_SAVE"})  # type: ignore
+    render_setup: bpy.props.BoolProperty(  # type: ignore
+        name="Ready to Render",
+        description="Lights, and the picture in renders, where the scene is matched",
+        default=True,
+        options={"SKIP_SAVE"},
+    )
+
+    def invoke(self, context, event):
+        """Begin with what the sidebar has."""
+        for name in ("matching", "render_setup"):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, getattr(context.scene.manient, name))
+        return super().invoke(context, event)
+
+    def draw(self, context):
+        """The choices beside the file browser, and what they mean for this scene."""
+        layout, scene = self.layout, context.scene
+        layout.prop(self, "pose_correctives")
+        layout.prop(self, "picture")
+        layout.prop(self, "render_setup")
+        layout.prop(self, "matching")
+        # After the import the scene is another one, which the choice is not about.
+        if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
+            text = scene_sentence(
+                scene, self.matching, None, scene.frame_current, render_setup=self.render_setup
+            )
+            sentence(layout, context, text, "SCENE_DATA")
+
+    def run(self, context):
+        take = Take.load(self.filepath)
+        footage, frame = Footage.of_take(take), context.scene.frame_current
+        matched = matches(context.scene, self.matching, footage)
+        in_front = comes_in_front(context.scene, self.matching, matched)
+        built = build_take(
+            take,
+            pose_correctives=self.pose_correctives,
+            picture=self.picture,
+            match_scene=matched,
+            in_front=in_front,
+            render_setup=self.render_setup,
+        )
+        warnings = list(built.warnings)
+        if matched or in_front:
+            warnings += clear_view(built.camera, built.collection, context.view_layer)
+            screen.look_through_camera(context)
+        for warning in warnings:
+            self.report({"WARNING"}, warning)
+        return scene_sentence(context.scene, self.matching, footage, frame, done=matched)
+
+
+def _menu_entry(self, _context):
+    self.layout.operator(MANIENT_OT_import_take.bl_idname, text="Hand Take (.npz)")
+
+
+class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
+    """Capture the hands in the dropped pictures or video."""
+
+    bl_label = "Capture Hands"
+    bl_options = {"REGISTER"}
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+    files: bpy.props.CollectionProperty(  # type: ignore
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    as_sequence: bpy.props.BoolProperty(  # type: ignore
+        name="Image Sequence",
+        description="The numbered pictures are the frames of one clip",
+        default=False,
+        options={"SKIP_SAVE"},
+    )
+
+    _footage: Footage | None = None
+    """What is known of the first file before it is captured"""
+
+    def invoke(self, context, _event):
+        """Ask before anything starts: a drop may be meant for something else."""
+        self.as_sequence = len(self.files) > 1 and sequence_numbers(self._paths()) is not None
+        self._footage = source_info.dropped_footage(context.scene.manient, self._paths()[0])
+        return context.window_manager.invoke_props_dialog(
+            self, width=_WIDTH, title="Capture Hands", confirm_text="Capture"
+        )
+
+    def draw(self, context):
+        """What was dropped, and which hands are wanted."""
+        layout = self.layout
+        paths = self._paths()
+        text = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+        layout.label(text=text, icon="FILE_MOVIE" if _is_video(paths[0]) else "FILE_IMAGE", translate=False)
+        if len(paths) > 1:
+            layout.prop(self, "as_sequence")
+        settings, scene = context.scene.manient, context.scene
+        layout.prop(settings, "hands")
+        if settings.target == "NEW":
+            layout.prop(settings, "matching")
+            ready = settings.render_setup and settings.camera != "ACTIVE"
+            text = scene_sentence(
+                scene, settings.matching, self._footage, scene.frame_current, render_setup=ready
+            )
+            sentence(layout, context, text, "SCENE_DATA", width=_WIDTH)
+
+    def run(self, context):
+        paths = self._paths()
+        started = 0
+        for path in paths[:1] if self.as_sequence else paths:
+            self._choose(context.scene.manient, path, paths)
+            try:
+                jobs.submit(new_job(context, only_frame=False))
+                started += 1
+            except HandfitError as error:
+                self.report({"ERROR"}, str(error))
+        if not started:
+            return {"CANCELLED"}
+        # The chosen source is a step of its own, as if it had been chosen in the panel: undoing the capture
+        # leaves it. As this operator's own step it would offer to be adjusted, which would capture again.
+        bpy.ops.ed.undo_push(message="Choose Source")
+        return bpy.ops.manient.capture(
+            "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", queued=True
+        )
+
+    def _choose(self, settings, path: Path, dropped: list[Path]) -> None:
+        """Put a file into the panel; of a sequence of which only some pictures were dropped, their range."""
+        settings.source = str(path)
+        settings.as_sequence = self.as_sequence
+        numbers = sequence_numbers(dropped) if self.as_sequence else None
+        settings.use_frames = numbers is not None and len(source_info.numbered_siblings(path)) > len(dropped)
+        if numbers is not None and settings.use_frames:
+            settings.first_frame, settings.last_frame, settings.frame_step = min(numbers), max(numbers), 1
+
+    def _paths(self) -> list[Path]:
+        return [Path(self.directory) / file.name for file in self.files if file.name]
+
+
+class MANIENT_FH_media(bpy.types.FileHandler):
+    bl_idname = "MANIENT_FH_media"
+    bl_label = "Capture Hands"
+    bl_import_operator = MANIENT_OT_drop_media.bl_idname
+    bl_file_extensions = ";".join(sorted(PHOTO_SUFFIXES | VIDEO_SUFFIXES))
+
+    @classmethod
+    def poll_drop(cls, context):
+        """Only where hands can appear, and where the user wants it."""
+        return context.area is not None and context.area.type == "VIEW_3D" and preferences.get().drop_captures
+
+
+class MANIENT_FH_take(bpy.types.FileHandler):
+    bl_idname = "MANIENT_FH_take"
+    bl_label = "Hand Take"
+    bl_import_operator = MANIENT_OT_import_take.bl_idname
+    bl_file_extensions = ".npz"
+
+    @classmethod
+    def poll_drop(cls, context):
+        """Only where hands can appear."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in VIDEO_SUFFIXES
+
+
+@dataclass(frozen=True)
+class Offer:
+    """Something in the file that can be captured."""
+
+    kind: str
+    """IMAGE or CLIP"""
+    name: str
+    """of the data-block"""
+    where: str
+    """for people: where it is seen"""
+    icon: str
+
+
+def offers(context: bpy.types.Context) -> list[Offer]:
+    """What is in the open file: images in image editors, the active camera's background, movie clips."""
+    found: list[Offer] = []
+    screen = context.screen
+    for area in screen.areas if screen else ():
+        space = area.spaces.active
+        if area.type == "IMAGE_EDITOR" and space.image is not None and _usable(space.image):
+            found.append(Offer("IMAGE", space.image.name, "Image Editor", "IMAGE"))
+    camera = context.scene.camera
+    if camera is not None and camera.type == "CAMERA":
+        for background in camera.data.background_images:
+            if background.source == "IMAGE" and background.image and _usable(background.image):
+                found.append(Offer("IMAGE", background.image.name, "Camera Background", "CAMERA_DATA"))
+            elif background.source == "MOVIE_CLIP" and background.clip:
+                found.append(Offer("CLIP", background.clip.name, "Camera Background", "CAMERA_DATA"))
+    found += [Offer("CLIP", clip.name, "Movie Clip", "TRACKER") for clip in bpy.data.movieclips]
+    return list({(offer.kind, offer.name): offer for offer in reversed(found)}.values())[::-1]
+
+
+def _usable(image: bpy.types.Image) -> bool:
+    return image.source in {"FILE", "SEQUENCE", "MOVIE", "GENERATED"}
+
+
+class MANIENT_OT_use_source(ManientOperator, bpy.types.Operator):
+    """Capture the hands in a picture or clip that this file already has."""
+
+    bl_label = "Use as Source"
+
+    kind: bpy.props.EnumProperty(  # type: ignore
+        items=(("IMAGE", "Image", ""), ("CLIP", "Movie Clip", "")), options={"SKIP_SAVE"}
+    )
+    name: bpy.props.StringProperty(name="Name", options={"SKIP_SAVE"})  # type: ignore
+
+    def run(self, context):
+        settings = context.scene.manient
+        if self.kind == "IMAGE":
+            path, sequence = _image_path(self.name)
+        else:
+            path, sequence = _clip_path(self.name)
+        settings.source = path
+        settings.as_sequence = sequence
+
+
+def _image_path(name: str) -> tuple[str, bool]:
+    image = bpy.data.images.get(name)
+    if image is None:
+        raise InputError(f"there is no image {name} in this file any more")
+    path = Path(bpy.path.abspath(image.filepath, library=image.library)) if image.filepath else None
+    if path is not None and path.is_file() and not image.is_dirty:
+        return str(path), image.source == "SEQUENCE"
+    if not image.has_data and not image.packed_file and image.source != "GENERATED":
+        raise InputError(f"the file of the image {name} is not there any more: find it again, or pack it")
+    # Painted, generated or packed: a copy that the worker can read.
+    # A name of its own each time: a capture that waits may still want the one before.
+    copy = cache_folder() / f"{bpy.path.clean_name(image.name)}-{uuid.uuid4().hex[:6]}.png"
+    _write_png(image, copy)
+    return str(copy), False
+
+
+def _write_png(image: bpy.types.Image, path: Path) -> None:
+    """Write what the image shows now, painted or not, and leave it as it is: before Blender 4.3 saving
+    changes an image's own path."""
+    rows = rows_of(image)[..., :3]
+    write_png(np.clip(rows, 0.0, 1.0) ** np.float32(1 / 2.2) if image.is_float else rows, path)  # else linear
+
+
+def _clip_path(name: str) -> tuple[str, bool]:
+    clip = bpy.data.movieclips.get(name)
+    if clip is None:
+        raise InputError(f"there is no movie clip {name} in this file any more")
+    path = Path(bpy.path.abspath(clip.filepath, library=clip.library))
+    if not path.is_file():
+        raise InputError(f"{path}: the clip's file is not there any more; find it again")
+    return str(path), clip.source == "SEQUENCE"
+
+
+class MANIENT_MT_sources(bpy.types.Menu):
+    bl_idname = "MANIENT_MT_sources"
+    bl_label = "From This File"
+    bl_description = "Use a picture or clip that this file already has"
+
+    def draw(self, context):
+        """One entry per picture or clip."""
+        layout = self.layout
+        found = offers(context)
+        for offer in found:
+            entry = layout.operator(
+                MANIENT_OT_use_source.bl_idname,
+                text=f"{offer.name}  ({offer.where})",
+                icon=offer.icon,
+                translate=False,
+            )
+            entry.kind, entry.name = offer.kind, offer.name
+        if not found:
+            layout.label(text="No Images or Movie Clips in This File", icon="INFO")
+
+
+MENUS = {("TOPBAR_MT_file_import", "append"): _menu_entry}
