@@ -270,7 +270,7 @@ def test_what_could_not_be_imported_is_read_again_once_it_is_mended(blender, tmp
     done = blender(f"""
 install({str(path)!r})
 disable()
-file = Path(sys.modules[NAME].__file__).parent / "operators" / "use_source.py"
+file = Path(sys.modules[NAME].__file__).parent / "operators" / "review.py"
 good = file.read_text()
 file.write_text(good + chr(10) + "raise OSError('half a file')" + chr(10))
 for name in [n for n in sys.modules if n.startswith(NAME)]:
@@ -326,7 +326,7 @@ def test_a_part_that_cannot_be_unregistered_does_not_keep_the_others(blender, tm
     path = small_zip(tmp_path / "good.zip")
     done = blender(f"""
 install({str(path)!r})
-module = sys.modules[NAME + ".operators.capture"]
+module = sys.modules[NAME + ".operators.add_hand"]
 unregister = module.unregister
 def fail():
     raise RuntimeError("an operator failed")
