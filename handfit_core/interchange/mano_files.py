@@ -85,7 +85,7 @@ class _Part:
     layout: ManoLayout
     frame: int | None = None
     name: str | None = None
-    """That of its file or its key, where it has the frame's number"""
+    """The name of its file or its key, where that has the frame's number"""
     fixed: Mapping[str, int] = field(default_factory=dict)
     """What its file's name and folder tell: `first`, `last`, `person`, `side`"""
 
