@@ -260,7 +260,7 @@ _GROUND: Final = (0.0, -120.0, -40.0)
 
 def _called(name: str) -> str:
     """MotionBuilder's name of a bone that VRM calls so."""
-    side = next((side for side in SIDES if name.startswith(side)), None)
+    side: Side | None = next((side for side in SIDES if name.startswith(side)), None)
     if side is None:
         return _CALLED[name]
     joint = bone_names(side).index(name) if name in bone_names(side) else 0
