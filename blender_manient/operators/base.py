@@ -133,8 +133,9 @@ class Work:
 
 
 _running: dict[str, Work] = {}
-"""What goes on now, by the operators' names. An annotation in an operator must name no class of ours: Blender
-keeps it, and hangs when Python ends."""
+"""What goes on now, by the operators' names, which are their classes': an instance's `bl_idname` is Blender's
+own, MANIENT_OT_... An annotation in an operator must name no class of ours: Blender keeps it, and hangs when
+Python ends."""
 
 
 class ModalOperator(ManientOperator):
@@ -167,7 +168,7 @@ class ModalOperator(ManientOperator):
         if result is None:
             self._timer = context.window_manager.event_timer_add(self.tick, window=context.window)
             context.window_manager.modal_handler_add(self)  # type: ignore[arg-type]
-            self.running[self.bl_idname] = Work()
+            self.running[type(self).bl_idname] = Work()
         return result or {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -193,7 +194,7 @@ class ModalOperator(ManientOperator):
 
     def end(self, context: bpy.types.Context) -> set[str]:
         """End it, its timer and its status line; returns FINISHED. May be called twice."""
-        self.running.pop(self.bl_idname, None)
+        self.running.pop(type(self).bl_idname, None)
         self.ended(context)
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
@@ -244,7 +245,7 @@ class StepsOperator(ModalOperator):
 
     def follow(self, context, event):
         """Go on; Esc stops, as long as nothing was changed."""
-        work = self.running[self.bl_idname]
+        work = self.running[type(self).bl_idname]
         if self._watch.changed:
             raise OptionError(self.undone)
         if event.type == "ESC" and event.value == "PRESS":

@@ -60,7 +60,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
             if jobs.is_repeated(job):
                 return self._nothing_done("This is being captured already")
             jobs.submit(job)
-        if self.bl_idname in self.running:
+        if type(self).bl_idname in self.running:
             return self._done("It is captured after the one before")
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}
         return None

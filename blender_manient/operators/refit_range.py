@@ -152,7 +152,7 @@ class RangeFitOperator(StepsOperator):
         if not self._dialog:
             return super().run(context)
         try:
-            operator = getattr(bpy.ops.manient, self.bl_idname.removeprefix("manient."))
+            operator = getattr(bpy.ops.manient, type(self).bl_idname.removeprefix("manient."))
             wanted = {"scope": "CUSTOM", "first": self.first, "last": self.last, "asked": True}
             operator("INVOKE_DEFAULT", **wanted, **self.other_properties())
         except RuntimeError as error:  # its own report
@@ -184,8 +184,8 @@ class RangeFitOperator(StepsOperator):
                 shared_worker.worker().cancel(request)
                 shared_worker.abandon(request)
         fit.received(fit.refiner.poses(done, len(fit.rows)))
-        if self.bl_idname in self.running:
-            self.running[self.bl_idname].can_stop = False
+        if type(self).bl_idname in self.running:
+            self.running[type(self).bl_idname].can_stop = False
         screen.redraw_sidebars()
         for part in fit.writing():
             yield f"Writing keys  {part:.0%}"

@@ -81,7 +81,11 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
 
     def follow(self, context, event):
         """Wait for the fit, unless the slider was moved on: then its next value is fitted instead."""
-        if _wanted is not None and _wanted[1] != self.strength and self.running[self.bl_idname].can_stop:
+        if (
+            _wanted is not None
+            and _wanted[1] != self.strength
+            and self.running[type(self).bl_idname].can_stop
+        ):
             self.end(context)
             return {"CANCELLED"}
         return super().follow(context, event)

@@ -181,7 +181,6 @@ class DaskWorkers(Workers):
         except BaseException:
             self.close()
             raise
-        self._executor = self._client.get_executor(pure=False, retries=2)  # where memory ran out
 
     def _check_workers(self) -> None:
         """Have all workers checked, and those that join later."""
@@ -207,7 +206,19 @@ class DaskWorkers(Workers):
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
-        return self._executor.submit(self.run, task, output, settings)
+        future = Future[Result]()
+
+        def pass_on(theirs: Any) -> None:
+            try:
+                future.set_result(theirs.result())
+            except BaseException as error:
+                future.set_exception(error)
+
+        # Dask's own executor forgets a task whose worker dies with its result: it never ends there. The other
+        # tries are where memory ran out.
+        theirs = self._client.submit(self.run, task, output, settings, pure=False, retries=2)
+        theirs.add_done_callback(pass_on)
+        return future
 
     def close(self) -> None:
         """As `Workers.close`."""
