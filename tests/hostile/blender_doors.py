@@ -76,7 +76,7 @@ def blend(changes: list[tuple[str, str, Any]], take: str = "") -> None:
     take: the file of a take that is kept instead of the good one, with the digest that belongs to it.
     """
     _empty()
-    built = build_take(good_take(), scene=bpy.context.scene)
+    built = build_take(good_take())
     armature = built.hands[0].armature
     owners = {
         "hand": armature,
