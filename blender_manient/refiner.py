@@ -17,7 +17,7 @@ from handfit_core.edit import RefineHand, gaps_between, landmark_points, result_
 from handfit_core.edit.corrections import Pins, Touches, changed_quats, point_rows
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS

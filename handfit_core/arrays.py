@@ -23,9 +23,9 @@ from typing import Any, Final, Literal, TypeVar, dataclass_transform
 
 import numpy as np
 
-from handfit_core.doors.npz import NpzArchive
-from handfit_core.doors.values import Unfit, whole
 from handfit_core.errors import ProtocolError
+from handfit_core.npz import NpzArchive
+from handfit_core.values import Unfit, whole
 
 LARGEST: Final = 1e9
 """Metres, pixels, radians: what is beyond in either direction was not measured"""

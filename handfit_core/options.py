@@ -17,7 +17,6 @@ from numbers import Real
 from typing import Any, Final, Literal, get_args
 
 from handfit_core.detect.detector import DETECTORS, Quality, Region
-from handfit_core.doors.values import shortly
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.frame_range import FrameRange
@@ -26,6 +25,7 @@ from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, HandChoice, Side
 from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
 from handfit_core.take import TAKE_LIMITS
+from handfit_core.values import shortly
 
 HandMean = Literal["auto", "flat", "mean"]
 Lens = tuple[float, float, float]

@@ -20,8 +20,8 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Generic, TypeVar
 
-from handfit_core.doors.values import shortly
 from handfit_core.errors import HandfitError, OptionError, PlugInError
+from handfit_core.values import shortly
 
 log = logging.getLogger("handfit")
 

@@ -18,7 +18,7 @@ from handfit_core.errors import HandfitError
 from handfit_core.files import is_file, written_whole
 from handfit_core.fit_quality import IN_PICTURE, Scale, error_is_known, expected_scale, relative_errors
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.media.pictures import read_picture
 from handfit_core.media.source import Wanted
 from handfit_core.media.videos import Video

@@ -19,8 +19,6 @@ import numpy as np
 from handfit_core.arrays import array, array_dataclass, arrays_of, check_arrays, kept_arrays, reading_arrays
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import Detections
-from handfit_core.doors.npz import NotNpz, NpzArchive, names_of
-from handfit_core.doors.values import LARGEST_WHOLE, number, path, shortly, text, whole
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
@@ -28,8 +26,10 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
+from handfit_core.npz import NotNpz, NpzArchive, names_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, can_touch
 from handfit_core.slices import run_to_completion
+from handfit_core.values import LARGEST_WHOLE, number, path, shortly, text, whole
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1

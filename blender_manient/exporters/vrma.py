@@ -12,7 +12,7 @@ import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.geometry.rotations import rotmat_to_rotvec
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.interchange.formats.vrma import vrm_animation
 from handfit_core.interchange.humanoid import HumanoidHand
 from handfit_core.retarget.bones import Bones

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.retiming import sampled
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take, at_rows

@@ -10,8 +10,8 @@ import numpy as np
 
 from handfit_core.hand_model import HandModel, axes
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
+from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.forearm import with_wrist
-from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack

@@ -19,7 +19,7 @@ from mathutils import Matrix, Quaternion
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import (

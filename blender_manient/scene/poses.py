@@ -18,8 +18,7 @@ import numpy as np
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.errors import OptionError
 from handfit_core.hand_model.drawing import colored, drawn_pose
-from handfit_core.hand_model.files import OPEN_HAND
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import OPEN_HAND, kept_model
 from handfit_core.hand_model.poses import Pose, ready_poses
 from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.hand_map import HandMap, empty_map

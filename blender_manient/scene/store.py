@@ -23,8 +23,8 @@ from handfit_core.errors import HandModelError, TakeError
 from handfit_core.files import storable
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
+from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
-from handfit_core.hand_model.kept import kept_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.settings import MEDIA
 from handfit_core.skeleton import Side

@@ -9,7 +9,6 @@ import numpy as np
 from handfit_core.arrays import array, array_dataclass, check_arrays, value
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import Detections
-from handfit_core.doors.values import Unfit, flag, listed, number, path, shortly, whole
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.files import OPEN_HAND
@@ -17,6 +16,7 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
 from handfit_core.take import TAKE_LIMITS
+from handfit_core.values import Unfit, flag, listed, number, path, shortly, whole
 
 
 def _camera(name: str, given: Any) -> Intrinsics:

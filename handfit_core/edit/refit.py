@@ -10,7 +10,7 @@ from handfit_core.edit.handles import landmark_points
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import ShouldStop, never

@@ -1,6 +1,6 @@
 """A file or folder of another program, opened once for all readers, and read with limits.
 
-Nothing in it is run: pickles are read by `doors.safe_pickle`, and only where a reader asks for them.
+Nothing in it is run: pickles are read by `safe_pickle`, and only where a reader asks for them.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from handfit_core.doors import safe_pickle
-from handfit_core.doors.npz import NotNpz, NpzArchive, npy_array, npy_pickle
+from handfit_core import safe_pickle
 from handfit_core.errors import InputError
 from handfit_core.files import path_of, read_file, shown, why
 from handfit_core.interchange.settings import LIMITS
+from handfit_core.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 
 _NPY: Final = b"\x93NUMPY"
 _LONG_NUMBER: Final = re.compile(rb"\d{%d}" % LIMITS.digits)
@@ -291,7 +291,7 @@ def _memory_of_json(data: bytes) -> int:
 def _plain_of(data: bytes) -> Any:
     """What a pickle holds. Raises Refused, also for one that is damaged."""
     try:
-        return safe_pickle.plain(safe_pickle.load(data, most_steps=LIMITS.pickle_steps, numbered=True))
+        return safe_pickle.plain(safe_pickle.load(data, most_steps=LIMITS.pickle_steps))
     except (safe_pickle.Refused, MemoryError):
         raise
     except Exception as error:  # a damaged pickle can fail in any way

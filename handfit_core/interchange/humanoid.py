@@ -18,7 +18,7 @@ import numpy as np
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat, unflip_quats
 from handfit_core.hand_model.axes import REST_FROM_MODEL
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
 from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand

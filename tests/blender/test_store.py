@@ -18,7 +18,7 @@ from blender_manient.scene.retake import retaken
 from blender_manient.scene.timing import Timing
 from handfit_core.edit.messages import from_message
 from handfit_core.errors import HandModelError, TakeError
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.take import Take
 
 from .conftest import FRAMES, UNSEEN

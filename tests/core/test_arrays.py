@@ -25,10 +25,10 @@ from handfit_core.arrays import (
     unpacked,
     value,
 )
-from handfit_core.doors.npz import NotNpz, NpzArchive
-from handfit_core.doors.values import Unfit, number, one_of
 from handfit_core.errors import ProtocolError, TakeError
+from handfit_core.npz import NotNpz, NpzArchive
 from handfit_core.slices import run_to_completion
+from handfit_core.values import Unfit, number, one_of
 
 ROWS = 4
 SEEN = np.array([True, True, False, True])

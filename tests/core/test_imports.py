@@ -140,11 +140,10 @@ def test_modules_that_name_no_blender_need_none() -> None:
 
 
 ARROWS = {
-    "doors": ("errors", "doors"),
     "geometry": ("errors", "geometry"),
-    "media": ("errors", "doors", "files", "geometry", "media"),
+    "media": ("errors", "files", "geometry", "media", "npz"),
     "detect": (
-        *("detect", "doors", "errors", "files", "geometry", "hand_model", "media"),
+        *("detect", "errors", "files", "geometry", "hand_model", "media"),
         *("arrays", "batch", "machine", "options", "registry", "skeleton"),
     ),
 }

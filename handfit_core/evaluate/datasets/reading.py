@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from handfit_core.doors import safe_pickle
+from handfit_core import safe_pickle
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels, MeshLabel, Problem
 from handfit_core.geometry.camera import Intrinsics

@@ -16,7 +16,6 @@ import numpy as np
 
 from handfit_core.arrays import LARGEST
 from handfit_core.batch import scatter
-from handfit_core.doors.values import number, shortly
 from handfit_core.errors import InputError
 from handfit_core.files import shown
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
@@ -31,6 +30,7 @@ from handfit_core.interchange.recording import Asked, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.retarget.transfer import palm_frame
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.values import number, shortly
 
 _FINGER: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 JOINTS: Final = (

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.doors.values import number, one_of, whole
 from handfit_core.files import shown
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
@@ -21,6 +20,7 @@ from handfit_core.interchange.point_reader import PointLayout, is_hand_table
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.table_points import columns_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.values import number, one_of, whole
 
 # OpenPose
 

@@ -22,7 +22,7 @@ from handfit_core.hand_model.anatomy import (
     anatomical_axes,
     relaxed_pose,
 )
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
 from scripts.benchmark.kinematics import MIRROR_ROTVEC, RightHand, hand_pose_from_angles

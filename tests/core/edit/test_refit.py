@@ -33,7 +33,7 @@ from handfit_core.fit.fast import fit_track
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.chain import Chain
-from handfit_core.hand_model.kept import kept_model
+from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.landmarks import detector_landmarks
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import MOST_IN_FRAME
-from handfit_core.doors.values import Unfit
 from handfit_core.interchange.mano import POSE, FoundHands, followed
 from handfit_core.interchange.recording import Asked
 from handfit_core.skeleton import NUM_BETAS
 from handfit_core.take import TAKE_LIMITS
+from handfit_core.values import Unfit
 
 
 def hands(*places: tuple[int, float], persons: list[int] | None = None) -> FoundHands:

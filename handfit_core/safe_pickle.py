@@ -64,7 +64,7 @@ class Call:
         return state if isinstance(state, dict) else {}
 
 
-def load(data: bytes, *, most_steps: int = MOST_STEPS, numbered: bool = True) -> Any:  # noqa: ARG001
+def load(data: bytes, *, most_steps: int = MOST_STEPS) -> Any:
     """What a pickle holds: plain containers, texts, numbers, None, and a `Call` for everything else.
 
     Sets are read as lists, and bytes of Python 2 as Latin-1. Raises Refused for a name that is not allowed,

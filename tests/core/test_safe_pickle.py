@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.doors import safe_pickle
+from handfit_core import safe_pickle
 
 ARRAYS = [
     np.arange(6.0).reshape(2, 3),

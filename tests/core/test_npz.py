@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.doors.npz import NotNpz, NpzArchive, npy_array, npy_pickle
+from handfit_core.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 
 ENOUGH = 1_000_000
 """bytes that the arrays of these small files may have"""

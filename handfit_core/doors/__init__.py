@@ -1,1 +1,0 @@
-"""Arrays, pickles and single values from anywhere, checked before they are read."""
