@@ -115,7 +115,7 @@ def _version(package: str) -> str:
 
 def _code() -> str:
     """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    layer = Path(skeleton.__file__).parent / "layer" / "__init__.py"  # which needs torch to be imported
+    layer = Path(skeleton.__file__).parent / "layer.py"  # which needs torch to be imported
     of_models = (anatomy, chain, data, landmarks, surface, layer)
     learnt = [
         hashlib.sha256(f.read_bytes()).hexdigest() for f in (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
