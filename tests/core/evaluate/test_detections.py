@@ -36,7 +36,7 @@ def detect(unit: Unit, folder: Path, options: CaptureOptions | None = None) -> t
 
 
 def kept(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.npz"))
+    return sorted(folder.rglob("output.pkl"))
 
 
 def assert_same(a: UnitDetections, b: UnitDetections) -> None:
