@@ -94,6 +94,8 @@ def said(error: Exception) -> str:
     """An error in one line, for a problem."""
     if isinstance(error, HandfitError):
         return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'} cannot be read ({error.strerror})"
     lines = str(error).splitlines() or [""]
     return f"damaged ({type(error).__name__}: {lines[0][:100]})"
 
