@@ -238,10 +238,10 @@ def _interval(low: float, high: float, metric: Metric) -> str:
 def comparison_tables(evaluation: Evaluation) -> list[tuple[Metric, Table]]:
     """Every comparison with its verdict, one table for each metric; `error_metric`'s first."""
     first = error_metric(evaluation).key
-    keys = sorted(dict.fromkeys(c.metric for c in evaluation.comparisons), key=lambda key: key != first)
-    tables = []
-    for metric in (METRICS[key] for key in keys):
-        rows = [
+    tables: dict[str, list[dict[str, str]]] = {}
+    for c in sorted(evaluation.comparisons, key=lambda c: c.metric != first):
+        metric = METRICS[c.metric]
+        tables.setdefault(c.metric, []).append(
             {
                 "Verdict": ("" if c.is_significant else f"{c.first} and {c.second}: ") + verdict(c),
                 f"Difference, {metric.unit}": text_of(c.difference, metric),
@@ -249,11 +249,8 @@ def comparison_tables(evaluation: Evaluation) -> list[tuple[Metric, Table]]:
                 "Hands": str(c.hands),
                 "Stills and clips": str(c.units),
             }
-            for c in evaluation.comparisons
-            if c.metric == metric.key
-        ]
-        tables.append((metric, Table(pd.DataFrame(rows))))
-    return tables
+        )
+    return [(METRICS[key], Table(pd.DataFrame(rows))) for key, rows in tables.items()]
 
 
 SOURCE: Final = "arXiv 2506.11133"

@@ -112,19 +112,6 @@ def test_jitter_rises_with_noise_and_not_with_a_smooth_error() -> None:
     assert jitter_spectrum(truth + 3 * noise, truth, FPS) == pytest.approx(3 * alone)
 
 
-def test_jitter_uses_runs_without_gaps() -> None:
-    truth = moving_hand()
-    points = truth + swaying(8.0, 3.0)
-    whole = jitter_spectrum(points, truth, FPS)
-    jumping = points.copy()
-    jumping[50:, 1:] += 0.1  # a jump inside a gap is not jitter ...
-    jumping[49:51] = np.nan
-    assert jitter_spectrum(jumping, truth, FPS) == pytest.approx(whole, rel=0.05)
-    jumping = points.copy()
-    jumping[50:, 1:] += 0.1  # ... without the gap it is
-    assert jitter_spectrum(jumping, truth, FPS) > 2 * whole
-
-
 def test_jitter_needs_long_runs_and_a_high_rate() -> None:
     truth = moving_hand()
     points = truth + swaying(8.0, 3.0)

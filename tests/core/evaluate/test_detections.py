@@ -88,15 +88,6 @@ def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
     assert len(kept(tmp_path)) == 6
 
 
-def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:
-    unit = still(SAMPLE / "hand.0001.jpg")
-    for plain in (False, True):
-        options = CaptureOptions(plain_detection=plain)
-        found, _ = detect(unit, tmp_path, options)
-        assert (found.hands.spread is None) == plain
-        assert_same(found, detect(unit, tmp_path, options)[0])
-
-
 def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
     broken = tmp_path / "broken.jpg"
     broken.write_bytes(b"no picture")

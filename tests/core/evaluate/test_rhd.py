@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
-from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import open_dataset
 from tests.core.evaluate.dataset_files import K, hand, pixels, reason, touch, write_pickle
 
@@ -83,11 +81,3 @@ def test_a_damaged_label_raises_only_when_read(tmp_path: Path) -> None:
     assert "00001.png: xyz has shape (21, 3), expected (42, 3)" in reason(entries[1])
     assert "damaged" in reason(entries[2])
     assert entries[3].read_labels().intrinsics is None
-
-
-def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
-    write(tmp_path, "evaluation", {0: annotation()})
-    with (tmp_path / "evaluation" / "anno_evaluation.pickle").open("wb") as stream:
-        stream.truncate(2_000_000_000)  # sparse, takes no room
-    with pytest.raises(DatasetError, match="2000 MB, and at most 500 MB are read"):
-        open_dataset(tmp_path)

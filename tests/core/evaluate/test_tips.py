@@ -140,15 +140,6 @@ def test_both_variants_of_dexter_object(tmp_path: Path, inside: bool) -> None:
         open_dataset(tmp_path, labels="my")
 
 
-def test_both_variants_of_egodexter(tmp_path: Path) -> None:
-    original, cleaned = frames(2, seed=1), frames(2, seed=2)
-    write_ego(tmp_path, original)
-    write_ego(tmp_path, cleaned, "my_annotation.txt_3D.txt")
-    for labels, truth in ((None, cleaned), ("cleaned", cleaned), ("original", original)):
-        _, points = labels_of(open_dataset(tmp_path, labels=labels).entries[0])
-        np.testing.assert_allclose(points[TIPS], projected(EGO_M, truth[0]), atol=1e-6)
-
-
 def test_pixels_of_the_depth_picture_are_not_taken_for_points(tmp_path: Path) -> None:
     for sequence in EGO:
         pictures(tmp_path, sequence, range(1))
