@@ -95,31 +95,16 @@ def distances_2d(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return camera_distances(points, truth) / np.where(size > 0.0, size, np.nan)
 
 
-def pa_mpvpe(vertices: np.ndarray, truth: np.ndarray) -> float:
-    """Mean distance of (V, 3) vertices to the same vertices of the truth. Alignment: similarity."""
-    return float(np.mean(similarity_aligned_distances(vertices, truth)))
+def aligned_vertices(vertices: np.ndarray, points: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(V, 3) vertices after the best similarity transform of (P, 3) points onto the truth where labelled.
 
-
-def aligned_vertices(
-    vertices: np.ndarray, truth_vertices: np.ndarray, points: np.ndarray, truth_points: np.ndarray
-) -> np.ndarray:
-    """(V, 3) vertices after the best similarity transform onto the truth, ready for `f_score`.
-
-    Meshes with the same number of vertices, taken for the same topology, are aligned by their vertices,
-    as FreiHAND does. Otherwise (W, 3) truth_vertices are not looked at, and the transform is the one of
-    the (P, 3) points onto truth_points where labelled; all NaN with fewer than four of those, and for a
-    miss.
+    For meshes of the same topology the points are the vertices themselves, as in FreiHAND's PA-MPVPE. All
+    NaN with fewer than four labelled points, and for a miss.
     """
-    vertices = np.asarray(vertices, dtype=np.float64)
-    if np.isnan(vertices).any():
-        return vertices.copy()
-    if vertices.shape == np.shape(truth_vertices):
-        return align(vertices, truth_vertices, with_scale=True).apply(vertices)
-    labelled = labelled_points(truth_points)
-    source = np.asarray(points)[labelled]
-    if len(source) < 4 or np.isnan(source).any():
+    labelled = labelled_points(truth)
+    if labelled.sum() < 4 or np.isnan(points[labelled]).any():
         return np.full_like(vertices, np.nan)
-    return align(source, np.asarray(truth_points)[labelled], with_scale=True).apply(vertices)
+    return align(points[labelled], truth[labelled], with_scale=True).apply(vertices)
 
 
 def f_score(vertices: np.ndarray, truth: np.ndarray, threshold: float) -> float:

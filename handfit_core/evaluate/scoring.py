@@ -18,7 +18,6 @@ from handfit_core.evaluate.metrics import (
     centroid_aligned_distances,
     distances_2d,
     f_score,
-    pa_mpvpe,
     root_aligned_distances,
     similarity_aligned_distances,
 )
@@ -172,11 +171,10 @@ def _surfaces(rows: Rows, found: TrackResult, models: Models, problems: dict[Pro
             same = len(truth) == len(vertices) and (not mesh.digests or model.digest in mesh.digests)
             # Of another topology, only the labelled joints tell how the surfaces lie on each other.
             joints = MM * found.points_3d[i], MM * label.joints_3d
-            aligned = aligned_vertices(vertices, truth if same else truth[:0], *joints)
-            scores.loc[i, "f5"] = f_score(aligned, truth, 5.0)
-            scores.loc[i, "f15"] = f_score(aligned, truth, 15.0)
+            aligned = aligned_vertices(vertices, *((vertices, truth) if same else joints))
+            scores.loc[i, ["f5", "f15"]] = [f_score(aligned, truth, within) for within in (5.0, 15.0)]
             if same:
-                scores.loc[i, "pa_mpvpe"] = pa_mpvpe(vertices, truth)
+                scores.loc[i, "pa_mpvpe"] = camera_distances(aligned, truth).mean()
     return scores
 
 

@@ -98,21 +98,13 @@ def write_sheets(folder: Path, evaluation: Evaluation) -> list[Sheet]:
 
 
 def _spread(scores: Scores, ranked: Sequence[int], wanted: int) -> list[int]:
-    """The first rows of a ranking, frames of one clip half a second apart as long as others remain."""
-
-    clips, hands, times = (scores.hands[name].to_numpy() for name in ("clip", "hand", "time"))
-
-    def are_twins(a: int, b: int) -> bool:
-        same = clips[a] is not None and (clips[a], hands[a]) == (clips[b], hands[b])
-        # Frames of a clip that are nearer than that look the same
-        return same and abs(times[a] - times[b]) < 0.5
-
-    chosen: list[int] = []
-    for row in ranked:
-        if len(chosen) < wanted and not any(are_twins(row, other) for other in chosen):
-            chosen.append(row)
-    chosen += [row for row in ranked if row not in chosen][: wanted - len(chosen)]
-    return sorted(chosen, key=ranked.index)
+    """The first rows of a ranking, one of each half second of a clip as long as others remain."""
+    hands = scores.hands.loc[list(ranked)]
+    # Frames of a clip that are nearer than that look the same.
+    moments = hands.assign(clip=hands["clip"].fillna(hands["sample"]), time=hands["time"] // 0.5)
+    twins = moments.duplicated(["clip", "hand", "time"])
+    chosen = twins.sort_values(kind="stable").index[:wanted]
+    return [row for row in ranked if row in chosen]
 
 
 def _sheet(scores: Scores, rows: Sequence[int], hands: Sequence[tuple[str, int, str]]) -> Figure:
