@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
-from handfit_core.evaluate.report.plots import Plot, write_plots
+from handfit_core.evaluate.report.plots import write_plots
 from handfit_core.evaluate.report.sheets import Sheet, write_sheets
 from handfit_core.evaluate.report.tables import (
     best_method,
@@ -69,7 +69,7 @@ def write_report(folder: Path, evaluation: Evaluation) -> list[Path]:
     for name, text in files.items():
         with written_whole(folder / name) as beside:
             beside.write_text(text, encoding="utf-8", newline="")
-    names = ["index.html", *numbers, *(made.file for made in (*plots, *sheets))]
+    names = ["index.html", *numbers, *plots, *(sheet.file for sheet in sheets)]
     for name in set(REPORT_FILES) - set(names):
         with contextlib.suppress(OSError):
             (folder / name).unlink(missing_ok=True)
@@ -113,7 +113,9 @@ def _setup(evaluation: Evaluation) -> dict[str, object]:
     return {**setup, "root": str(evaluation.root), "setup": dict(evaluation.setup)}
 
 
-def _page(evaluation: Evaluation, numbers: list[str], plots: list[Plot], sheets: list[Sheet]) -> str:
+def _page(
+    evaluation: Evaluation, numbers: list[str], plots: dict[str, tuple[str, str]], sheets: list[Sheet]
+) -> str:
     """One HTML file beside its pictures, that opens offline."""
     template = resources.files("handfit_core.evaluate.report").joinpath("page.html.j2")
     environment = Environment(
@@ -134,7 +136,7 @@ def _page(evaluation: Evaluation, numbers: list[str], plots: list[Plot], sheets:
         comparisons=comparison_tables(evaluation),
         groups=group_table(evaluation),
         metric=error_metric(evaluation),
-        plots={plot.file: plot for plot in plots},
+        plots=plots,
         files=numbers,
     )
 

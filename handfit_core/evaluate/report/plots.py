@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -48,19 +47,10 @@ Drawn = tuple[Figure, str, str]
 """A figure, its title and its caption"""
 
 
-@dataclass(frozen=True)
-class Plot:
-    """A plot that was written."""
-
-    file: str
-    """Its name in the report's folder"""
-    title: str
-    caption: str
-
-
-def write_plots(folder: Path, evaluation: Evaluation) -> list[Plot]:
-    """Write every plot that the evaluation has numbers for, as SVG. Raises OutputError."""
-    plots = []
+def write_plots(folder: Path, evaluation: Evaluation) -> dict[str, tuple[str, str]]:
+    """Write every plot that the evaluation has numbers for, as SVG: file -> title and caption. Raises
+    OutputError."""
+    plots = {}
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # whatever the user's matplotlibrc says
         matplotlib.rcParams.update(_SETTINGS)
@@ -75,7 +65,7 @@ def write_plots(folder: Path, evaluation: Evaluation) -> list[Plot]:
                 with written_whole(folder / file) as beside:
                     # No date, so that the same numbers give the same file.
                     figure.savefig(beside, format="svg", bbox_inches="tight", metadata={"Date": None})
-                plots.append(Plot(file, title, caption))
+                plots[file] = title, caption
     return plots
 
 
