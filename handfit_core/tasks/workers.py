@@ -184,13 +184,15 @@ class DaskWorkers(Workers):
 
     def _check_workers(self) -> None:
         """Have all workers checked, and those that join later."""
+        from distributed import WorkerPlugin
+
         from handfit_core.tasks.dask_check import SameVersions
 
         if not self._client.nthreads():
             print("no worker is there yet: start one with 'dask worker'", file=sys.stderr, flush=True)
-        self._check_no_more()  # as a batch asked for that was killed
-        self._client.wait_for_workers(1)
         try:
+            self._client.register_plugin(WorkerPlugin(), CHECK)  # in place of what a killed batch has left
+            self._client.wait_for_workers(1)
             self._client.register_plugin(SameVersions(__version__, _PYTHON), CHECK)
         except OptionError:
             raise
@@ -199,10 +201,6 @@ class DaskWorkers(Workers):
                 f"the workers of the Dask cluster have no handfit_core of version {__version__} ({error}); "
                 "install it there"
             ) from error
-
-    def _check_no_more(self) -> None:
-        with contextlib.suppress(Exception):  # there is none, or the scheduler has gone
-            self._client.unregister_worker_plugin(CHECK)
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
         """As `Workers.submit`."""
@@ -222,7 +220,8 @@ class DaskWorkers(Workers):
 
     def close(self) -> None:
         """As `Workers.close`."""
-        self._check_no_more()
+        with contextlib.suppress(Exception):  # the scheduler has gone
+            self._client.unregister_worker_plugin(CHECK)
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()

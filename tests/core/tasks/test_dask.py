@@ -56,6 +56,7 @@ def test_a_cluster_started_here(tmp_path: Path) -> None:
     _, errors = child.communicate(timeout=PATIENCE)
     assert child.returncode == 1, errors
     assert "Dask's dashboard: http" in errors.splitlines()[0]
+    assert "Traceback" not in errors
     assert shop.statuses == dict.fromkeys(names, "ok") | {"broken": "failed", "dies": "failed"}
     assert shop.calls["dies"] == 3
     assert shop.report["dies"]["attempts"][-1]["kind"] == "WorkerDied"
