@@ -23,7 +23,7 @@ RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "loky", "tqdm"]
 """What captures, one input or many."""
 PAPER = ["torch"]
 """What the paper's experiments, the differentiable layer and training need on top."""
-EVALUATION = ["pandas", "matplotlib", "jinja2"]
+EVALUATION = ["pandas", "matplotlib", "jinja2", "joblib"]
 """What the reports of `evaluate` need on top."""
 FARM = ["distributed"]
 """What a batch on many machines needs on top."""

@@ -33,22 +33,16 @@ def bone_length_variation(points: np.ndarray) -> float:
     return 100.0 * float(mean_of_labelled(ratio))
 
 
-def acceleration_error(
-    points: np.ndarray, truth: np.ndarray, times: np.ndarray, root_relative: bool = True
-) -> float:
+def acceleration_error(points: np.ndarray, truth: np.ndarray, times: np.ndarray) -> float:
     """Mean length of the difference between predicted and true acceleration, in unit/s^2.
 
     points, truth (T, 21, 3); times (T,) seconds. Acceleration is the second divided difference over
     three neighbouring frames, all of them valid in both; steps may be unequal. Alignment: each wrist at
-    the origin, and the wrist left out of the mean; with root_relative False none, which adds the tremble
-    of the hand's distance from the camera. NaN without such frames, or, root-relative, without a labelled
-    wrist. Raises ValueError where times do not rise.
+    the origin, and the wrist left out of the mean. NaN without such frames, or without a labelled wrist.
     """
     steps = np.diff(np.asarray(times, dtype=np.float64))
-    if not np.all(steps > 0.0):
-        raise ValueError("The times of a clip must rise from frame to frame to tell accelerations.")
     # The difference of the accelerations is the acceleration of the difference.
-    error = _prediction_error(points, truth, root_relative)
+    error = _prediction_error(points, truth)
     velocity = np.diff(error, axis=0) / steps[:, None, None]
     spans = 0.5 * (steps[1:] + steps[:-1])
     acceleration = np.diff(velocity, axis=0) / spans[:, None, None]
@@ -69,7 +63,7 @@ def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
 
     if fps <= 2.0 * JITTER_ABOVE_HZ:
         return float("nan")
-    error = _prediction_error(points, truth, root_relative=True)
+    error = _prediction_error(points, truth)
     valid = labelled_points(error)  # (T, P)
     power, frames = 0.0, 0
     for point in range(error.shape[1]):
@@ -91,11 +85,9 @@ def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
     return float(np.sqrt(power / frames)) if frames else float("nan")
 
 
-def _prediction_error(points: np.ndarray, truth: np.ndarray, root_relative: bool) -> np.ndarray:
-    """(T, P, 3) points - truth; root-relative without the wrist, whose error is always 0."""
+def _prediction_error(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(T, 20, 3) points - truth about the wrists, without these, whose error is always 0."""
     error = np.asarray(points, dtype=np.float64) - truth
-    if not root_relative:
-        return error
     return np.delete(error - error[:, [WRIST_KEYPOINT]], WRIST_KEYPOINT, axis=1)
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import get_args
 
 from handfit_core.errors import OptionError
-from handfit_core.evaluate.scores import CAMERA_CHOICES, ProtocolName
+from handfit_core.evaluate import CAMERA_CHOICES, ProtocolName
 from handfit_core.files import check_writable, path_of
 from handfit_core.options import CaptureOptions, add_options
 from handfit_core.pipeline import Progress
 
-REPORTS_NEED = ("pandas", "matplotlib", "jinja2")
+REPORTS_NEED = ("pandas", "matplotlib", "jinja2", "joblib")
 DEFAULT_METHODS = ("raw", "fused", CaptureOptions.solver)
 
 
@@ -106,7 +106,7 @@ def _evaluate(args: argparse.Namespace) -> int:
             "pictures": evaluation.pictures,
             "hands": evaluation.labelled_hands,
             "problems": {kind: len(where) for kind, where in evaluation.problems.items()},
-            "summaries": evaluation.summaries,
+            "summaries": evaluation.summaries.to_dict("index"),
         },
         main_table(evaluation).markdown(),
     )

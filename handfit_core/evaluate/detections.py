@@ -11,20 +11,19 @@ import hashlib
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
+import joblib
 import numpy as np
 
 from handfit_core import detect, media
-from handfit_core.arrays import declared, kept_arrays
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.opening import open_detector, settings_of
 from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
-from handfit_core.evaluate.kept import code_digest, load_kept, save_kept
+from handfit_core.evaluate.kept import code_digest, memory_at, versions
 from handfit_core.evaluate.labels import Entry, Unit
 from handfit_core.files import cache_dir
 from handfit_core.media.pictures import read_picture
@@ -56,21 +55,14 @@ class UnitDetector:
 
     def __init__(self, options: CaptureOptions, folder: Path | None = None) -> None:
         self._options = options
-        self._folder = folder or cache_dir() / "detections"
         self.fingerprint = DETECTORS.get(options.detector).fingerprint(settings_of(options))
-        self._made_with = "|".join(
-            (
-                options.detector,
-                self.fingerprint,
-                hashlib.sha256(NETWORK_FILE.read_bytes()).hexdigest(),
-                str(options.max_hands),
-                repr(options.threshold),
-                str(options.plain_detection),
-                options.quality,
-                version("opencv-python-headless"),
-                code_digest(detect, media),
-            )
+        self._made_with = (
+            *(options.detector, self.fingerprint, options.max_hands, options.threshold),
+            *(options.plain_detection, options.quality, versions("opencv-python-headless")),
+            code_digest(detect, media, NETWORK_FILE),
         )
+        memory = memory_at(folder or cache_dir() / "detections")
+        self._find = memory.cache(_find, ignore=["unit", "detector", "on_picture"])
         self._stills: Detector | None = None
 
     def __enter__(self) -> UnitDetector:
@@ -79,54 +71,49 @@ class UnitDetector:
     def __exit__(self, *_: object) -> None:
         if self._stills is not None:
             self._stills.close()
-            self._stills = None
 
     def detect(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
         """The hands in a unit's pictures, kept or fresh; calls `on_picture` once for each picture."""
-        path = self._folder / f"{self._key(unit)}.npz"
-        kept = load_kept(path)
-        if kept is None:
-            found = self._fresh(unit, on_picture)
-            save_kept(path, _to_arrays(found))
-            return found
-        for _ in unit.entries:
-            on_picture()
-        return _from_arrays(kept)
+        times = [entry.time for entry in unit.entries if unit.is_clip]
+        key = joblib.hash((self._made_with, unit.is_clip, times, [_content(e.picture) for e in unit.entries]))
+        if self._find.check_call_in_cache(key, unit, self, on_picture):
+            for _ in unit.entries:
+                on_picture()
+        return self._find(key, unit, self, on_picture)
 
-    def _key(self, unit: Unit) -> str:
-        sha = hashlib.sha256(f"{self._made_with}|{unit.is_clip}".encode())
-        for entry in unit.entries:
-            try:
-                sha.update(hashlib.sha256(entry.picture.read_bytes()).digest())
-            except OSError:
-                sha.update(b"unreadable")
-            if unit.is_clip:
-                sha.update(repr(entry.time).encode())
-        return sha.hexdigest()[:32]
-
-    def _fresh(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
-        if not unit.is_clip:
-            if self._stills is None:
-                self._stills = open_detector(self._options)
-            return _detected(unit, self._stills, on_picture)
-        clip = _Clip(unit, on_picture)
-        started = time.perf_counter()
-        found = detect_frames(clip, self._options)
-        each = 1000 * (time.perf_counter() - started) / len(unit.entries)
-        return UnitDetections(found.hands, np.array(clip.sizes), np.full(len(unit.entries), each))
-
-
-def _detected(unit: Unit, finder: Detector, on_picture: Callable[[], None]) -> UnitDetections:
-    frames: list[tuple[HandDetection, ...]] = []
-    sizes, spent = [], []
-    for entry in unit.entries:
+    def found_in(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
+        """The hands in a unit's pictures, found now."""
+        if unit.is_clip:
+            clip = _Clip(unit, on_picture)
+            started = time.perf_counter()
+            hands = detect_frames(clip, self._options).hands
+            each = 1000 * (time.perf_counter() - started) / len(unit.entries)
+            return UnitDetections(hands, np.array(clip.sizes), np.full(len(unit.entries), each))
+        if self._stills is None:
+            self._stills = open_detector(self._options)
+        (entry,) = unit.entries
         rgb, size = _read(entry)
         started = time.perf_counter()
-        frames.append(finder.find(rgb, entry.time))
-        sizes.append(size)
-        spent.append(1000 * (time.perf_counter() - started))
+        hands = Detections.of([self._stills.find(rgb, entry.time)])
+        spent = 1000 * (time.perf_counter() - started)
         on_picture()
-    return UnitDetections(Detections.of(frames), np.array(sizes), np.array(spent))
+        return UnitDetections(hands, np.array([size]), np.array([spent]))
+
+
+def _find(
+    key: str,  # noqa: ARG001 (what the result is kept by)
+    unit: Unit,
+    detector: UnitDetector,
+    on_picture: Callable[[], None],
+) -> UnitDetections:
+    return detector.found_in(unit, on_picture)
+
+
+def _content(picture: Path) -> str:
+    try:
+        return hashlib.sha256(picture.read_bytes()).hexdigest()
+    except OSError:
+        return "unreadable"
 
 
 class _Clip(Media):
@@ -159,12 +146,3 @@ def _read(entry: Entry) -> tuple[np.ndarray | None, tuple[int, int]]:
     except InputError:
         return None, UNREADABLE
     return rgb, (rgb.shape[1], rgb.shape[0])
-
-
-def _to_arrays(found: UnitDetections) -> dict[str, np.ndarray]:
-    return {"sizes": found.sizes, "milliseconds": found.milliseconds, **kept_arrays(found.hands)}
-
-
-def _from_arrays(arrays: dict[str, np.ndarray]) -> UnitDetections:
-    columns = {name: arrays[name] for name in declared(Detections) if name in arrays}
-    return UnitDetections(Detections(**columns), arrays["sizes"], arrays["milliseconds"])

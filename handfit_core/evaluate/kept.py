@@ -1,41 +1,37 @@
-"""Results that are kept between runs, in files named after everything that they depend on."""
+"""Results that are kept between runs, under a key of everything that they depend on."""
 
 from __future__ import annotations
 
 import hashlib
-import zipfile
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
 
-import numpy as np
-
-from handfit_core.files import written_whole
+from joblib import Memory
 
 
-def code_digest(*packages: ModuleType | Path) -> str:
-    """Fingerprint of the Python files of packages or modules, or of those that begin with a file, so that
-    changed code makes results anew."""
+def code_digest(*sources: ModuleType | Path) -> str:
+    """Fingerprint of packages, modules and files, so that changed code makes results anew."""
     sha = hashlib.sha256()
-    for package in packages:
-        place = package if isinstance(package, Path) else package.__file__
-        assert place is not None
-        file = Path(place)
-        for source in sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else [file]:
-            sha.update(source.name.encode())
-            sha.update(source.read_bytes())
+    for source in sources:
+        file = Path(source if isinstance(source, Path) else source.__file__ or "")
+        for each in sorted(file.parent.rglob("*.py")) if file.name == "__init__.py" else [file]:
+            sha.update(each.name.encode())
+            sha.update(each.read_bytes())
     return sha.hexdigest()[:16]
 
 
-def load_kept(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of a kept file; None where there is none, or only a damaged one."""
-    try:
-        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-        return None
+def versions(*packages: str) -> dict[str, str]:
+    """The versions of those packages that are installed."""
+    found = {}
+    for package in packages:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
 
 
-def save_kept(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays, whole or not at all. Raises OutputError."""
-    with written_whole(path) as beside, open(beside, "wb") as stream:
-        np.savez(stream, **arrays)  # pyright: ignore[reportArgumentType]
+def memory_at(folder: Path) -> Memory:
+    """Keeps results of functions in a folder."""
+    return Memory(folder, verbose=0)

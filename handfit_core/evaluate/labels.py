@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from handfit_core.errors import HandfitError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import Side
 
@@ -58,7 +59,7 @@ class Entry:
     """Unique within the set, as in `Desk/00012`"""
     picture: Path
     read_labels: Callable[[], Labels]
-    """Raises DatasetError with the reason where the entry's own labels are damaged"""
+    """Whatever it raises is a problem of this entry alone"""
     clip: str | None = None
     """The clip it belongs to; None for a still. Entries of a clip stand together, in the order of time"""
     time: float = 0.0
@@ -87,6 +88,16 @@ def units_of(entries: Sequence[Entry], *, clips: bool = True, every: int = 1) ->
     of_clips = [entry for entry in entries if entry.clip is not None]
     tracks = [Unit(tuple(group), is_clip=True) for _, group in groupby(of_clips, key=lambda e: e.clip)]
     return stills[::every] + tracks[::every]
+
+
+def said(error: Exception) -> str:
+    """An error in one line, for a problem."""
+    if isinstance(error, HandfitError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'} cannot be read ({error.strerror})"
+    lines = str(error).splitlines() or [""]
+    return f"damaged ({type(error).__name__}: {lines[0][:100]})"
 
 
 @dataclass(frozen=True)

@@ -7,30 +7,28 @@ landmarks are metres. Their errors differ, so that both together (`fused`) beat 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import Track
 from handfit_core.errors import OptionError
-from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.evaluate import ProtocolName
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel
-from handfit_core.hand_model.surface import surface_of
 from handfit_core.paper import EXPERIMENTS
 from handfit_core.paper.fitter import PaperFitter
-from handfit_core.skeleton import NUM_KEYPOINTS, Side
+from handfit_core.skeleton import NUM_KEYPOINTS
 from handfit_core.solvers import SOLVERS, get_solver, solver_names
-
-Models = Mapping[Side, HandModel]
 
 
 @dataclass(frozen=True, eq=False)
-class TrackResult:
+class TrackResult(Batch):
     """One method's hand over a track's T frames; NaN where nothing was detected."""
 
     points_3d: np.ndarray
@@ -44,25 +42,18 @@ class TrackResult:
     expected_error: np.ndarray
     """(T,) metres that the hand is likely to be off, as the solver says; NaN where it does not"""
 
-    def vertices(self, model: HandModel, frame: int) -> np.ndarray | None:
-        """(V, 3) metres in the camera frame; None where there is no hand model or no hand."""
-        row = self.parameters[frame]
-        if not len(row) or not np.isfinite(row).all():
-            return None
-        return model.posed(row[:10], row[10:13], row[13:58], row[58:]).vertices
-
-    def penetration(self, model: HandModel, frame: int) -> float:
-        """Metres that the deepest two parts of the hand stand in each other; NaN where there is no hand
-        model or no hand."""
-        row = self.parameters[[frame]]
-        if not row.size or not np.isfinite(row).all():
-            return float("nan")
-        surface = surface_of(model)
-        return float(surface.depths(surface.of(row[:, :10], row[:, 13:58]))[0])
+    @classmethod
+    def of_points(
+        cls, points: np.ndarray, picture_points: np.ndarray, milliseconds: np.ndarray | None = None
+    ) -> TrackResult:
+        """Points without a hand model behind them."""
+        nothing = np.full(len(points), np.nan)
+        times = nothing if milliseconds is None else milliseconds
+        return cls(points, picture_points, times, np.empty((len(points), 0)), nothing)
 
 
-Method = Callable[[Models, Track, Intrinsics], TrackResult]
-"""Fits a whole track, seen through one camera, with the model of the track's side."""
+Method = Callable[[HandModel, Track, Intrinsics], TrackResult]
+"""Fits a whole track, seen through one camera, with a model of its side."""
 
 
 def image_landmarks(keypoints: np.ndarray, world: np.ndarray) -> np.ndarray:  # noqa: ARG001
@@ -101,7 +92,7 @@ def in_metres(picture_points: np.ndarray, world: np.ndarray, intrinsics: Intrins
 
 def raw(
     landmarks: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    models: Models,  # noqa: ARG001 (a method's signature)
+    model: HandModel,  # noqa: ARG001 (a method's signature)
     track: Track,
     intrinsics: Intrinsics,
 ) -> TrackResult:
@@ -111,13 +102,12 @@ def raw(
     for i, keypoints, world in zip(hands.frame, hands.keypoints, hands.world, strict=True):
         picture[i] = landmarks(keypoints, world)
         points[i] = in_metres(picture[i], world, intrinsics)
-    nothing = np.full(count, np.nan)
-    return TrackResult(points, picture, nothing, np.empty((count, 0)), nothing)
+    return TrackResult.of_points(points, picture)
 
 
-def solved(solver: str, models: Models, track: Track, intrinsics: Intrinsics) -> TrackResult:
+def solved(solver: str, model: HandModel, track: Track, intrinsics: Intrinsics) -> TrackResult:
     """A solver, called as a capture calls it."""
-    model, seen = models[track.side], track.detected
+    seen = track.detected
     started = time.perf_counter()
     fit = get_solver(solver)(model, track, intrinsics, lambda: None)
     spent = 1000 * (time.perf_counter() - started) / max(1, int(seen.sum()))
@@ -135,10 +125,9 @@ def solved(solver: str, models: Models, track: Track, intrinsics: Intrinsics) ->
     )
 
 
-def published(solver: str, models: Models, track: Track, intrinsics: Intrinsics) -> TrackResult:
+def published(solver: str, model: HandModel, track: Track, intrinsics: Intrinsics) -> TrackResult:
     """One of the paper's solvers as its evaluation uses it: frame by frame, laid back over the picture by
     the inverse of its alignment, with no camera anywhere."""
-    model = models[track.side]
     fitter = PaperFitter(model, EXPERIMENTS[solver])
     hands, count = track.detections, track.frame_count
     points, picture, spent = _empty(count), _empty(count), np.full(count, np.nan)
@@ -149,7 +138,7 @@ def published(solver: str, models: Models, track: Track, intrinsics: Intrinsics)
         fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
         picture[i] = fit.in_picture(fitted)
         points[i] = in_metres(picture[i], world, intrinsics)
-    return TrackResult(points, picture, spent, np.empty((count, 0)), np.full(count, np.nan))
+    return TrackResult.of_points(points, picture, spent)
 
 
 def _empty(count: int) -> np.ndarray:
@@ -163,13 +152,12 @@ def _seen_from_afar(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     return np.concatenate([intrinsics.project(points), depth], axis=-1)
 
 
-_RAW: Final = {"raw-image": image_landmarks, "raw-world": world_landmarks, "fused": fused_landmarks}
-
-_TITLES: Final = {
-    "raw-image": "detector, image landmarks",
-    "raw-world": "detector, world landmarks",
-    "fused": "detector, both landmark sets fused",
+_RAW: Final = {
+    "raw-image": (image_landmarks, "detector, image landmarks"),
+    "raw-world": (world_landmarks, "detector, world landmarks"),
+    "fused": (fused_landmarks, "detector, both landmark sets fused"),
 }
+"""What the detector alone says: landmarks, and a title for people"""
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),
@@ -191,13 +179,13 @@ def method_names(asked: list[str]) -> list[str]:
 
 def method_title(name: str) -> str:
     """For people."""
-    return _TITLES.get(name, name)
+    return _RAW[name][1] if name in _RAW else name
 
 
 def get_method(name: str, protocol: ProtocolName) -> Method:
     """The method of that name, as the protocol runs it."""
     if name in _RAW:
-        return partial(raw, _RAW[name])
+        return partial(raw, _RAW[name][0])
     if protocol == "paper" and SOLVERS.get(name).published:
         return partial(published, name)
     return partial(solved, name)

@@ -51,25 +51,23 @@ def centroid_aligned_distances(points: np.ndarray, truth: np.ndarray, *, min_poi
     return np.where(labelled & (count >= min_points)[..., None], distances, np.nan)
 
 
-def root_aligned_distances(points: np.ndarray, truth: np.ndarray, root: int = 0) -> np.ndarray:
+def root_aligned_distances(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """(..., P) distances. Alignment: the translation that makes the root points (the wrists) meet.
 
     All NaN where the root is not labelled, or nothing but the root. The root itself is given, and counted
     in averages, as 0, as evaluations over all 21 points do; over the 20 others the mean is 5 % higher.
     """
     points, truth = np.asarray(points, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    distances = camera_distances(
-        points - points[..., root : root + 1, :], truth - truth[..., root : root + 1, :]
-    )
+    distances = camera_distances(points - points[..., :1, :], truth - truth[..., :1, :])
     enough = labelled_points(truth).sum(axis=-1, keepdims=True) >= 2
     return np.where(enough, distances, np.nan)
 
 
-def similarity_aligned_distances(points: np.ndarray, truth: np.ndarray, *, min_points: int = 4) -> np.ndarray:
+def similarity_aligned_distances(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """(..., P) distances. Alignment: the best rotation, translation and scale over the labelled points.
 
     That is Procrustes analysis (Umeyama 1991), as in PA-MPJPE; a reflection is never aligned away. All
-    NaN where fewer than `min_points` are labelled: three points are a triangle, whose handedness is free.
+    NaN where fewer than four are labelled: three points are a triangle, whose handedness is free.
     """
     points, truth = np.asarray(points, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     distances = np.full(truth.shape[:-1], np.nan)
@@ -77,7 +75,7 @@ def similarity_aligned_distances(points: np.ndarray, truth: np.ndarray, *, min_p
     for index in np.ndindex(truth.shape[:-2]):
         mask = labelled[index]
         source, target = points[index][mask], truth[index][mask]
-        if len(target) < min_points or np.isnan(source).any():
+        if len(target) < 4 or np.isnan(source).any():
             continue
         moved = align(source, target, with_scale=True).apply(source)
         distances[index][mask] = np.linalg.norm(moved - target, axis=-1)
@@ -97,39 +95,16 @@ def distances_2d(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return camera_distances(points, truth) / np.where(size > 0.0, size, np.nan)
 
 
-def pa_mpvpe(vertices: np.ndarray, truth: np.ndarray) -> float:
-    """Mean distance of (V, 3) vertices to the same vertices of the truth. Alignment: similarity.
+def aligned_vertices(vertices: np.ndarray, points: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(V, 3) vertices after the best similarity transform of (P, 3) points onto the truth where labelled.
 
-    Raises ValueError where the two differ in their number of vertices.
+    For meshes of the same topology the points are the vertices themselves, as in FreiHAND's PA-MPVPE. All
+    NaN with fewer than four labelled points, and for a miss.
     """
-    if np.shape(vertices) != np.shape(truth):
-        raise ValueError(
-            f"PA-MPVPE compares vertex with vertex, but the shapes are {np.shape(vertices)} and "
-            f"{np.shape(truth)}; use f_score for surfaces of different topology"
-        )
-    return float(np.mean(similarity_aligned_distances(vertices, truth)))
-
-
-def aligned_vertices(
-    vertices: np.ndarray, truth_vertices: np.ndarray, points: np.ndarray, truth_points: np.ndarray
-) -> np.ndarray:
-    """(V, 3) vertices after the best similarity transform onto the truth, ready for `f_score`.
-
-    Meshes with the same number of vertices, taken for the same topology, are aligned by their vertices,
-    as FreiHAND does. Otherwise (W, 3) truth_vertices are not looked at, and the transform is the one of
-    the (P, 3) points onto truth_points where labelled; all NaN with fewer than four of those, and for a
-    miss.
-    """
-    vertices = np.asarray(vertices, dtype=np.float64)
-    if np.isnan(vertices).any():
-        return vertices.copy()
-    if vertices.shape == np.shape(truth_vertices):
-        return align(vertices, truth_vertices, with_scale=True).apply(vertices)
-    labelled = labelled_points(truth_points)
-    source = np.asarray(points)[labelled]
-    if len(source) < 4 or np.isnan(source).any():
+    labelled = labelled_points(truth)
+    if labelled.sum() < 4 or np.isnan(points[labelled]).any():
         return np.full_like(vertices, np.nan)
-    return align(source, np.asarray(truth_points)[labelled], with_scale=True).apply(vertices)
+    return align(points[labelled], truth[labelled], with_scale=True).apply(vertices)
 
 
 def f_score(vertices: np.ndarray, truth: np.ndarray, threshold: float) -> float:

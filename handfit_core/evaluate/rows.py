@@ -8,15 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from handfit_core.detect.keypoints import Track, largest_extent
 from handfit_core.detect.tracks import link_tracks
-from handfit_core.errors import DatasetError, NoHandFoundError
+from handfit_core.errors import NoHandFoundError
+from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry, HandLabel, Labels, Problem, Unit
-from handfit_core.evaluate.scores import ProtocolName
+from handfit_core.evaluate.labels import Entry, HandLabel, Labels, Problem, Unit, said
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import TIP_KEYPOINTS, Side
 
@@ -24,46 +27,35 @@ PAPER_SIDE: Side = "left"
 """The published evaluation takes every hand for a left one, as both of its data sets hold."""
 
 
-@dataclass(frozen=True, eq=False)
-class TrackInView:
+class TrackInView(NamedTuple):
     """A detected track and the camera it is fitted through."""
 
     track: Track
     intrinsics: Intrinsics
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One labelled hand in one picture."""
-
-    entry: Entry
-    hand_index: int
-    label: HandLabel
-    label_2d: np.ndarray
-    """(21, 2) pixels"""
-    intrinsics: Intrinsics | None
-    """The true camera, where the set gives it"""
-    view: str
-    detect_ms: float
-    track: TrackInView | None
-    """None for a miss"""
-    frame: int
-    """Place in the track"""
-    side_correct: float
-    """1 or 0; NaN for a miss or an unnamed side"""
-
-
 @dataclass
 class Rows:
-    """All rows of an evaluation."""
+    """All labelled hands of an evaluation."""
 
-    rows: list[Row] = field(default_factory=list)
+    listed: list[dict[str, Any]] = field(default_factory=list)
+    """A row of `hands` each"""
     problems: list[Problem] = field(default_factory=list)
     tracks: list[TrackInView] = field(default_factory=list)
     """Those that rows refer to"""
     pictures: int = 0
     extra_hands: int = 0
     """Detections in a kept track that belong to no labelled hand"""
+
+    @cached_property
+    def hands(self) -> pd.DataFrame:
+        """N rows, as `_row` tells them."""
+        return pd.DataFrame(self.listed)
+
+    @cached_property
+    def labels_3d(self) -> np.ndarray:
+        """(N, 21, 3) metres, camera frame."""
+        return np.array([row["label"].joints_3d for row in self.listed])
 
 
 Frame = tuple[int, Entry, Labels]
@@ -72,7 +64,7 @@ ReadUnit = Callable[[Unit], UnitDetections]
 
 
 def rows_of(
-    units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, max_hands: int | None, camera: str
+    units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, camera: str, max_hands: int = 2
 ) -> Rows:
     """Detect and pair with labels. `camera` is `assumed` or `labelled`: what solvers are told."""
     found = Rows()
@@ -80,44 +72,42 @@ def rows_of(
         labels = [_labels(entry, found) for entry in unit.entries]
         if not any(labels):
             continue
-        detections = detect(unit)
-        _note_unreadable(unit, detections, found)
-        readable = detections.readable
-        used = [bool(readable[t]) and labels[t] is not None for t in range(len(unit.entries))]
-        if not any(used):
-            continue
-        found.pictures += sum(used)
-        first = used.index(True)
-        one = labels[first]
-        intrinsics = one.intrinsics if camera == "labelled" and one is not None else None
-        if intrinsics is None:
-            if camera == "labelled":
-                found.problems.append(Problem("camera missing: one is assumed", unit.entries[first].name))
-            width, height = (int(side) for side in detections.sizes[first])
-            extents = detections.hands.extent[np.array(used)[detections.hands.frame]]
-            intrinsics = Intrinsics.assumed(width, height, largest_extent(extents))
-        elif camera == "labelled":
-            changed = [
-                entry.name
-                for entry, one, is_used in zip(unit.entries, labels, used, strict=True)
-                if is_used and one is not None and one.intrinsics != intrinsics
-            ]
-            if changed:
-                kind = "camera changes within the clip: its first one is used throughout"
-                found.problems.append(Problem(kind, changed[0]))
-        frames = [(t, unit.entries[t], one) for t, one in enumerate(labels) if used[t] and one is not None]
-        if protocol == "paper":
-            _paper_rows(frames, detections, intrinsics, found)
-        else:
-            _strict_rows(unit, frames, detections, intrinsics, max_hands, found)
+        seen = detect(unit)
+        unreadable = (unit.entries[t] for t in np.flatnonzero(~seen.readable))
+        found.problems += [Problem("picture cannot be read", entry.name) for entry in unreadable]
+        told = zip(unit.entries, labels, seen.readable, strict=True)
+        frames = [(t, entry, one) for t, (entry, one, readable) in enumerate(told) if readable and one]
+        if frames:
+            found.pictures += len(frames)
+            intrinsics = _camera(frames, seen, camera, found)
+            if protocol == "paper":
+                _paper_rows(frames, seen, intrinsics, found)
+            else:
+                _strict_rows(unit, frames, seen, intrinsics, max_hands, found)
     return found
+
+
+def _camera(frames: Sequence[Frame], seen: UnitDetections, camera: str, found: Rows) -> Intrinsics:
+    """What solvers are told of a unit's camera."""
+    first, entry, labels = frames[0]
+    if camera == "labelled" and labels.intrinsics:
+        changed = [e.name for _, e, one in frames if one.intrinsics != labels.intrinsics]
+        if changed:
+            kind = "camera changes within the clip: its first one is used throughout"
+            found.problems.append(Problem(kind, changed[0]))
+        return labels.intrinsics
+    if camera == "labelled":
+        found.problems.append(Problem("camera missing: one is assumed", entry.name))
+    width, height = (int(side) for side in seen.sizes[first])
+    extents = seen.hands.extent[np.isin(seen.hands.frame, [t for t, *_ in frames])]
+    return Intrinsics.assumed(width, height, largest_extent(extents))
 
 
 def _labels(entry: Entry, found: Rows) -> Labels | None:
     try:
         labels = entry.read_labels()
-    except DatasetError as error:
-        found.problems.append(Problem("labels cannot be read", f"{entry.name}: {error}"))
+    except Exception as error:  # a damaged file can fail in any way
+        found.problems.append(Problem("labels cannot be read", f"{entry.name}: {said(error)}"))
         return None
     # A picture that is said to show no hand is a label too: whatever is found in it is a stray.
     if labels.hands and not any(_is_labelled(hand) for hand in labels.hands):
@@ -130,36 +120,31 @@ def _is_labelled(hand: HandLabel) -> bool:
     return bool(np.isfinite(hand.joints_3d).any() or np.isfinite(hand.keypoints_2d).any())
 
 
-def _note_unreadable(unit: Unit, detections: UnitDetections, found: Rows) -> None:
-    unreadable = (unit.entries[t] for t in np.flatnonzero(~detections.readable))
-    found.problems += [Problem("picture cannot be read", entry.name) for entry in unreadable]
-
-
 def _strict_rows(
     unit: Unit,
     frames: Sequence[Frame],
-    detections: UnitDetections,
+    seen: UnitDetections,
     intrinsics: Intrinsics,
-    max_hands: int | None,
+    max_hands: int,
     found: Rows,
 ) -> None:
     """Tracks as a capture makes them; every labelled hand is a row, found or not."""
     try:
-        tracks = link_tracks(detections.hands, len(unit.entries), "auto", max_hands, _fps(unit))
+        tracks = link_tracks(seen.hands, len(unit.entries), "auto", max_hands, _fps(unit))
     except NoHandFoundError:
         tracks = ()
-    in_view = [TrackInView(track, intrinsics) for track in tracks]
-    found.tracks += in_view
+    first = len(found.tracks)
+    found.tracks += [TrackInView(track, intrinsics) for track in tracks]
     for t, entry, labels in frames:
         hands = [i for i, hand in enumerate(labels.hands) if _is_labelled(hand)]
         pixels = [label_pixels(labels.hands[i], labels.intrinsics) for i in hands]
-        found_in = [(view, view.track.detections) for view in in_view]
-        present = [(view, points) for view, d in found_in for points in d.keypoints_2d[d.frame == t]]
+        found_in = [(i, track.detections) for i, track in enumerate(tracks, first)]
+        present = [(i, points) for i, d in found_in for points in d.keypoints_2d[d.frame == t]]
         matched = match(pixels, [points for _, points in present])
         found.extra_hands += len(present) - sum(m is not None for m in matched)
         for index, which in zip(hands, matched, strict=True):
-            track = None if which is None else present[which][0]
-            found.rows.append(_row(entry, labels, index, float(detections.milliseconds[t]), track, t))
+            track = -1 if which is None else present[which][0]
+            found.listed.append(_row(entry, labels, index, seen.milliseconds[t], found, track, t))
 
 
 def _fps(unit: Unit) -> float:
@@ -169,9 +154,7 @@ def _fps(unit: Unit) -> float:
     return float(1.0 / np.median(steps)) if len(steps) else 25.0
 
 
-def _paper_rows(
-    frames: Sequence[Frame], detections: UnitDetections, intrinsics: Intrinsics, found: Rows
-) -> None:
+def _paper_rows(frames: Sequence[Frame], seen: UnitDetections, intrinsics: Intrinsics, found: Rows) -> None:
     """One row a picture: its first labelled hand and its first detection, whoever's it is, taken for a
     left hand. What the published evaluation drops in silence is dropped too, and named."""
     for t, entry, labels in frames:
@@ -183,33 +166,42 @@ def _paper_rows(
         if not with_tips:
             found.problems.append(Problem("no labelled fingertip: dropped as in the paper", entry.name))
             continue
-        track, hands = None, detections.hands
+        track, hands = -1, seen.hands
         if len(at := np.flatnonzero(hands.frame == t)):
             first = replace(hands.select(at[:1]), frame=np.zeros(1, dtype=int))
-            track = TrackInView(Track(PAPER_SIDE, first, frame_count=1), intrinsics)
-            found.tracks.append(track)
+            track = len(found.tracks)
+            found.tracks.append(TrackInView(Track(PAPER_SIDE, first, frame_count=1), intrinsics))
         else:
             found.problems.append(Problem("no hand detected: dropped as in the paper", entry.name))
-        found.rows.append(_row(entry, labels, with_tips[0], float(detections.milliseconds[t]), track, 0))
+        found.listed.append(_row(entry, labels, with_tips[0], seen.milliseconds[t], found, track, 0))
 
 
 def _row(
-    entry: Entry, labels: Labels, index: int, detect_ms: float, track: TrackInView | None, frame: int
-) -> Row:
+    entry: Entry, labels: Labels, index: int, detect_ms: float, found: Rows, track: int, frame: int
+) -> dict[str, Any]:
+    """One labelled hand in one picture."""
     hand = labels.hands[index]
-    known = track is not None and hand.side is not None
-    return Row(
-        entry=entry,
-        hand_index=index,
-        label=hand,
-        label_2d=label_pixels(hand, labels.intrinsics),
-        intrinsics=labels.intrinsics,
-        view=view_of(hand.joints_3d, hand.side),
-        detect_ms=detect_ms,
-        track=track,
-        frame=frame,
-        side_correct=float(track.track.side == hand.side) if known and track else float("nan"),
-    )
+    side = found.tracks[track].track.side if track >= 0 else None
+    return {
+        "sample": entry.name,
+        "hand": index,
+        "clip": entry.clip,
+        "time": entry.time,
+        # How the camera sees the palm
+        "view": view_of(hand.joints_3d, hand.side),
+        "picture": entry.picture,
+        "tags": entry.tags,
+        "label": hand,
+        "label_2d": label_pixels(hand, labels.intrinsics),
+        # The true camera, None where the set does not give it
+        "camera": labels.intrinsics,
+        "detect_ms": float(detect_ms),
+        # Place among the tracks, -1 for a miss; and in the track
+        "track": track,
+        "frame": frame,
+        "side": side,
+        "side_correct": float(side == hand.side) if side and hand.side else np.nan,
+    }
 
 
 MATCH_DISTANCE = 0.5

@@ -5,26 +5,28 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
-from itertools import count
+from itertools import accumulate, count
 from pathlib import Path
+
+import pandas as pd
 
 from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import DatasetError, OptionError
+from handfit_core.evaluate import CameraChoice, ProtocolName
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
-from handfit_core.evaluate.fits import Fits, FitTask
+from handfit_core.evaluate.fits import fit_all
 from handfit_core.evaluate.flat import Flat, flattened
+from handfit_core.evaluate.kept import versions
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
 from handfit_core.evaluate.methods import TrackResult, method_names, method_title
-from handfit_core.evaluate.rows import Row, Rows, TrackInView, rows_of
-from handfit_core.evaluate.scores import CAMERA_CHOICES, CameraChoice, Evaluation, ProtocolName, Scores
-from handfit_core.evaluate.scoring import RowResult, baselines, score
+from handfit_core.evaluate.rows import Rows, rows_of
+from handfit_core.evaluate.scores import Evaluation
+from handfit_core.evaluate.scoring import Models, baselines, results_of_rows, score
 from handfit_core.evaluate.summary import compare, summarise
-from handfit_core.hand_model import OPEN_HAND
+from handfit_core.hand_model import OPEN_HAND, load_model
 from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import Side
 from handfit_core.version import __version__
 
 COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
@@ -48,7 +50,6 @@ class EvaluationOptions:
     """Fit clips as wholes; False takes each of their pictures for a still"""
     jobs: int = 1
     """Processes that fit at the same time"""
-    max_hands: int = 2
     reference: str | None = None
     """Every other method is compared with this one; the last of `methods` by default"""
     flat: Flat | None = None
@@ -71,50 +72,69 @@ def evaluate(
     Raises OptionError for unknown methods and settings out of range, DatasetError when nothing in the
     set can be scored.
     """
-    names = method_names(list(options.methods))
+    protocol, names = options.protocol, method_names(list(options.methods))
     reference = _checked(options, names)
-    units = units_of(
-        dataset.entries, clips=options.clips and options.protocol == "strict", every=options.every
-    )
-    settings = _detector_settings(options)
+    clips = options.clips and protocol == "strict"
+    # The published evaluation looks for one hand, once.
+    paper = {"max_hands": 1, "detector": "mediapipe"} if protocol == "paper" else {"max_hands": 2}
+    settings = replace(options.detector, **paper)
     with UnitDetector(settings) as detector:
-        found = _detected_rows(units, detector, options, settings.max_hands, progress)
-    if not found.rows:
-        kinds = _grouped((*dataset.problems, *found.problems))
+        rows = _detected_rows(
+            units_of(dataset.entries, clips=clips, every=options.every), detector, options, progress
+        )
+    if not rows.listed:
+        kinds = _grouped((*dataset.problems, *rows.problems))
         listed = "; ".join(f"{kind}: {len(where)}" for kind, where in kinds.items()) or "it is empty"
         raise DatasetError(f"{dataset.root}: nothing in this data set can be scored ({listed})")
 
-    fits = Fits(folder / "fits", options.protocol, options.model, {v.track.side for v in found.tracks})
-    _fit_all(fits, names, found, options.jobs, progress)
-
-    scores: list[Scores] = []
+    sides: set[Side] = {view.track.side for view in rows.tracks}
+    models: Models = {side: load_model(options.model, side) for side in sides}
+    results = _fitted(rows, names, folder / "fits", options, progress)
+    judged = [
+        *((*baseline, True) for baseline in baselines(rows, protocol, options.model)),
+        *((name, method_title(name), results_of_rows(rows, results[name]), False) for name in names),
+    ]
     of_meshes: dict[Problem, None] = {}
-    truths = baselines(found.rows, options.protocol, options.model)
-    judged = [*truths, *((name, method_title(name), _results(fits, name)) for name in names)]
-    for i, method in enumerate(judged):
-        is_baseline = i < len(truths)
-        scores.append(score(*method, found.rows, options.protocol, of_meshes, is_baseline=is_baseline))
+    scores = {}
+    for name, title, found, is_baseline in judged:
+        scores[name] = score(name, title, found, rows, protocol, models, of_meshes, is_baseline=is_baseline)
         progress("score", len(scores), len(judged))
-    by_name = {s.method: s for s in scores}
     return Evaluation(
         dataset=dataset.name,
         kind=dataset.kind,
         root=dataset.root,
-        protocol=options.protocol,
-        scores=tuple(scores),
-        summaries={s.method: summarise(s, options.protocol) for s in scores},
+        protocol=protocol,
+        scores=tuple(scores.values()),
+        summaries=pd.DataFrame({name: summarise(s, protocol) for name, s in scores.items()}).T,
         comparisons=tuple(
-            compare(by_name[reference], by_name[name], metric)
-            for metric in COMPARED_METRICS[options.protocol]
+            compare(scores[reference], scores[name], metric)
+            for metric in COMPARED_METRICS[protocol]
             for name in names
             if name != reference
         ),
-        pictures=found.pictures,
-        labelled_hands=len(found.rows),
-        extra_hands=found.extra_hands,
-        problems=_grouped((*dataset.problems, *found.problems, *of_meshes)),
+        pictures=rows.pictures,
+        labelled_hands=len(rows.listed),
+        extra_hands=rows.extra_hands,
+        problems=_grouped((*dataset.problems, *rows.problems, *of_meshes)),
         notes=(*dataset.notes, *_notes(options)),
-        setup=_setup(options, names, detector, fits),
+        setup={
+            "handfit_core": __version__,
+            "protocol": protocol,
+            "solvers": ", ".join(names),
+            "camera": options.camera,
+            "clips": "as wholes" if clips else "picture by picture",
+            "every": str(options.every),
+            "jobs": str(options.jobs),
+            "hand model": options.model or OPEN_HAND,
+            "hand model digests": ", ".join(f"{side} {m.digest}" for side, m in sorted(models.items())),
+            "detector": options.detector.detector,
+            "detection": settings.detector,
+            "detection threshold": f"{settings.threshold:g}",
+            "detector's models and versions": detector.fingerprint,
+            "Python": platform.python_version(),
+            "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPU cores",
+            **versions("numpy", "scipy", "torch", "mediapipe", "opencv-python-headless"),
+        },
     )
 
 
@@ -122,18 +142,15 @@ def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
     """The method that others are compared with. Raises OptionError."""
     if not names:
         raise OptionError("no solver was named; give at least one, as in --solvers raw,fused,paper-a")
-    for what, value in (("every", options.every), ("jobs", options.jobs), ("max_hands", options.max_hands)):
+    for what, value in (("every", options.every), ("jobs", options.jobs)):
         if value < 1:
             raise OptionError(f"{what} must be at least 1, not {value}")
-    if options.flat is not None and not (
-        0.0 <= options.flat.noise <= 1.0 and 0.0 <= options.flat.missing < 1.0
-    ):
+    flat = options.flat
+    if flat is not None and not (0.0 <= flat.noise <= 1.0 and 0.0 <= flat.missing < 1.0):
         raise OptionError(
             "flat keypoints want noise from 0 to 1 and a missing part of at least 0 and below 1, not "
-            f"{options.flat.noise:g} and {options.flat.missing:g}"
+            f"{flat.noise:g} and {flat.missing:g}"
         )
-    if options.camera not in CAMERA_CHOICES:
-        raise OptionError(f"camera must be one of {', '.join(CAMERA_CHOICES)}; got {options.camera!r}")
     reference = options.reference or names[-1]
     if reference not in names:
         raise OptionError(
@@ -142,19 +159,8 @@ def _checked(options: EvaluationOptions, names: Sequence[str]) -> str:
     return reference
 
 
-def _detector_settings(options: EvaluationOptions) -> CaptureOptions:
-    if options.protocol == "paper":
-        # The published evaluation looks for one hand, once.
-        return replace(options.detector, max_hands=1, detector="mediapipe")
-    return replace(options.detector, max_hands=options.max_hands)
-
-
 def _detected_rows(
-    units: Sequence[Unit],
-    detector: UnitDetector,
-    options: EvaluationOptions,
-    max_hands: int | None,
-    progress: ReportProgress,
+    units: Sequence[Unit], detector: UnitDetector, options: EvaluationOptions, progress: ReportProgress
 ) -> Rows:
     total, done, seeds = sum(len(unit.entries) for unit in units), count(1), count()
 
@@ -167,41 +173,22 @@ def _detected_rows(
         parts = [flattened(hands, flat, seed=next(seeds)) for hands in frames]
         return replace(seen, hands=Detections.concatenate(parts))
 
-    return rows_of(units, detect, protocol=options.protocol, max_hands=max_hands, camera=options.camera)
+    return rows_of(units, detect, protocol=options.protocol, camera=options.camera)
 
 
-def _fit_all(fits: Fits, names: Sequence[str], found: Rows, jobs: int, progress: ReportProgress) -> None:
+def _fitted(
+    rows: Rows, names: Sequence[str], folder: Path, options: EvaluationOptions, progress: ReportProgress
+) -> dict[str, list[TrackResult]]:
+    """Every method's results, of all tracks."""
     # Track by track and not method by method: neighbours in time saw the machine in the same mood.
-    tasks = [FitTask(name, view.track, view.intrinsics) for view in found.tracks for name in names]
-    total = sum(int(task.track.detected.sum()) for task in tasks)
-    done = 0
-    for task in fits.run(tasks, jobs):
-        done += int(task.track.detected.sum())
-        progress("fit", done, total)
-
-
-def _results(fits: Fits, name: str) -> Callable[[Row], RowResult | None]:
-    """A method's result of a row, reading each track's file once for neighbouring rows."""
-
-    @lru_cache(maxsize=1)
-    def of_track(view: TrackInView) -> TrackResult:
-        return fits.result(FitTask(name, view.track, view.intrinsics))
-
-    def result_of(row: Row) -> RowResult | None:
-        if row.track is None:
-            return None
-        found, model = of_track(row.track), fits.models[row.track.track.side]
-        return RowResult(
-            points_3d=found.points_3d[row.frame],
-            picture_points=found.picture_points[row.frame],
-            fit_ms=float(found.milliseconds[row.frame]),
-            model=model,
-            vertices=found.vertices(model, row.frame) if row.label.mesh else None,
-            penetration=found.penetration(model, row.frame),
-            expected_error=float(found.expected_error[row.frame]),
-        )
-
-    return result_of
+    tasks = [(name, view) for view in rows.tracks for name in names]
+    done = list(accumulate(len(view.track.detections) for _, view in tasks))
+    results: dict[str, list[TrackResult]] = {name: [] for name in names}
+    made = fit_all(tasks, folder, options.protocol, options.model, options.jobs)
+    for (name, _), result, reached in zip(tasks, made, done, strict=True):
+        results[name].append(result)
+        progress("fit", reached, done[-1])
+    return results
 
 
 def _grouped(problems: Sequence[Problem]) -> dict[str, tuple[str, ...]]:
@@ -232,29 +219,3 @@ def _notes(options: EvaluationOptions) -> list[str]:
         "Mean errors are over detected hands only; read them beside the detection rate.",
         "The null baselines know the truth; they show what a number is worth.",
     ]
-
-
-def _setup(
-    options: EvaluationOptions, names: Sequence[str], detector: UnitDetector, fits: Fits
-) -> dict[str, str]:
-    setup = {
-        "handfit_core": __version__,
-        "protocol": options.protocol,
-        "solvers": ", ".join(names),
-        "camera": options.camera,
-        "clips": "as wholes" if options.clips and options.protocol == "strict" else "picture by picture",
-        "every": str(options.every),
-        "jobs": str(options.jobs),
-        "hand model": options.model or OPEN_HAND,
-        "hand model digests": ", ".join(f"{side} {m.digest}" for side, m in sorted(fits.models.items())),
-        "detector": options.detector.detector,
-        "detection": _detector_settings(options).detector,
-        "detection threshold": f"{options.detector.threshold:g}",
-        "detector's models and versions": detector.fingerprint,
-        "Python": platform.python_version(),
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} CPU cores",
-    }
-    for package in ("numpy", "scipy", "torch", "mediapipe", "opencv-python-headless"):
-        with suppress(PackageNotFoundError):
-            setup[package] = version(package)
-    return setup

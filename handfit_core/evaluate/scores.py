@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Literal
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
-ProtocolName = Literal["strict", "paper"]
-CameraChoice = Literal["assumed", "labelled"]
-"""What solvers are told about the camera: nothing, or the data set's labels"""
-CAMERA_CHOICES: Final[tuple[CameraChoice, ...]] = ("assumed", "labelled")
+from handfit_core.evaluate import ProtocolName
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,24 +27,12 @@ class Scores:
     """For people"""
     is_baseline: bool
     """True for the null baselines, which know the truth and are there to compare with"""
-    samples: tuple[str, ...]
-    """(N) `Entry.name`"""
-    hands: np.ndarray
-    """(N,) int: which of the picture's labelled hands"""
-    pictures: tuple[Path, ...]
-    """(N)"""
-    clips: tuple[str | None, ...]
-    """(N)"""
-    times: np.ndarray
-    """(N,) seconds since the clip's start"""
-    views: tuple[str, ...]
-    """(N) how the camera sees the palm: `palm`, `back`, `edge` or `unknown`"""
-    tags: tuple[Mapping[str, str], ...]
-    """(N)"""
-    detected: np.ndarray
-    """(N,) bool"""
-    side_correct: np.ndarray
-    """(N,) 1.0 or 0.0; NaN for misses and where the set names no side"""
+    hands: pd.DataFrame
+    """N rows. What each hand is: `sample`, `hand` (which of the picture's), `clip`, `time` (seconds), `view`
+    (`palm`, `back`, `edge` or `unknown`), `picture`, `tags`. What was found: `detected`; `side_correct` (1 or
+    0); `penetration` (mm that its deepest two parts stand in each other), `expected_error` (mm of PA-MPJPE
+    that the solver expects), `pa_mpvpe` (mm), `f5` and `f15` (F-scores of the aligned surfaces), `detect_ms`
+    (of the picture) and `fit_ms`; NaN where there is none"""
     labels_3d: np.ndarray
     """(N, 21, 3) metres, camera frame"""
     labels_2d: np.ndarray
@@ -65,32 +51,20 @@ class Scores:
     """(N, 21) mm, after the best similarity transform (Procrustes)"""
     error_2d: np.ndarray
     """(N, 21) pixels over the hand's size in pixels (longer side of its labelled points' box)"""
-    pa_mpvpe: np.ndarray
-    """(N,) mm, mean over vertices after the best similarity transform; NaN without a comparable mesh"""
-    f5: np.ndarray
-    """(N,) F-score at 5 mm of the aligned surfaces; NaN without a mesh"""
-    f15: np.ndarray
-    """(N,) F-score at 15 mm"""
-    penetration: np.ndarray
-    """(N,) mm that the deepest two parts of the hand stand in each other; NaN without a hand model"""
-    expected_error: np.ndarray
-    """(N,) mm of PA-MPJPE that the solver expects; NaN where it does not say"""
-    detect_ms: np.ndarray
-    """(N,) milliseconds of detection for the picture; NaN where not measured"""
-    fit_ms: np.ndarray
-    """(N,) milliseconds of fitting this hand. Fresh detections can carry what the landmark network said of
-    them, kept ones do not, and a fit asks it again: compare runs that both detected or both read
-    kept detections"""
+
+    @property
+    def detected(self) -> np.ndarray:
+        """(N,) bool"""
+        return self.hands["detected"].to_numpy(dtype=bool)
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """Two methods on the same hands: is the difference a difference?"""
 
-    first: str
-    second: str
     metric: str
     """Key into `summary.METRICS`"""
+    first: str
+    second: str
     difference: float
     """mean over hands of first - second, on hands that both have"""
     low: float
@@ -118,8 +92,8 @@ class Evaluation:
     protocol: ProtocolName
     scores: tuple[Scores, ...]
     """Baselines first, then methods in the order asked for"""
-    summaries: Mapping[str, Mapping[str, float]]
-    """method -> metric -> value; NaN where it does not apply"""
+    summaries: pd.DataFrame
+    """A row for each method, a column for each metric; NaN where it does not apply"""
     comparisons: tuple[Comparison, ...]
     pictures: int
     """Pictures evaluated"""

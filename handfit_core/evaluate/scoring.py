@@ -1,129 +1,108 @@
-"""A method's results against the labels, row by row."""
+"""A method's results against the labels of all rows."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
-from handfit_core.errors import DatasetError
-from handfit_core.evaluate.labels import Problem
+from handfit_core.batch import SLICE
+from handfit_core.evaluate import ProtocolName
+from handfit_core.evaluate.labels import Problem, said
+from handfit_core.evaluate.methods import TrackResult
 from handfit_core.evaluate.metrics import (
     aligned_vertices,
     camera_distances,
     centroid_aligned_distances,
     distances_2d,
     f_score,
-    pa_mpvpe,
     root_aligned_distances,
     similarity_aligned_distances,
 )
-from handfit_core.evaluate.rows import PAPER_SIDE, Row
-from handfit_core.evaluate.scores import ProtocolName, Scores
+from handfit_core.evaluate.rows import PAPER_SIDE, Rows
+from handfit_core.evaluate.scores import Scores
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model.surface import surface_of
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS, Side
 
 MM = 1000.0
 
+Models = Mapping[Side, HandModel]
 
-@dataclass(frozen=True, eq=False)
-class RowResult:
-    """What one method says of one row."""
 
-    points_3d: np.ndarray
-    """(21, 3) metres, camera frame"""
-    picture_points: np.ndarray
-    """(21, 3) pixels with a relative depth in pixels"""
-    fit_ms: float = float("nan")
-    model: HandModel | None = None
-    vertices: np.ndarray | None = None
-    """(V, 3) metres in the camera frame"""
-    penetration: float = float("nan")
-    """metres that the deepest two parts of the hand stand in each other"""
-    expected_error: float = float("nan")
-    """metres that the hand is likely to be off, as the solver says"""
+def results_of_rows(rows: Rows, results: Sequence[TrackResult]) -> TrackResult:
+    """Each of N rows' result, NaN for a miss. `results` are one method's, of `rows.tracks`."""
+    nothing = np.full((1, NUM_KEYPOINTS, 3), np.nan)
+    width = results[0].parameters.shape[1] if results else 0
+    miss = replace(TrackResult.of_points(nothing, nothing), parameters=np.full((1, width), np.nan))
+    starts = np.cumsum([0, *map(len, results)])
+    track, frame = rows.hands["track"].to_numpy(), rows.hands["frame"].to_numpy()
+    return TrackResult.concatenate([*results, miss]).select(np.where(track < 0, -1, starts[track] + frame))
 
 
 def score(
     method: str,
     title: str,
-    result_of: Callable[[Row], RowResult | None],
-    rows: Sequence[Row],
+    found: TrackResult,
+    rows: Rows,
     protocol: ProtocolName,
+    models: Models | None = None,
     problems: dict[Problem, None] | None = None,
     *,
     is_baseline: bool = False,
 ) -> Scores:
-    """Score every row; `result_of` gives None for a miss. `problems` gets each mesh that cannot be read
-    once, in order."""
-    problems = {} if problems is None else problems
-    count = len(rows)
-    per_point = {
-        name: np.full((count, NUM_KEYPOINTS), np.nan)
+    """Score N rows. `found` is each row's result, and `models` the hand models behind them, for surfaces.
+
+    `problems` gets each mesh that cannot be read once, in order.
+    """
+    hands, truth = rows.hands, MM * rows.labels_3d
+    detected = np.asarray(hands["track"].to_numpy() >= 0)
+    if is_baseline:
+        detected = np.asarray(np.isfinite(found.points_3d).any(axis=(1, 2)))
+    points = np.where(detected[:, None, None], found.points_3d, np.nan)
+    points_2d = np.where(detected[:, None, None], found.picture_points[..., :2], np.nan)
+    labels_2d = np.stack(hands["label_2d"].to_list())
+    errors = {
+        name: np.full((len(hands), NUM_KEYPOINTS), np.nan)
         for name in ("camera_error", "epe", "root_error", "pa_error", "error_2d")
     }
-    per_hand = {
-        name: np.full(count, np.nan)
-        for name in ("pa_mpvpe", "f5", "f15", "penetration", "expected_error", "fit_ms")
-    }
-    points_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
-    points_2d = np.full((count, NUM_KEYPOINTS, 2), np.nan)
-    detected = np.zeros(count, dtype=bool)
-    for i, row in enumerate(rows):
-        result = result_of(row)
-        if result is None:
-            continue
-        detected[i] = True
-        points_3d[i], points_2d[i] = result.points_3d, result.picture_points[:, :2]
-        per_hand["fit_ms"][i] = result.fit_ms
-        per_hand["penetration"][i] = MM * result.penetration
-        per_hand["expected_error"][i] = MM * result.expected_error
-        errors = _published(row, result) if protocol == "paper" else _strict(row, result)
-        for name, values in errors.items():
-            per_point[name][i] = values
-        if protocol == "strict":
-            for name, value in _surface(row, result, problems).items():
-                per_hand[name][i] = value
+    surfaces = pd.DataFrame(np.nan, hands.index, ["pa_mpvpe", "f5", "f15"])
+    if protocol == "paper":
+        for i in np.flatnonzero(detected):
+            camera = hands["camera"][i]
+            assert camera is not None, "rows of the paper's protocol have a camera"
+            errors["epe"][i] = published_error(found.picture_points[i], rows.labels_3d[i], camera)
+    else:
+        errors = {
+            "camera_error": camera_distances(MM * points, truth),
+            "epe": centroid_aligned_distances(MM * points, truth),
+            "root_error": root_aligned_distances(MM * points, truth),
+            "pa_error": similarity_aligned_distances(MM * points, truth),
+            "error_2d": distances_2d(points_2d, labels_2d),
+        }
+        surfaces = _surfaces(rows, found, models or {}, {} if problems is None else problems)
+    unknown = {"side_correct": np.nan, "detect_ms": np.nan} if is_baseline else {}
     return Scores(
         method=method,
         title=title,
         is_baseline=is_baseline,
-        samples=tuple(row.entry.name for row in rows),
-        hands=np.array([row.hand_index for row in rows], dtype=np.int64),
-        pictures=tuple(row.entry.picture for row in rows),
-        clips=tuple(row.entry.clip for row in rows),
-        times=np.array([row.entry.time for row in rows]),
-        views=tuple(row.view for row in rows),
-        tags=tuple(row.entry.tags for row in rows),
-        detected=detected,
-        side_correct=np.array([np.nan if is_baseline else row.side_correct for row in rows]),
-        labels_3d=np.array([row.label.joints_3d for row in rows]).reshape(-1, NUM_KEYPOINTS, 3),
-        labels_2d=np.array([row.label_2d for row in rows]).reshape(-1, NUM_KEYPOINTS, 2),
-        points_3d=points_3d,
+        hands=hands.assign(
+            detected=detected,
+            penetration=MM * _penetration(rows, found, models or {}),
+            expected_error=MM * found.expected_error,
+            fit_ms=found.milliseconds,
+            **unknown,
+        ).join(surfaces),
+        labels_3d=rows.labels_3d,
+        labels_2d=labels_2d,
+        points_3d=points,
         points_2d=points_2d,
-        detect_ms=np.array([np.nan if is_baseline else row.detect_ms for row in rows]),
-        **per_point,
-        **per_hand,
+        **errors,
     )
-
-
-def _strict(row: Row, result: RowResult) -> dict[str, np.ndarray]:
-    points, truth = MM * result.points_3d, MM * row.label.joints_3d
-    return {
-        "camera_error": camera_distances(points, truth),
-        "epe": centroid_aligned_distances(points, truth),
-        "root_error": root_aligned_distances(points, truth),
-        "pa_error": similarity_aligned_distances(points, truth),
-        "error_2d": distances_2d(result.picture_points[:, :2], row.label_2d),
-    }
-
-
-def _published(row: Row, result: RowResult) -> dict[str, np.ndarray]:
-    assert row.intrinsics is not None, "rows of the paper's protocol have a camera"
-    return {"epe": published_error(result.picture_points, row.label.joints_3d, row.intrinsics)}
 
 
 def published_error(picture_points: np.ndarray, joints_3d: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
@@ -152,51 +131,76 @@ def published_error(picture_points: np.ndarray, joints_3d: np.ndarray, intrinsic
     return errors
 
 
-def _surface(row: Row, result: RowResult, problems: dict[Problem, None]) -> dict[str, float]:
-    """PA-MPVPE and F-scores, where both sides have a surface."""
-    mesh = row.label.mesh
-    if mesh is None or result.vertices is None or result.model is None:
-        return {}
-    try:
-        truth = MM * mesh.vertices()
-    except DatasetError as error:
-        problems[Problem("mesh cannot be read", f"{row.entry.name}: {error}")] = None
-        return {}
-    vertices = MM * result.vertices
-    same_mesh = len(truth) == len(vertices) and (not mesh.digests or result.model.digest in mesh.digests)
-    points, joints = MM * result.points_3d, MM * row.label.joints_3d
-    if same_mesh:
-        aligned = aligned_vertices(vertices, truth, points, joints)
-    else:
-        # Another topology: only the labelled joints tell how the surfaces lie on each other.
-        aligned = aligned_vertices(vertices, truth[:0], points, joints)
-    scores = {"f5": f_score(aligned, truth, 5.0), "f15": f_score(aligned, truth, 15.0)}
-    return {**scores, "pa_mpvpe": pa_mpvpe(vertices, truth)} if same_mesh else scores
+def _fitted(rows: Rows, found: TrackResult, models: Models) -> list[tuple[HandModel, np.ndarray]]:
+    """The hand models with the numbers of the rows that have parameters of them."""
+    if not found.parameters.size:
+        return []
+    known = np.isfinite(found.parameters).all(axis=1)
+    sides = rows.hands["side"].to_numpy()
+    return [(model, np.flatnonzero(known & (sides == side))) for side, model in models.items()]
 
 
-def baselines(
-    rows: Sequence[Row], protocol: ProtocolName, model: str | None
-) -> list[tuple[str, str, Callable[[Row], RowResult | None]]]:
-    """The null baselines, which look at the truth instead of the picture: (method, title, result of a row).
+def _penetration(rows: Rows, found: TrackResult, models: Models) -> np.ndarray:
+    """(N,) metres that the deepest two parts of each hand stand in each other; NaN without a hand model."""
+    depths = np.full(len(rows.hands), np.nan)
+    for model, fitted in _fitted(rows, found, models):
+        surface = surface_of(model)
+        for part in np.split(fitted, range(SLICE, len(fitted), SLICE)):
+            posed = found.parameters[part]
+            depths[part] = surface.depths(surface.of(posed[:, :10], posed[:, 13:58]))
+    return depths
+
+
+def _surfaces(rows: Rows, found: TrackResult, models: Models, problems: dict[Problem, None]) -> pd.DataFrame:
+    """(N) PA-MPVPE and F-scores, where both sides have a surface."""
+    scores = pd.DataFrame(np.nan, rows.hands.index, ["pa_mpvpe", "f5", "f15"])
+    for model, fitted in _fitted(rows, found, models):
+        for i in fitted:
+            label = rows.hands["label"][i]
+            mesh = label.mesh
+            if mesh is None:
+                continue
+            try:
+                truth = MM * mesh.vertices()
+            except Exception as error:  # a damaged file can fail in any way
+                where = f"{rows.hands['sample'][i]}: {said(error)}"
+                problems[Problem("mesh cannot be read", where)] = None
+                continue
+            row = found.parameters[i]
+            vertices = MM * model.posed(row[:10], row[10:13], row[13:58], row[58:]).vertices
+            same = len(truth) == len(vertices) and (not mesh.digests or model.digest in mesh.digests)
+            # Of another topology, only the labelled joints tell how the surfaces lie on each other.
+            joints = MM * found.points_3d[i], MM * label.joints_3d
+            aligned = aligned_vertices(vertices, *((vertices, truth) if same else joints))
+            scores.loc[i, ["f5", "f15"]] = [f_score(aligned, truth, within) for within in (5.0, 15.0)]
+            if same:
+                scores.loc[i, "pa_mpvpe"] = camera_distances(aligned, truth).mean()
+    return scores
+
+
+def baselines(rows: Rows, protocol: ProtocolName, model: str | None) -> list[tuple[str, str, TrackResult]]:
+    """The null baselines, which look at the truth instead of the picture: (method, title, its results).
 
     Whatever a protocol gives them for nothing, it gives to every method.
     Under the paper's protocol they see only what was detected, as the methods do.
     """
-    sides: set[Side] = {_side(row, protocol) for row in rows}
-    models = {side: load_model(model, side) for side in sides}
+    hands, labels = rows.hands, rows.labels_3d.copy()
+    sides: list[Side] = [label.side or PAPER_SIDE for label in hands["label"]]
+    if protocol == "paper":
+        labels[hands["track"] < 0] = np.nan
+        labels[:, [k for k in range(NUM_KEYPOINTS) if k not in TIP_KEYPOINTS]] = np.nan
+        sides = [PAPER_SIDE] * len(sides)
+    models = {side: load_model(model, side) for side in set(sides)}
+    centroid = [collapsed_to_centroid(points) for points in labels]
+    mean_pose = [mean_pose_at_truth(models[side], points) for side, points in zip(sides, labels, strict=True)]
 
-    def of_truth(make: Callable[[Row, np.ndarray], np.ndarray | None]) -> Callable[[Row], RowResult | None]:
-        def result_of(row: Row) -> RowResult | None:
-            points = make(row, _tips_only(row, protocol)) if protocol == "strict" or row.track else None
-            return None if points is None else RowResult(points, in_picture(points, row.intrinsics))
+    def result(points: list[np.ndarray]) -> TrackResult:
+        pixels = [in_picture(*seen) for seen in zip(points, hands["camera"], strict=True)]
+        return TrackResult.of_points(np.array(points), np.array(pixels))
 
-        return result_of
-
-    centroid = of_truth(lambda _, labels: collapsed_to_centroid(labels))
-    mean_pose = of_truth(lambda row, labels: mean_pose_at_truth(models[_side(row, protocol)], labels))
     return [
-        ("null-centroid", "null: all points at their centroid", centroid),
-        ("null-mean-pose", "null: relaxed hand at the true orientation", mean_pose),
+        ("null-centroid", "null: all points at their centroid", result(centroid)),
+        ("null-mean-pose", "null: relaxed hand at the true orientation", result(mean_pose)),
     ]
 
 
@@ -210,32 +214,18 @@ def collapsed_to_centroid(labels_3d: np.ndarray) -> np.ndarray:
     return np.tile(centroid, (len(labels_3d), 1))
 
 
-def mean_pose_at_truth(model: HandModel, labels_3d: np.ndarray) -> np.ndarray | None:
+def mean_pose_at_truth(model: HandModel, labels_3d: np.ndarray) -> np.ndarray:
     """(21, 3) keypoints of the relaxed hand of mean shape, moved rigidly onto the labelled points.
 
     The relaxed hand is `model.hands_mean` with betas 0; rotation and translation are the best in the
     least-squares sense (Umeyama 1991), without scale and without mirroring, so take the model of the
-    labelled side. With one or two labelled points some rotation that meets them best. None without any.
+    labelled side. With one or two labelled points some rotation that meets them best. NaN without any.
     """
     labelled = ~np.isnan(labels_3d).any(axis=-1)
     if not labelled.any():
-        return None
+        return np.full_like(labels_3d, np.nan)
     relaxed = model.keypoints(None, np.zeros(3), model.hands_mean, np.zeros(3))
     return align(relaxed[labelled], labels_3d[labelled], with_scale=False).apply(relaxed)
-
-
-def _side(row: Row, protocol: ProtocolName) -> Side:
-    if protocol == "paper":
-        return PAPER_SIDE
-    return row.label.side or PAPER_SIDE
-
-
-def _tips_only(row: Row, protocol: ProtocolName) -> np.ndarray:
-    if protocol == "strict":
-        return row.label.joints_3d
-    tips = np.full_like(row.label.joints_3d, np.nan)
-    tips[list(TIP_KEYPOINTS)] = row.label.joints_3d[list(TIP_KEYPOINTS)]
-    return tips
 
 
 def in_picture(points: np.ndarray, intrinsics: Intrinsics | None) -> np.ndarray:

@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 
 from handfit_core.errors import OptionError
+from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
-from handfit_core.evaluate.scores import Comparison, ProtocolName, Scores
+from handfit_core.evaluate.scores import Comparison, Scores
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
 
@@ -83,26 +84,29 @@ def hand_means(scores: Scores, metric: str) -> np.ndarray:
 
     NaN for misses, and where labels are missing; EPE also where only one point is labelled.
     """
+    if metric == "pa_mpvpe":
+        return scores.hands["pa_mpvpe"].to_numpy()
     errors = _counted_epe(scores) if metric == "epe" else getattr(scores, _HAND_ERRORS[metric])
-    means = errors if errors.ndim == 1 else mean_of_labelled(errors, axis=1)
+    means = mean_of_labelled(errors, axis=1)
     return 100.0 * means if metric == "error_2d" else means
 
 
 def hands_table(scores: Scores) -> pd.DataFrame:
     """One row per labelled hand with its picture, its mean errors, its times and its picture's tags."""
-    told = pd.DataFrame(
-        {
-            **{"method": scores.method, "sample": scores.samples, "hand": scores.hands},
-            **{"clip": scores.clips, "time": scores.times, "view": scores.views},
-            "detected": scores.detected.astype(int),
-            **{metric: hand_means(scores, metric) for metric in HAND_METRICS},
-            "penetration": scores.penetration,
-            "expected_error": scores.expected_error,
-            **{"detect_ms": scores.detect_ms, "fit_ms": scores.fit_ms},
-        }
+    table = scores.hands[["sample", "hand", "clip", "time", "view"]].assign(
+        detected=scores.detected.astype(int),
+        **{metric: hand_means(scores, metric) for metric in HAND_METRICS},
     )
-    tags = pd.DataFrame([dict(tags) for tags in scores.tags], index=told.index)
-    return told.join(tags[sorted(map(str, tags))].add_prefix("tag_"))
+    table.insert(0, "method", scores.method)
+    table = table.join(scores.hands[["penetration", "expected_error", "detect_ms", "fit_ms"]])
+    tags = tags_of(scores)
+    return table.join(tags[sorted(tags)].add_prefix("tag_"))
+
+
+def tags_of(scores: Scores) -> pd.DataFrame:
+    """(N, tags) what the set tells about each hand's picture; missing where it does not."""
+    tags = pd.DataFrame(scores.hands["tags"].map(dict).tolist(), index=scores.hands.index)
+    return tags.rename(columns=str)
 
 
 def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
@@ -170,36 +174,32 @@ def _paper_rows(scores: Scores) -> np.ndarray:
 
 
 def _strict(scores: Scores) -> dict[str, float]:
-    _, first_rows = np.unique(np.array(scores.samples, dtype=str), return_index=True)
+    hands = scores.hands
     values = {
         "detection_rate": _detection_rate(scores),
-        "handedness": 100.0 * _mean(scores.side_correct),
+        "handedness": 100.0 * hands["side_correct"].mean(),
         "epe": _mean(_counted_epe(scores)),
         "epe_median": _median(hand_means(scores, "epe")),
         "auc": auc(pck(scores, "strict"), PCK_THRESHOLDS_MM),
         "auc_root": auc(pck_root(scores), PCK_THRESHOLDS_MM),
         "pa_mpjpe_median": _median(hand_means(scores, "pa_mpjpe")),
-        "f5": _mean(scores.f5),
-        "f15": _mean(scores.f15),
-        **_in_itself(scores.penetration),
-        **doubt_figures(scores.expected_error, hand_means(scores, "pa_mpjpe")),
+        "f5": hands["f5"].mean(),
+        "f15": hands["f15"].mean(),
+        **_in_itself(hands["penetration"].dropna()),
+        **doubt_figures(hands["expected_error"].to_numpy(), hand_means(scores, "pa_mpjpe")),
         # A picture is detected once, however many of its hands are labelled.
-        "detect_ms": _median(scores.detect_ms[first_rows]),
-        "fit_ms": _median(scores.fit_ms),
+        "detect_ms": hands.drop_duplicates("sample")["detect_ms"].dropna().median(),
+        "fit_ms": hands["fit_ms"].dropna().median(),
         **{key: _mean(hand_means(scores, key)) for key in HAND_METRICS if key != "epe"},
         **_of_clips(scores),
     }
-    return {key: values[key] for key in METRICS}
+    return {key: float(values[key]) for key in METRICS}
 
 
-def _in_itself(depths: np.ndarray) -> dict[str, float]:
-    """How much of (N,) mm is deeper than skin gives, NaN left out."""
-    known = depths[~np.isnan(depths)]
-    return {
-        "deeper_2": 100.0 * _mean((known > 2.0).astype(float)),
-        "deeper_4": 100.0 * _mean((known > 4.0).astype(float)),
-        "penetration_95": float(np.percentile(known, 95)) if len(known) else float("nan"),
-    }
+def _in_itself(depths: pd.Series) -> dict[str, float]:
+    """How much of the depths in mm that are known is deeper than skin gives."""
+    shares = {f"deeper_{mm}": 100.0 * (depths > mm).mean() for mm in (2, 4)}
+    return {**shares, "penetration_95": depths.quantile(0.95)}
 
 
 def doubt_figures(expected: np.ndarray, errors: np.ndarray) -> dict[str, float]:
@@ -226,8 +226,7 @@ def _counted_epe(scores: Scores) -> np.ndarray:
 
 def _of_clips(scores: Scores) -> dict[str, float]:
     """The metrics of each hand of each clip, averaged with the number of its detected frames as weight."""
-    hands = pd.DataFrame({"clip": scores.clips, "hand": scores.hands})
-    tracks = hands.groupby(["clip", "hand"], sort=False).indices.values()
+    tracks = scores.hands.groupby(["clip", "hand"], sort=False).indices.values()
     values = [_of_clip(scores, np.asarray(rows)) for rows in tracks]
     table = pd.DataFrame(values, columns=["frames", *_CLIP_METRICS], dtype=float)
     weights = table[list(_CLIP_METRICS)].notna().mul(table.pop("frames"), axis="index")
@@ -237,7 +236,11 @@ def _of_clips(scores: Scores) -> dict[str, float]:
 
 def _of_clip(scores: Scores, rows: np.ndarray) -> tuple[int, float, float, float]:
     """Detected frames of one hand of one clip, and its values of _CLIP_METRICS."""
-    points, truth, times = scores.points_3d[rows], scores.labels_3d[rows], scores.times[rows]
+    points, truth, times = (
+        scores.points_3d[rows],
+        scores.labels_3d[rows],
+        scores.hands["time"].to_numpy()[rows],
+    )
     frames = int(labelled_points(points).all(axis=1).sum())
     steps = np.diff(times)
     if len(steps) == 0 or not np.all(steps > 0.0):  # the set has no times
@@ -280,28 +283,22 @@ def compare(first: Scores, second: Scores, metric: str, *, resamples: int = 2000
     """
     if metric not in HAND_METRICS:
         raise OptionError(f"Expected a metric out of {', '.join(HAND_METRICS)}, but got {metric!r}.")
-    if first.samples != second.samples or not np.array_equal(first.hands, second.hands):
+    which = ["sample", "hand", "clip"]
+    if not first.hands[which].equals(second.hands[which]):
         raise ValueError(
             f"{first.method} and {second.method} must have the same pictures and hands in the same order; "
             "evaluate both on the same data set"
         )
-    means = pd.Series(hand_means(first, metric) - hand_means(second, metric))
-    differences = means.dropna()
+    means = hand_means(first, metric) - hand_means(second, metric)
+    hands = first.hands.assign(difference=means).dropna(subset="difference")
     # A clip is one unit; a still picture is one of its own, whatever clips are called.
-    pictures = zip(first.samples, first.clips, strict=True)
-    names = [("still", sample) if clip is None else ("clip", clip) for sample, clip in pictures]
-    units = differences.groupby(pd.Series(names)[differences.index], sort=False)
+    is_still = hands["clip"].isna()
+    units = hands.groupby([is_still, hands["clip"].where(~is_still, hands["sample"])], sort=False)[
+        "difference"
+    ]
     low, high = _interval(units.sum().to_numpy(), units.size().to_numpy(), resamples)
-    return Comparison(
-        first=first.method,
-        second=second.method,
-        metric=metric,
-        difference=float(differences.mean()),
-        low=low,
-        high=high,
-        hands=len(differences),
-        units=len(units),
-    )
+    difference = float(hands["difference"].mean())
+    return Comparison(metric, first.method, second.method, difference, low, high, len(hands), len(units))
 
 
 def _interval(totals: np.ndarray, sizes: np.ndarray, resamples: int) -> tuple[float, float]:

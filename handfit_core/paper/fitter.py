@@ -65,12 +65,6 @@ class FrameFit:
     """(45,) radians"""
     to_model: Similarity
     """pixels (x right, y down, z away) -> metres in the aligned frame"""
-    cost: float
-    """mm^2, as the loss defines it"""
-    evaluations: int
-    converged: bool
-    message: str
-    """the optimiser's own words on why it stopped"""
 
     @property
     def root_rotation(self) -> np.ndarray:
@@ -120,22 +114,20 @@ class PaperFitter:
         import torch
 
         from handfit_core.layer import HandLayer
-        from handfit_core.paper import anatomical, losses, prior
+        from handfit_core.paper import terms
 
         self._torch = torch
         self._options = options
         self._layer = HandLayer(model)
         self._rest_keypoints = model.posed(None, np.zeros(3), np.zeros(45), np.zeros(3)).keypoints
-        loss = {"mse": losses.mse, "geman_mcclure": losses.geman_mcclure, "huber": losses.huber}[options.loss]
-        self._loss = losses.with_tips(loss) if options.tips else loss
-        self._plain_mse = losses.mse
+        loss = getattr(terms, options.loss)
+        self._loss = terms.with_tips(loss) if options.tips else loss
+        self._plain_mse = terms.mse
         if options.anatomical_stage:
-            self._penalty = anatomical.AnatomicalPenalty(
+            self._penalty = terms.AnatomicalPenalty(
                 anatomical_axes(model), joint_limits(model.side, model.name)
             )
-        self._prior = None
-        if options.pose_prior:
-            self._prior = prior.RelaxedPrior(model)
+        self._prior = terms.RelaxedPrior(model) if options.pose_prior else None
 
     def fit(
         self, keypoints: np.ndarray, *, betas: np.ndarray | None = None, start: FrameFit | None = None
@@ -147,38 +139,35 @@ class PaperFitter:
         target = torch.tensor(to_model.apply(keypoints))[None]
         fixed = None if betas is None else torch.tensor(betas, dtype=torch.float64)[None]
 
-        def residual_and_parts(x: np.ndarray) -> tuple:
-            variables = torch.tensor(x, requires_grad=True)
-            if self._prior is None:
-                orient, pose = variables[None, :3], variables[None, 3:48]
-            else:
-                orient, pose = self._prior.unwhiten(variables)
-            shape = variables[None, 48:] if fixed is None else fixed
-            residual = (self._layer.keypoints(shape, orient, pose) - target) * 1000.0
-            return variables, residual, pose
+        def stage(cost_of: Callable) -> Callable[[np.ndarray], tuple[float, np.ndarray]]:
+            """The cost of variables with its gradient; `cost_of` gets the variables, the keypoints'
+            residuals in mm, and the pose."""
 
-        def main_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
-            variables, residual, _ = residual_and_parts(x)
-            cost = self._loss(residual)
-            if self._prior is not None:
-                cost = cost + self._prior(variables)
-            cost.backward()
-            return cost.item(), variables.grad.numpy()
+            def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
+                variables = torch.tensor(x, requires_grad=True)
+                if self._prior is None:
+                    orient, pose = variables[None, :3], variables[None, 3:48]
+                else:
+                    orient, pose = self._prior.unwhiten(variables)
+                shape = variables[None, 48:] if fixed is None else fixed
+                residual = (self._layer.keypoints(shape, orient, pose) - target) * 1000.0
+                total = cost_of(variables, residual, pose)
+                total.backward()
+                assert variables.grad is not None
+                return total.item(), variables.grad.numpy()
 
-        # The picture plane of the aligned frame: residuals seen along the picture's own z.
-        to_picture_plane = torch.tensor(to_model.rotation[:, :2].copy())
+            return cost
 
-        def anatomical_stage(x: np.ndarray) -> tuple[float, np.ndarray]:
-            variables, residual, pose = residual_and_parts(x)
-            cost = self._plain_mse(residual @ to_picture_plane) + self._penalty(pose)
-            cost.backward()
-            return cost.item(), variables.grad.numpy()
-
-        result = self._minimise(main_stage, self._first_variables(start, with_shape=betas is None))
-        evaluations = result.nfev
+        prior, first = self._prior, self._first_variables(start, with_shape=betas is None)
+        if prior is None:
+            result = self._minimise(stage(lambda _, residual, __: self._loss(residual)), first)
+        else:
+            result = self._minimise(stage(lambda x, residual, _: self._loss(residual) + prior(x)), first)
         if self._options.anatomical_stage:
-            result = self._minimise(anatomical_stage, result.x)
-            evaluations += result.nfev
+            # The picture plane of the aligned frame: residuals seen along the picture's own z.
+            plane = torch.tensor(to_model.rotation[:, :2].copy())
+            limited = stage(lambda _, residual, pose: self._plain_mse(residual @ plane) + self._penalty(pose))
+            result = self._minimise(limited, result.x)
         orient, pose = result.x[:3], result.x[3:48]
         if self._prior is not None:
             orient, pose = (part[0].numpy() for part in self._prior.unwhiten(torch.tensor(result.x)))
@@ -187,10 +176,6 @@ class PaperFitter:
             global_orient=orient,
             hand_pose=pose,
             to_model=to_model,
-            cost=float(result.fun),
-            evaluations=int(evaluations),
-            converged=bool(result.success),
-            message=str(result.message),
         )
 
     def place(
@@ -209,7 +194,7 @@ class PaperFitter:
         placed = HandMotion(side, fit.betas, orient[None], fit.hand_pose[None], transl[None])
         if not self._options.camera_stage:
             return placed
-        from handfit_core.paper.through_camera import refine  # needs torch
+        from handfit_core.paper.terms import refine  # needs torch
 
         assert self._prior is not None, "the camera stage works on the prior's variables"
         with one_thread():

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import Final
 
-from handfit_core.errors import DatasetError, OptionError
-from handfit_core.evaluate.labels import Dataset, Reader
+from handfit_core.errors import DatasetError, HandfitError, OptionError
+from handfit_core.evaluate.labels import Dataset, Reader, said
 from handfit_core.registry import Registry
 
 __all__ = ["READERS", "open_dataset"]
@@ -68,8 +68,13 @@ def open_dataset(
         raise OptionError(f"a {kind} data set has one set of labels; leave the labels {labels!r} out")
     chosen = {"split": split} if reader.has_splits else {}
     variant = {"labels": labels, "published_frame": published_frame} if reader.has_label_variants else {}
-    with READERS.blamed(kind):
-        return reader.read(root, **chosen, **variant)
+    try:
+        with READERS.blamed(kind):
+            return reader.read(root, **chosen, **variant)
+    except HandfitError:
+        raise
+    except Exception as error:  # a damaged file can fail in any way
+        raise DatasetError(f"{root}: {said(error)}; expected {reader.layout}") from error
 
 
 def _recognises(kind: str, reader: Reader, root: Path) -> bool:

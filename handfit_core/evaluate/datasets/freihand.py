@@ -2,56 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-
-import numpy as np
 
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, Labels, MeshLabel, Reader
+from handfit_core.evaluate.labels import Dataset, Labels, Reader
 from handfit_core.media.opening import pictures_in
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-SPLITS = ("evaluation", "training")
-
-
-_COPIES = 4
+PLACES = {split: f"{split}_xyz.json" for split in ("evaluation", "training")}
+COPIES = 4
+"""Pictures of each label of the training set, before other backgrounds"""
 
 
 def recognises(root: Path) -> bool:
     """Whether the folder has any part of this layout."""
-    return any(
-        (root / split / "rgb").is_dir() or (root / f"{split}_{name}.json").is_file()
-        for split in SPLITS
-        for name in ("K", "xyz", "scale")
-    )
+    parts = ("{}/rgb", "{}_K.json", "{}_xyz.json", "{}_scale.json")
+    return any((root / part.format(split)).exists() for split in PLACES for part in parts)
 
 
 def read(root: Path, split: str | None = None) -> Dataset:
     """List `evaluation` or `training`; by default evaluation where its labels are there.
 
-    Only K is read now: it is small, and tells how many labels there are. Raises DatasetError,
-    OptionError.
+    Cameras and joints are read now, meshes when asked for. Raises DatasetError, OptionError.
     """
-    split = reading.split_of(root, split, SPLITS, "{0}_xyz.json", "{0}/rgb", READER.layout)
-    folder = root / split / "rgb"
-    if not folder.is_dir() and (root / "rgb").is_dir():
-        folder = root / "rgb"
-    if not folder.is_dir():
+    split = reading.split_of(root, split, PLACES, READER.layout)
+    folder = next((f for f in (root / split / "rgb", root / "rgb") if f.is_dir()), None)
+    if folder is None:
         raise reading.lacks(root, f"{split}/rgb", READER.layout)
-    labels = _Labels(root, split)
-    count = len(labels.cameras)
+    cameras, joints = (reading.read_json(root / f"{split}_{name}.json") for name in ("K", "xyz"))
+    count, pictures = len(cameras), pictures_in(folder)
+    if len(joints) != count:
+        raise DatasetError(f"{root}: {len(joints)} labels, but {count} cameras in {split}_K.json")
 
-    pictures = pictures_in(folder)
-    limit = _picture_limit(split, count, pictures)
+    def labels(index: int, where: str) -> Labels:
+        points = reading.numbers(f"{where}: xyz", joints[index], (NUM_KEYPOINTS, 3))
+        mesh = reading.mesh_of(root / f"{split}_verts.json", index)
+        # Its points are in MediaPipe's own order.
+        hand = reading.hand_label("right", points, mesh=mesh)
+        return Labels((hand,), reading.intrinsics_of(where, cameras[index]))
+
+    # Label i belongs to pictures i, i + n, i + 2n, i + 3n of the training set. With a label missing, n would
+    # be wrong and pair pictures with others' labels, so copies are trusted only where they are complete.
+    last = 1 + max((reading.number_of(picture) or 0 for picture in pictures), default=-1)
+    complete = count == 32560 or (count > 0 and last % count == 0 and last <= COPIES * count)
+    limit = COPIES * count if split == "training" and complete else count
     entries, problems = reading.paired(
         split,
         pictures,
         lambda number: number % count if number < limit else None,
-        labels.of,
+        labels,
         range(count),
-        root / f"{split}_xyz.json",
+        root / PLACES[split],
     )
     return Dataset(
         name=f"FreiHAND ({split})",
@@ -64,52 +66,6 @@ def read(root: Path, split: str | None = None) -> Dataset:
             "Where its *_verts.json is there, meshes are MANO's (778 vertices).",
         ),
     )
-
-
-def _picture_limit(split: str, count: int, pictures: Iterable[Path]) -> int:
-    """The first picture number that has no label.
-
-    Label i belongs to pictures i, i + n, i + 2n, i + 3n of the training set. With a label missing, n would
-    be wrong and pair pictures with others' labels, so copies are trusted only where they are complete.
-    """
-    last = 1 + max((int(p.stem) for p in pictures if p.stem.isascii() and p.stem.isdigit()), default=-1)
-    # The released training set shows each of them four times, before other backgrounds.
-    complete = count == 32560 or (count > 0 and last % count == 0 and last <= _COPIES * count)
-    return _COPIES * count if split == "training" and complete else count
-
-
-class _Labels:
-    """The files of one split; all but the cameras are read when first needed, and once."""
-
-    def __init__(self, root: Path, split: str) -> None:
-        self._files = {name: root / f"{split}_{name}.json" for name in ("K", "xyz", "verts")}
-        self.cameras = reading.read_json_arrays(self._files["K"], READER.layout)
-        self._joints = reading.once(self._read_joints)
-        # In single precision, as thousands of meshes stay in memory.
-        self._vertices = reading.once(
-            lambda: reading.read_json_arrays(self._files["verts"], READER.layout, np.float32)
-        )
-
-    def _read_joints(self) -> list[np.ndarray | None]:
-        joints = reading.read_json_arrays(self._files["xyz"], READER.layout)
-        if len(joints) != len(self.cameras):
-            raise DatasetError(
-                f"{self._files['xyz']}: {len(joints)} labels, but {len(self.cameras)} cameras in "
-                f"{self._files['K'].name}; copy both again"
-            )
-        return joints
-
-    def of(self, index: int, where: str) -> Labels:
-        intrinsics = reading.intrinsics_of(where, self.cameras[index])
-        joints = reading.shaped(where, "xyz", self._joints()[index], (NUM_KEYPOINTS, 3))
-        mesh = MeshLabel(lambda: self._mesh(index, where)) if self._files["verts"].is_file() else None
-        # Its points are in MediaPipe's own order.
-        hand = reading.hand_label("right", joints, intrinsics, mesh=mesh)
-        return Labels((hand,), intrinsics)
-
-    def _mesh(self, index: int, where: str) -> np.ndarray:
-        meshes = self._vertices()
-        return reading.vertices(where, meshes[index] if index < len(meshes) else None)
 
 
 READER = Reader(

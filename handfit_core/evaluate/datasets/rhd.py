@@ -8,22 +8,21 @@ from typing import Any
 import numpy as np
 
 from handfit_core.evaluate.datasets import reading
-from handfit_core.evaluate.labels import Dataset, HandLabel, Labels, Reader
+from handfit_core.evaluate.labels import Dataset, Labels, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.skeleton import NUM_KEYPOINTS, Side
 
-SPLITS = ("evaluation", "training")
+PLACES = {split: f"{split}/anno_{split}.pickle" for split in ("evaluation", "training")}
 
 _ORDER = [0, *(1 + 4 * finger + 3 - joint for finger in range(5) for joint in range(4))]
 """keypoints[k] = points[_ORDER[k]]: the wrist, then thumb to little finger, each from the tip to the palm"""
 
+_POINTS: dict[Side, slice] = {"left": slice(0, 21), "right": slice(21, 42)}
+
 
 def recognises(root: Path) -> bool:
     """Whether the folder has any part of this layout."""
-    return any(
-        (root / split / f"anno_{split}.pickle").is_file() or (root / split / "color").is_dir()
-        for split in SPLITS
-    )
+    return any((root / path).is_file() or (root / split / "color").is_dir() for split, path in PLACES.items())
 
 
 def read(root: Path, split: str | None = None) -> Dataset:
@@ -32,13 +31,11 @@ def read(root: Path, split: str | None = None) -> Dataset:
     The split's pickle is read now, as it alone says which labels there are; the arrays in it only when
     asked for. Raises DatasetError, OptionError.
     """
-    split = reading.split_of(root, split, SPLITS, "{0}/anno_{0}.pickle", "{0}", READER.layout)
-    folder = root / split / "color"
+    split = reading.split_of(root, split, PLACES, READER.layout)
+    folder, path = root / split / "color", root / PLACES[split]
     if not folder.is_dir():
         raise reading.lacks(root, f"{split}/color", READER.layout)
-    path = root / split / f"anno_{split}.pickle"
-    annotations = reading.read_pickle(path, READER.layout)
-
+    annotations = reading.read_pickle(path)
     entries, problems = reading.paired(
         split,
         pictures_in(folder),
@@ -61,18 +58,16 @@ def read(root: Path, split: str | None = None) -> Dataset:
 
 
 def _labels(annotation: Any, where: str) -> Labels:
-    points = 2 * NUM_KEYPOINTS
-    joints = reading.pickled_array(where, annotation, "xyz", (points, 3))
-    pixels = reading.pickled_array(where, annotation, "uv_vis", (points, 3))
-    camera = reading.pickled_array(where, annotation, "K", (3, 3)) if "K" in annotation else None
-    intrinsics = reading.intrinsics_of(where, camera)
-    hands: list[HandLabel] = []
-    for side in SIDES:
-        # Which of RHD's 42 points belong to which hand
-        own = {"left": slice(0, 21), "right": slice(21, 42)}[side]
-        if np.any(pixels[own, 2] > 0.5):
-            hands.append(reading.hand_label(side, joints[own][_ORDER], intrinsics, pixels[own, :2][_ORDER]))
-    return Labels(tuple(hands), intrinsics)
+    joints, pixels = (
+        reading.numbers(f"{where}: {key}", annotation[key], (2 * NUM_KEYPOINTS, 3))
+        for key in ("xyz", "uv_vis")
+    )
+    labels = (
+        reading.hand_label(side, joints[own][_ORDER], pixels[own, :2][_ORDER])
+        for side, own in _POINTS.items()
+        if np.any(pixels[own, 2] > 0.5)
+    )
+    return Labels(tuple(labels), reading.intrinsics_of(where, annotation.get("K")))
 
 
 READER = Reader(

@@ -2,19 +2,18 @@
 
 Both sets were filmed with a depth camera and labelled in its pictures. The pictures that are evaluated
 are the colour camera's, so labels are taken over to its frame with the sets' own calibration, as in
-`DepthToColor`, which is published with each set.
+`TipSet.rotation` and `translation`, which are published with each set.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem, Reader
 from handfit_core.geometry.camera import Intrinsics
@@ -27,21 +26,6 @@ _MM = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
-class DepthToColor:
-    """The colour camera, and where the depth camera's points are in its frame."""
-
-    color: Intrinsics
-    rotation: np.ndarray
-    """(3, 3)"""
-    translation: np.ndarray
-    """(3,) millimetres"""
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """(N, 3) mm in the depth camera's frame -> (N, 3) metres in the colour camera's."""
-        return (points @ self.rotation.T + self.translation) / _MM
-
-
-@dataclass(frozen=True, eq=False)
 class TipSet:
     """What differs between the two sets."""
 
@@ -49,20 +33,27 @@ class TipSet:
     title: str
     layout: str
     sequences: tuple[str, ...]
-    candidates: Callable[[Path, str, str], tuple[Path, ...]]
-    """(folder of the sequences, sequence, "cleaned" or "original") -> where its label file may be"""
+    files: Mapping[str, tuple[str, ...]]
+    """Of `cleaned` and `original` labels, where a sequence's file may be; {0} is the sequence"""
     clean: Callable[[np.ndarray], np.ndarray]
     """(5, 3) numbers of a line -> (5, 3) mm in the depth camera's frame, NaN where missing"""
-    calibration: DepthToColor
-    notes: tuple[str, ...]
+    color: Intrinsics
+    """The colour camera"""
+    rotation: np.ndarray
+    """(3, 3) from the depth camera's frame to the colour camera's"""
+    translation: np.ndarray
+    """(3,) millimetres"""
+    notes: tuple[str, ...] = ()
 
-    def folder(self, root: Path) -> Path:
-        """The folder of the sequences: `data` in the root, or the root itself."""
-        return root / "data" if (root / "data").is_dir() else root
+    def _folders(self, root: Path) -> dict[str, Path]:
+        """The pictures of each sequence that is there, in `data` or in the root itself."""
+        data = root / "data" if (root / "data").is_dir() else root
+        folders = {sequence: data / sequence / "color" for sequence in self.sequences}
+        return {sequence: folder for sequence, folder in folders.items() if folder.is_dir()}
 
     def recognises(self, root: Path) -> bool:
         """Whether any of the set's sequences is there."""
-        return any((self.folder(root) / sequence / "color").is_dir() for sequence in self.sequences)
+        return bool(self._folders(root))
 
     def read(self, root: Path, labels: str | None = None, *, published_frame: bool = False) -> Dataset:
         """List the colour pictures with `cleaned` or `original` labels; by default cleaned if complete.
@@ -73,31 +64,41 @@ class TipSet:
         The label files' lines are counted now and understood when asked for. Raises DatasetError,
         OptionError.
         """
-        folder = self.folder(root)
-        present = [sequence for sequence in self.sequences if (folder / sequence / "color").is_dir()]
-        if not present:
+        reading.choice("labels", labels, LABELS)
+        folders = self._folders(root)
+        if not folders:
             raise reading.lacks(root, f"data/{self.sequences[0]}/color", self.layout)
-        files = {
-            name: {
-                sequence: next(filter(_holds_points, self.candidates(folder, sequence, name)), None)
-                for sequence in present
-            }
-            for name in LABELS
+        found = {
+            name: {sequence: self._file(root, sequence, name) for sequence in folders}
+            for name in ([labels] if labels else LABELS)
         }
-        available = [name for name in LABELS if None not in files[name].values()]
-        if labels not in available and (labels in LABELS or not available):
-            wanted = labels or "original"
-            lost = next(sequence for sequence, path in files[wanted].items() if path is None)
-            expected = self.candidates(folder, lost, wanted)[0]
-            raise reading.lacks(root, f"{expected.relative_to(root)} ({wanted} labels)", self.layout)
-        labels = reading.choice(root, "labels", labels, available, LABELS)
+        complete = (name for name, files in found.items() if None not in files.values())
+        labels = next(complete, labels or "original")
+        files = found[labels]
 
         entries: list[Entry] = []
-        missing = (sequence for sequence in self.sequences if sequence not in present)
-        problems = [Problem("sequence missing", str(folder / sequence)) for sequence in missing]
-        for sequence, path in files[labels].items():
-            assert path is not None, "only complete labels are available"
-            self._list(folder / sequence, path, published_frame, entries, problems)
+        missing = (sequence for sequence in self.sequences if sequence not in folders)
+        problems = [Problem("sequence missing", f"{root}: {sequence}") for sequence in missing]
+        for sequence, path in files.items():
+            if path is None:
+                lost = self.files[labels][0].format(sequence)
+                raise reading.lacks(root, f"{lost} ({labels} labels)", self.layout)
+            lines = path.read_text(encoding="utf-8-sig").rstrip().split("\n")
+            pictures = pictures_in(folders[sequence])
+            rows = _rows_of(pictures, len(lines))
+            if rows is None:
+                rows = list(range(len(pictures)))
+                counts = f"{path}: {len(lines)} lines for {len(pictures)} pictures"
+                problems.append(Problem("pictures and labels differ in number, paired in order", counts))
+            for picture, row in zip(pictures, rows, strict=True):
+                if row >= len(lines):
+                    problems.append(Problem(reading.NO_LABEL, str(picture)))
+                    continue
+                read = partial(self._labels, lines[row], published_frame)
+                name = f"{sequence}/{picture.stem}"
+                entries.append(Entry(name, picture, read, clip=sequence, time=row / 30.0))
+            lonely = sorted(set(range(len(lines))) - set(rows))
+            problems += [Problem(reading.UNPAIRED_LABEL, f"{path}: line {row + 1}") for row in lonely]
         return Dataset(
             name=f"{self.title} ({labels} labels)",
             kind=self.kind,
@@ -113,57 +114,27 @@ class TipSet:
             ),
         )
 
-    def _list(
-        self, sequence: Path, path: Path, published_frame: bool, entries: list[Entry], problems: list[Problem]
-    ) -> None:
-        lines = reading.read_text(path, self.layout).rstrip().split("\n")
-        pictures = pictures_in(sequence / "color")
-        rows = _rows_of(pictures, len(lines))
-        if rows is None:
-            rows = list(range(len(pictures)))
-            counts = f"{path}: {len(lines)} lines for {len(pictures)} pictures"
-            problems.append(Problem("pictures and labels differ in number, paired in order", counts))
-        for picture, row in zip(pictures, rows, strict=True):
-            if row >= len(lines):
-                problems.append(Problem(reading.PROBLEMS.no_label, str(picture)))
-                continue
-            read = partial(self._labels, lines[row], f"{path}: line {row + 1}", published_frame)
-            name = f"{sequence.name}/{picture.stem}"
-            entries.append(Entry(name, picture, read, clip=sequence.name, time=row / 30.0))
-        lonely = sorted(set(range(len(lines))) - set(rows))
-        problems += [Problem(reading.PROBLEMS.unpaired_label, f"{path}: line {row + 1}") for row in lonely]
+    def _file(self, root: Path, sequence: str, labels: str) -> Path | None:
+        """The sequence's label file; those of pairs hold pixels of the depth picture."""
+        for place in self.files[labels]:
+            for path in (root / place.format(sequence), root / place.format(sequence).removeprefix("data/")):
+                if path.is_file():
+                    with path.open("rb") as stream:
+                        if stream.readline(1000).split(b";")[0].count(b",") != 1:
+                            return path
+        return None
 
-    def _labels(self, line: str, where: str, published_frame: bool) -> Labels:
-        tips = self.clean(parse_line(line, where))
+    def _labels(self, line: str, published_frame: bool) -> Labels:
+        # `x, y, z; x, y, z; ...`, where an empty coordinate is missing.
+        fields = (field.split(",") for field in line.strip().rstrip("; ").split(";"))
+        numbers = [float(number) if number.strip() else np.nan for field in fields for number in field]
+        tips = self.clean(np.reshape(numbers, (5, 3)))
+        if not published_frame:
+            tips = tips @ self.rotation.T + self.translation
         # Both sets name the tips from thumb to little finger, as MediaPipe does.
         joints = np.full((NUM_KEYPOINTS, 3), np.nan)
-        joints[list(TIP_KEYPOINTS)] = tips / _MM if published_frame else self.calibration(tips)
-        intrinsics = self.calibration.color
-        return Labels((reading.hand_label("left", joints, intrinsics),), intrinsics)
-
-
-def _holds_points(path: Path) -> bool:
-    """Whether it is a file, and not one of pairs, which are pixels of the depth picture."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as stream:
-        first = stream.readline(1000).split(b";")[0]
-    return first.count(b",") != 1
-
-
-def parse_line(line: str, where: str) -> np.ndarray:
-    """`x, y, z; x, y, z; ...` -> (5, 3) numbers; an empty coordinate is NaN. Raises DatasetError."""
-    fields = [field for field in line.strip().split(";") if field.strip()]
-    try:
-        rows = [[float(c) if c.strip() else np.nan for c in field.split(",")] for field in fields]
-    except ValueError as error:
-        raise DatasetError(f"{where}: {error}; expected 'x, y, z;' for five fingertips") from error
-    if [len(row) for row in rows] != [3] * 5:
-        raise DatasetError(
-            f"{where}: {len(rows)} fingertips of {'/'.join(sorted({str(len(row)) for row in rows}))} "
-            "numbers; expected 'x, y, z;' for five fingertips"
-        )
-    return np.array(rows)
+        joints[list(TIP_KEYPOINTS)] = tips / _MM
+        return Labels((reading.hand_label("left", joints),), self.color)
 
 
 def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
@@ -179,15 +150,6 @@ def _rows_of(pictures: list[Path], lines: int) -> list[int] | None:
     return [number - first for number in numbers]
 
 
-def _egodexter_files(folder: Path, sequence: str, labels: str) -> tuple[Path, ...]:
-    names = {
-        "cleaned": ("my_annotation.txt_3D.txt",),
-        # annotation.txt itself holds pixels of the depth picture in the released set.
-        "original": ("annotation.txt_3D.txt", "annotation_3D.txt", "annotation.txt"),
-    }[labels]
-    return tuple(folder / sequence / name for name in names)
-
-
 def _egodexter_tips(tips: np.ndarray) -> np.ndarray:
     """Missing tips are written as zeros."""
     given = np.isfinite(tips) & (np.abs(tips) >= 1e-6)
@@ -200,23 +162,19 @@ EGODEXTER = TipSet(
     layout="EgoDexter's layout: data/Desk/color/*.png and data/Desk/annotation.txt_3D.txt (original labels) "
     "or data/Desk/my_annotation.txt_3D.txt (cleaned), likewise Fruits, Kitchen, Rotunda",
     sequences=("Desk", "Fruits", "Kitchen", "Rotunda"),
-    candidates=_egodexter_files,
+    files={
+        "cleaned": ("data/{0}/my_annotation.txt_3D.txt",),
+        # annotation.txt itself holds pixels of the depth picture in the released set.
+        "original": tuple(
+            f"data/{{0}}/{name}.txt" for name in ("annotation.txt_3D", "annotation_3D", "annotation")
+        ),
+    },
     clean=_egodexter_tips,
-    calibration=DepthToColor(
-        Intrinsics(617.173, 617.173, 315.453, 242.259),
-        np.array([[1.0, 0.00090442, -0.0074], [-0.00071933, 0.9997, 0.0248], [0.0075, -0.0248, 0.9997]]),
-        np.array([20.2365, 1.2846, 5.7360]),
-    ),
-    notes=(),
+    color=Intrinsics(617.173, 617.173, 315.453, 242.259),
+    rotation=np.array([[1.0, 0.00090442, -0.0074], [-0.00071933, 0.9997, 0.0248], [0.0075, -0.0248, 0.9997]]),
+    translation=np.array([20.2365, 1.2846, 5.7360]),
 )
 """Mueller et al. 2017: left hands with objects, seen from the wearer's shoulder, 640x480"""
-
-
-def _dexter_files(folder: Path, sequence: str, labels: str) -> tuple[Path, ...]:
-    name = f"{sequence}3D.txt" if labels == "original" else f"my_{sequence}3D.txt"
-    root = folder.parent if folder.name == "data" else folder
-    places = folder / sequence / "annotations", root / "annotations", folder / sequence
-    return tuple(place / name for place in places)
 
 
 def _dexter_tips(tips: np.ndarray) -> np.ndarray:
@@ -234,13 +192,14 @@ DEXTER_OBJECT = TipSet(
     "(original labels) or my_Grasp13D.txt (cleaned), or all of them in annotations/, likewise Grasp2, "
     "Occlusion, Rigid, Pinch, Rotate",
     sequences=("Grasp1", "Grasp2", "Occlusion", "Rigid", "Pinch", "Rotate"),
-    candidates=_dexter_files,
+    files={
+        labels: tuple(f"{place}/{name}" for place in ("data/{0}/annotations", "annotations", "data/{0}"))
+        for labels, name in (("cleaned", "my_{0}3D.txt"), ("original", "{0}3D.txt"))
+    },
     clean=_dexter_tips,
-    calibration=DepthToColor(
-        Intrinsics(587.45209, 600.67456, 325.0, 249.0),
-        np.array([[0.9999, 0.0034, 0.0161], [-0.0033, 1.0, -0.0079], [-0.0162, 0.0079, 0.9998]]),
-        np.array([19.0473, -1.8514, -4.7501]),
-    ),
+    color=Intrinsics(587.45209, 600.67456, 325.0, 249.0),
+    rotation=np.array([[0.9999, 0.0034, 0.0161], [-0.0033, 1.0, -0.0079], [-0.0162, 0.0079, 0.9998]]),
+    translation=np.array([19.0473, -1.8514, -4.7501]),
     notes=("Its *2D.txt files hold pixels of the depth picture and are not used.",),
 )
 """Sridhar et al. 2016: a left hand with a box, seen from the front, 640x480"""

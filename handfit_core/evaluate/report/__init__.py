@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import json
-from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
-from handfit_core.evaluate.report.plots import Plot, write_plots
-from handfit_core.evaluate.report.sheets import write_sheets
+from handfit_core.evaluate.report.plots import write_plots
+from handfit_core.evaluate.report.sheets import Sheet, write_sheets
 from handfit_core.evaluate.report.tables import (
     best_method,
     comparison_tables,
     count,
     error_metric,
     experiments_table,
-    focus_of,
     group_table,
     main_table,
     methods_of,
@@ -35,22 +33,18 @@ from handfit_core.files import written_whole
 
 REPORT_FILES = (
     *("index.html", "table.md", "table.csv", "per_hand.csv", "comparisons.csv", "by_tag.md", "problems.csv"),
-    *("setup.json", "pck.svg", "pck_published.svg", "pck_pa.svg", "per_joint.svg", "per_view.svg"),
+    *("setup.json", "pck.svg", "pck_pa.svg", "per_joint.svg", "per_view.svg"),
     *("worst.jpg", "best.jpg", "missed.jpg"),
 )
 """Every name that a report may use. Those that one does not need are removed, so that none is from before"""
 
 
-def write_report(folder: Path, evaluation: Evaluation, *, focus: str | None = None) -> list[Path]:
+def write_report(folder: Path, evaluation: Evaluation) -> list[Path]:
     """Write the report into a folder and return its files, `index.html` first.
 
-    focus: the method whose hands the picture sheets show; the last one by default. Each file is written
-    whole, and REPORT_FILES that an earlier report left are replaced or removed; other files stay.
-
-    Raises OptionError where `focus` is not among the methods, OutputError where the folder cannot be
-    written.
+    Each file is written whole, and REPORT_FILES that an earlier report left are replaced or removed; other
+    files stay. Raises OutputError where the folder cannot be written.
     """
-    focus_of(evaluation, focus)  # before anything is written
     about = f"# {evaluation.dataset}, {evaluation.protocol} protocol\n\n{headline(evaluation)}\n\n"
     files = {
         "table.md": about + main_table(evaluation).markdown(),
@@ -59,8 +53,7 @@ def write_report(folder: Path, evaluation: Evaluation, *, focus: str | None = No
         "setup.json": json.dumps(_setup(evaluation), indent=2, ensure_ascii=False) + "\n",
     }
     if evaluation.comparisons:
-        compared = pd.DataFrame([asdict(c) for c in evaluation.comparisons])
-        compared.insert(0, "metric", compared.pop("metric"))
+        compared = pd.DataFrame(evaluation.comparisons)
         compared["is_significant"] = [int(c.is_significant) for c in evaluation.comparisons]
         files["comparisons.csv"] = _csv(compared)
     if groups := group_table(evaluation):
@@ -70,13 +63,13 @@ def write_report(folder: Path, evaluation: Evaluation, *, focus: str | None = No
         files["problems.csv"] = _csv(places.rename_axis("kind").reset_index(name="where"))
     numbers = list(files)
 
-    plots = write_plots(folder, evaluation, focus)
-    sheets = write_sheets(folder, evaluation, focus)
-    files["index.html"] = _page(evaluation, focus, numbers, plots, sheets=sheets)
+    plots = write_plots(folder, evaluation)
+    sheets = write_sheets(folder, evaluation)
+    files["index.html"] = _page(evaluation, numbers, plots, sheets)
     for name, text in files.items():
         with written_whole(folder / name) as beside:
             beside.write_text(text, encoding="utf-8", newline="")
-    names = ["index.html", *numbers, *(made.file for made in (*plots, *sheets))]
+    names = ["index.html", *numbers, *plots, *(sheet.file for sheet in sheets)]
     for name in set(REPORT_FILES) - set(names):
         with contextlib.suppress(OSError):
             (folder / name).unlink(missing_ok=True)
@@ -121,7 +114,7 @@ def _setup(evaluation: Evaluation) -> dict[str, object]:
 
 
 def _page(
-    evaluation: Evaluation, focus: str | None, numbers: list[str], plots: list[Plot], **shown: object
+    evaluation: Evaluation, numbers: list[str], plots: dict[str, tuple[str, str]], sheets: list[Sheet]
 ) -> str:
     """One HTML file beside its pictures, that opens offline."""
     template = resources.files("handfit_core.evaluate.report").joinpath("page.html.j2")
@@ -130,7 +123,7 @@ def _page(
     )
     # Examples of each kind of problem on the page; `problems.csv` has them all
     return environment.from_string(template.read_text(encoding="utf-8")).render(
-        **shown,
+        sheets=sheets,
         evaluation=evaluation,
         headline=headline(evaluation),
         count=count,
@@ -138,12 +131,12 @@ def _page(
         examples=10,
         main=main_table(evaluation),
         published=experiments_table(evaluation),
-        others=others_table(evaluation, focus),
+        others=others_table(evaluation),
         published_note=published_note(evaluation),
         comparisons=comparison_tables(evaluation),
         groups=group_table(evaluation),
         metric=error_metric(evaluation),
-        plots={plot.file: plot for plot in plots},
+        plots=plots,
         files=numbers,
     )
 

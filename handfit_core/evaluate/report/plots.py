@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,10 +15,8 @@ from matplotlib.figure import Figure
 
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
 from handfit_core.evaluate.report.tables import (
-    beside_published,
     error_metric,
     focus_of,
-    has_published,
     methods_of,
     numbers_of,
     sorted_values,
@@ -50,61 +47,42 @@ Drawn = tuple[Figure, str, str]
 """A figure, its title and its caption"""
 
 
-@dataclass(frozen=True)
-class Plot:
-    """A plot that was written."""
-
-    file: str
-    """Its name in the report's folder"""
-    title: str
-    caption: str
-
-
-def write_plots(folder: Path, evaluation: Evaluation, focus: str | None = None) -> list[Plot]:
-    """Write every plot that the evaluation has numbers for, as SVG. Raises OutputError and OptionError."""
-    plots = []
+def write_plots(folder: Path, evaluation: Evaluation) -> dict[str, tuple[str, str]]:
+    """Write every plot that the evaluation has numbers for, as SVG: file -> title and caption. Raises
+    OutputError."""
+    plots = {}
     with matplotlib.rc_context():
         matplotlib.rcdefaults()  # whatever the user's matplotlibrc says
         matplotlib.rcParams.update(_SETTINGS)
         for file, draw in (
             ("pck.svg", pck_plot),
-            ("pck_published.svg", published_pck_plot),
             ("pck_pa.svg", pa_pck_plot),
             ("per_joint.svg", joint_plot),
             ("per_view.svg", view_plot),
         ):
-            if drawn := draw(evaluation, focus):
+            if drawn := draw(evaluation):
                 figure, title, caption = drawn
                 with written_whole(folder / file) as beside:
                     # No date, so that the same numbers give the same file.
                     figure.savefig(beside, format="svg", bbox_inches="tight", metadata={"Date": None})
-                plots.append(Plot(file, title, caption))
+                plots[file] = title, caption
     return plots
 
 
-def pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
+def pck_plot(evaluation: Evaluation) -> Drawn | None:
     """PCK of the centroid-aligned error at 20-50 mm, every method with its AUC, as the paper's figure."""
     misses = {
         "strict": "Points of missed hands count as wrong.",
         "paper": "The paper's protocol: fingertips of detected hands only.",
     }[evaluation.protocol]
     caption = f"Share of labelled points with an error below a threshold, centroids made to meet. {misses}"
-    return _epe_curves(evaluation, focus, evaluation.scores, "PCK 20-50 mm", caption)
+    area = numbers_of(evaluation)["auc"]
+    curves = [(s, pck(s, evaluation.protocol), float(area[s.method])) for s in evaluation.scores]
+    figure = _curves(evaluation, PCK_THRESHOLDS_MM, curves, "EPE, centroids made to meet (mm)")
+    return figure and (figure, "PCK 20-50 mm", caption)
 
 
-def published_pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
-    """Our best and our default, to stand beside others' published AUC; None on other data sets."""
-    if not has_published(evaluation):
-        return None
-    chosen = beside_published(evaluation, focus)
-    caption = (
-        "Our best method, and the one in focus where that is another. Others published the area under "
-        "their curve, not the curve: the table has them."
-    )
-    return _epe_curves(evaluation, focus, chosen, "Against published results", caption)
-
-
-def pa_pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
+def pa_pck_plot(evaluation: Evaluation) -> Drawn | None:
     """PCK of the similarity-aligned error at 0-50 mm; None where there is none."""
     curves = []
     for s in (s for s in evaluation.scores if np.isfinite(s.pa_error).any()):
@@ -113,7 +91,7 @@ def pa_pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
         misses = int(labelled[~s.detected & (labelled >= 4)].sum())
         curve = pck_curve(s.pa_error, PA_THRESHOLDS_MM, misses=misses)
         curves.append((s, curve, auc(curve, PA_THRESHOLDS_MM)))
-    figure = _curves(evaluation, focus, PA_THRESHOLDS_MM, curves, "PA error, similarity-aligned (mm)")
+    figure = _curves(evaluation, PA_THRESHOLDS_MM, curves, "PA error, similarity-aligned (mm)")
     caption = (
         "Share of labelled points with an error below a threshold, after the best similarity transform of "
         "each hand. Points of missed hands count as wrong. AUC over 0-50 mm."
@@ -121,7 +99,7 @@ def pa_pck_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
     return figure and (figure, "PA-PCK 0-50 mm", caption)
 
 
-def joint_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
+def joint_plot(evaluation: Evaluation) -> Drawn | None:
     """Mean error of each of the 21 points; None under the paper's protocol, where "joints" mix."""
     methods, metric = methods_of(evaluation), error_metric(evaluation)
     if evaluation.protocol == "paper" or not methods:
@@ -138,7 +116,7 @@ def joint_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
     figure = Figure(figsize=(9.0, 4.2))
     axes = _error_axes(figure, metric, len(places))
     for s in methods:
-        axes.plot(means[s.method].reindex(places).to_numpy(), label=s.method, **_style(evaluation, focus, s))
+        axes.plot(means[s.method].reindex(places).to_numpy(), label=s.method, **_style(evaluation, s))
     axes.set_xticks(list(names), list(names.values()), rotation=60, ha="right")
     _finish(axes)
     caption = (
@@ -148,19 +126,19 @@ def joint_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
     return figure, "Error per joint", caption
 
 
-def view_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
+def view_plot(evaluation: Evaluation) -> Drawn | None:
     """Mean error by how the camera sees the palm; None where no view is known."""
     methods, metric = methods_of(evaluation), error_metric(evaluation)
-    if not methods or set(methods[0].views) <= {"unknown"}:
+    if not methods or set(methods[0].hands["view"]) <= {"unknown"}:
         return None
-    seen = pd.Series(methods[0].views)
+    seen = methods[0].hands["view"]
     views = sorted_values(seen)
     figure = Figure(figsize=(max(5.5, 1.5 + 2.0 * len(views)), 4.2))
     axes = _error_axes(figure, metric, len(views))
     reach = min(0.3, 0.05 * (len(methods) - 1))
     for s, offset in zip(methods, np.linspace(-reach, reach, len(methods)), strict=True):
         means = pd.Series(hand_means(s, metric.key)).groupby(seen).mean()[views]
-        style = _style(evaluation, focus, s, linestyle="none", markersize=7)
+        style = _style(evaluation, s, linestyle="none", markersize=7)
         axes.plot(np.arange(len(views)) + offset, means, label=s.method, **style)
     axes.set_xticks(range(len(views)), [f"{view}\n{(seen == view).sum()} hands" for view in views])
     _finish(axes)
@@ -171,18 +149,8 @@ def view_plot(evaluation: Evaluation, focus: str | None) -> Drawn | None:
     return figure, "Error per view", caption
 
 
-def _epe_curves(
-    evaluation: Evaluation, focus: str | None, chosen: Sequence[Scores], title: str, caption: str
-) -> Drawn | None:
-    area = numbers_of(evaluation)["auc"]
-    curves = [(s, pck(s, evaluation.protocol), float(area[s.method])) for s in chosen]
-    figure = _curves(evaluation, focus, PCK_THRESHOLDS_MM, curves, "EPE, centroids made to meet (mm)")
-    return figure and (figure, title, caption)
-
-
 def _curves(
     evaluation: Evaluation,
-    focus: str | None,
     thresholds: np.ndarray,
     curves: Sequence[tuple[Scores, np.ndarray, float]],
     label: str,
@@ -194,7 +162,7 @@ def _curves(
     axes = figure.add_subplot(xlabel=label, ylabel="share of correct points")
     for s, curve, area in curves:
         text = f"{s.method} ({area:.3f})" if math.isfinite(area) else s.method
-        axes.plot(thresholds, curve, label=text, **_style(evaluation, focus, s, marker=""))
+        axes.plot(thresholds, curve, label=text, **_style(evaluation, s, marker=""))
     axes.set(xlim=(thresholds[0], thresholds[-1]), ylim=(0.0, 1.01))
     _finish(axes, "method (AUC)")
     return figure
@@ -211,13 +179,13 @@ def _finish(axes: Axes, title: str | None = None) -> None:
     axes.legend(title=title, bbox_to_anchor=(1.02, 1.0), borderaxespad=0.0)
 
 
-def _style(evaluation: Evaluation, focus: str | None, scores: Scores, **other: Any) -> dict[str, Any]:
+def _style(evaluation: Evaluation, scores: Scores, **other: Any) -> dict[str, Any]:
     """The same look for a method in every plot, but for what is asked to be `other`."""
     group = [s.method for s in evaluation.scores if s.is_baseline == scores.is_baseline]
     i = group.index(scores.method)
     if scores.is_baseline:
         return {"color": "#888888", "linestyle": ("--", ":", "-.")[i % 3], "linewidth": 1.2, **other}
-    shown = focus_of(evaluation, focus)
+    shown = focus_of(evaluation)
     return {
         "color": _COLOURS[i % len(_COLOURS)],
         "marker": _MARKERS[i % len(_MARKERS)],

@@ -11,10 +11,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from handfit_core.errors import OptionError
 from handfit_core.evaluate.metrics import labelled_points
 from handfit_core.evaluate.scores import Comparison, Evaluation, Scores
-from handfit_core.evaluate.summary import METRICS, Metric, hand_means
+from handfit_core.evaluate.summary import METRICS, Metric, hand_means, tags_of
 from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
 MISSING = "–"
@@ -46,8 +45,6 @@ class Table:
     """One for each column of numbers, or none"""
     names: tuple[tuple[str, str], ...] = ()
     """Names of methods and what they are, told below"""
-    muted: tuple[int, ...] = ()
-    """Rows that are only there to compare with"""
 
     def rows(self) -> list[list[tuple[str, bool]]]:
         """Each row's cells, and whether they are bold."""
@@ -101,19 +98,9 @@ def methods_of(evaluation: Evaluation) -> tuple[Scores, ...]:
     return tuple(s for s in evaluation.scores if not s.is_baseline)
 
 
-def focus_of(evaluation: Evaluation, focus: str | None = None) -> Scores | None:
-    """The method whose hands the sheets show: the one named, or the last; None where there is none.
-
-    Raises OptionError where no method has that name.
-    """
-    methods = {s.method: s for s in methods_of(evaluation)}
-    if focus is None:
-        return list(methods.values())[-1] if methods else None
-    if focus not in methods:
-        raise OptionError(
-            f"the report cannot show '{focus}': it is not among the evaluated solvers ({', '.join(methods)})"
-        )
-    return methods[focus]
+def focus_of(evaluation: Evaluation) -> Scores | None:
+    """The method whose hands the sheets show: the last; None where there is none."""
+    return next(reversed(methods_of(evaluation)), None)
 
 
 def error_metric(evaluation: Evaluation) -> Metric:
@@ -128,8 +115,8 @@ def error_metric(evaluation: Evaluation) -> Metric:
 
 def numbers_of(evaluation: Evaluation) -> pd.DataFrame:
     """The summaries: a row for each method, baselines first; a column for each of METRICS, NaN for none."""
-    found = pd.DataFrame(dict(evaluation.summaries), dtype=float).T
-    return found.reindex(index=[s.method for s in evaluation.scores], columns=list(METRICS))
+    methods = [s.method for s in evaluation.scores]
+    return evaluation.summaries.reindex(index=methods, columns=list(METRICS))
 
 
 def best_method(evaluation: Evaluation, metric: Metric) -> Scores | None:
@@ -158,7 +145,6 @@ def main_table(evaluation: Evaluation) -> Table:
     The best method of a column is bold. Baselines know the truth and never are.
     """
     metrics, numbers = metrics_shown(evaluation), numbers_of(evaluation)
-    muted = tuple(i for i, s in enumerate(evaluation.scores) if s.is_baseline)
     judged = [s.method for s in methods_of(evaluation)]
     cells = {"Method": [s.method + (" (baseline)" if s.is_baseline else "") for s in evaluation.scores]}
     best: dict[str, object] = {"Method": False}
@@ -175,7 +161,6 @@ def main_table(evaluation: Evaluation) -> Table:
             for s in evaluation.scores
             if s.title != s.method
         ),
-        muted=muted,
     )
 
 
@@ -190,12 +175,9 @@ def _best(values: pd.Series, metric: Metric) -> pd.Series:
 
 def groups_of(scores: Scores) -> pd.DataFrame:
     """(N, groups) what each hand's picture is: its view, and every tag with 2 to MAX_VALUES values."""
-    groups = pd.DataFrame([{"view": view} for view in scores.views], columns=["view"])
-    tags = (
-        pd.DataFrame([dict(tags) for tags in scores.tags]).fillna("").rename(columns={"view": "view (tag)"})
-    )
-    groups = groups.join(tags)
-    return groups.loc[:, [2 <= groups[name].nunique() <= MAX_VALUES for name in groups]]
+    tags = tags_of(scores).fillna("").rename(columns={"view": "view (tag)"})
+    groups = scores.hands[["view"]].join(tags)
+    return groups.loc[:, groups.nunique().between(2, MAX_VALUES)]
 
 
 def sorted_values(values: pd.Series) -> list[str]:
@@ -219,17 +201,14 @@ def group_table(evaluation: Evaluation) -> Table | None:
     errors = pd.DataFrame({f"{s.method}, {metric.unit}": hand_means(s, metric.key) for s in methods})
     cells, best = [], []
     for group, values in groups.items():
-        of_group = [frame.groupby(values) for frame in (rates, errors)]
-        means = [frame.mean().reindex(sorted_values(values)) for frame in of_group]
-        text = [
-            *(means[0].apply(lambda c: c.map(lambda v: text_of(v, METRICS["detection_rate"]))),),
-            *(means[1].apply(lambda c: c.map(lambda v: text_of(v, metric))),),
-        ]
-        head = pd.DataFrame({"Group": group, "Value": [value or "not said" for value in means[0].index]})
-        hands = of_group[0].size().reindex(means[0].index).astype(str).rename("Hands")
-        body = pd.concat([hands, *text], axis="columns").reset_index(drop=True)
-        cells.append(head.join(body))
-        best.append(means[1].apply(_best, axis="columns", metric=metric))
+        of_group = [frame.groupby(values).mean().loc[sorted_values(values)] for frame in (rates, errors)]
+        hands = values.value_counts()[of_group[0].index]
+        columns = {"Group": group, "Value": [value or "not said" for value in hands.index]}
+        columns |= {"Hands": hands.astype(str).tolist()}
+        for means, unit in zip(of_group, (METRICS["detection_rate"], metric), strict=True):
+            columns |= {str(name): [text_of(value, unit) for value in means[name]] for name in means}
+        cells.append(pd.DataFrame(columns))
+        best.append(of_group[1].apply(_best, axis="columns", metric=metric))
     whole = pd.concat(cells, ignore_index=True)
     bold = pd.concat(best, ignore_index=True).reindex(columns=whole.columns, fill_value=False)
     return Table(whole, words=2, best=bold)
@@ -259,10 +238,10 @@ def _interval(low: float, high: float, metric: Metric) -> str:
 def comparison_tables(evaluation: Evaluation) -> list[tuple[Metric, Table]]:
     """Every comparison with its verdict, one table for each metric; `error_metric`'s first."""
     first = error_metric(evaluation).key
-    keys = sorted(dict.fromkeys(c.metric for c in evaluation.comparisons), key=lambda key: key != first)
-    tables = []
-    for metric in (METRICS[key] for key in keys):
-        rows = [
+    tables: dict[str, list[dict[str, str]]] = {}
+    for c in sorted(evaluation.comparisons, key=lambda c: c.metric != first):
+        metric = METRICS[c.metric]
+        tables.setdefault(c.metric, []).append(
             {
                 "Verdict": ("" if c.is_significant else f"{c.first} and {c.second}: ") + verdict(c),
                 f"Difference, {metric.unit}": text_of(c.difference, metric),
@@ -270,11 +249,8 @@ def comparison_tables(evaluation: Evaluation) -> list[tuple[Metric, Table]]:
                 "Hands": str(c.hands),
                 "Stills and clips": str(c.units),
             }
-            for c in evaluation.comparisons
-            if c.metric == metric.key
-        ]
-        tables.append((metric, Table(pd.DataFrame(rows))))
-    return tables
+        )
+    return [(METRICS[key], Table(pd.DataFrame(rows))) for key, rows in tables.items()]
 
 
 SOURCE: Final = "arXiv 2506.11133"
@@ -300,7 +276,7 @@ EXPERIMENTS: Final = pd.DataFrame(
 ).set_index("Solver", drop=False)
 """The paper's experiments A-H by our names: for each kind of data set EPE in mm and AUC of PCK 20-50 mm"""
 
-OTHERS_AUC: Final[Mapping[str, Mapping[str, float]]] = {
+OTHERS_AUC: Final[Mapping[str, dict[str, float]]] = {
     "dexter-object": {
         "Zhou 2020": 0.948,
         "DetNet+BMC (other alignment)": 0.948,
@@ -347,24 +323,18 @@ def experiments_table(evaluation: Evaluation) -> Table | None:
     return Table(cells, words=3)
 
 
-def beside_published(evaluation: Evaluation, focus: str | None = None) -> tuple[Scores, ...]:
-    """Our methods that stand beside others' results: the best by AUC, and the one in focus."""
-    chosen = {s.method for s in (best_method(evaluation, METRICS["auc"]), focus_of(evaluation, focus)) if s}
-    return tuple(s for s in methods_of(evaluation) if s.method in chosen)
-
-
-def others_table(evaluation: Evaluation, focus: str | None = None) -> Table | None:
-    """AUC of others' methods and of `beside_published`, best first, ours bold; None on other data sets."""
+def others_table(evaluation: Evaluation) -> Table | None:
+    """AUC of others' methods and of our best and last, best first, ours bold; None on other data sets."""
     if not has_published(evaluation):
         return None
-    here = numbers_of(evaluation)["auc"]
-    results = {**OTHERS_AUC[evaluation.kind]}
-    results["paper-a, as published"] = float(EXPERIMENTS[f"{evaluation.kind} auc"]["paper-a"])
-    ours = {f"{s.method}, here": here[s.method] for s in beside_published(evaluation, focus)}
-    ranked = pd.Series({**results, **ours}).dropna().sort_values(ascending=False, kind="stable")
+    chosen = {s.method for s in (best_method(evaluation, METRICS["auc"]), focus_of(evaluation)) if s}
+    ours = numbers_of(evaluation).loc[sorted(chosen), "auc"].rename("{}, here".format)
+    as_published = {"paper-a, as published": EXPERIMENTS.loc["paper-a", f"{evaluation.kind} auc"]}
+    ranked = pd.concat([pd.Series(OTHERS_AUC[evaluation.kind] | as_published), ours])
+    ranked = ranked.dropna().sort_values(ascending=False, kind="stable")
     texts = [text_of(value, METRICS["auc"]) for value in ranked]
     cells = pd.DataFrame({"Method": ranked.index, "AUC 20-50 mm": texts})
-    return Table(cells, best=pd.DataFrame(dict.fromkeys(cells, ranked.index.isin(list(ours)))))
+    return Table(cells, best=pd.DataFrame(dict.fromkeys(cells, ranked.index.isin(ours.index))))
 
 
 def published_note(evaluation: Evaluation) -> str:

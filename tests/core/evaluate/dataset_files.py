@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.evaluate.labels import Entry, HandLabel, said
+from handfit_core.evaluate.rows import label_pixels
+
 K = [[500.0, 0.0, 160.0], [0.0, 510.0, 120.0], [0.0, 0.0, 1.0]]
 
 
@@ -43,6 +46,22 @@ def pixels(points: np.ndarray, matrix: Any = K) -> np.ndarray:
     """Projection by the matrix itself, not by our camera."""
     homogeneous = points @ np.array(matrix).T
     return homogeneous[:, :2] / homogeneous[:, 2:]
+
+
+def labels_of(entry: Entry) -> tuple[HandLabel, np.ndarray]:
+    """An entry's only hand, and its (21, 2) labelled pixels."""
+    labels = entry.read_labels()
+    (hand,) = labels.hands
+    return hand, label_pixels(hand, labels.intrinsics)
+
+
+def reason(entry: Entry) -> str:
+    """What an evaluation says of an entry whose labels cannot be read."""
+    try:
+        entry.read_labels()
+    except Exception as error:
+        return said(error)
+    raise AssertionError(f"{entry.name} can be read")
 
 
 def write_tips(path: Path, frames: np.ndarray, *, blank: str = "") -> Path:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from handfit_core.evaluate import metrics
 from handfit_core.evaluate.scores import Scores
@@ -41,9 +43,9 @@ def make_scores(
 ) -> Scores:
     """N rows: every hand detected, predictions with `noise` metres per axis, no meshes, stills.
 
-    overrides: any field of Scores. Where `detected` is False, predictions become NaN; errors follow from
-    points and labels by `evaluate.metrics` unless they are overridden too. `min_points` is EPE's: the
-    paper protocol has 1.
+    overrides: any field of Scores or column of its `hands`. Where `detected` is False, predictions become
+    NaN; errors follow from points and labels by `evaluate.metrics` unless they are overridden too.
+    `min_points` is EPE's: the paper protocol has 1.
     """
     rng = np.random.default_rng(seed + 1)
     labels = np.asarray(overrides.pop("labels_3d", make_hands(n, seed)), dtype=np.float64)
@@ -55,37 +57,39 @@ def make_scores(
     points = np.where(detected[:, None, None], points, np.nan)
     labels_2d = overrides.pop("labels_2d", project(labels))
     points_2d = np.where(detected[:, None, None], overrides.pop("points_2d", project(points)), np.nan)
-    epe = metrics.centroid_aligned_distances(points, labels, min_points=min_points)
+    hands: dict[str, Any] = {
+        "sample": [f"{i:05}" for i in range(n)],
+        "hand": np.zeros(n, dtype=int),
+        "clip": [None] * n,
+        "time": np.zeros(n),
+        "view": ["palm"] * n,
+        "picture": [Path(f"{i:05}.png") for i in range(n)],
+        "tags": [{}] * n,
+        "detected": detected,
+        "side_correct": np.where(detected, 1.0, np.nan),
+        **dict.fromkeys(("pa_mpvpe", "f5", "f15", "penetration", "expected_error"), np.full(n, np.nan)),
+        "detect_ms": np.full(n, 20.0),
+        "fit_ms": np.where(detected, 5.0, np.nan),
+    }
+    columns = {name: list(overrides.pop(name)) for name in hands if name in overrides}
     fields: dict[str, Any] = {
         "method": "made",
         "title": "Made by a test",
         "is_baseline": False,
-        "samples": tuple(f"{i:05}" for i in range(n)),
-        "hands": np.zeros(n, dtype=int),
-        "pictures": tuple(Path(f"{i:05}.png") for i in range(n)),
-        "clips": (None,) * n,
-        "times": np.zeros(n),
-        "views": ("palm",) * n,
-        "tags": ({},) * n,
-        "detected": detected,
-        "side_correct": np.where(detected, 1.0, np.nan),
+        "hands": pd.DataFrame(hands | columns),
         "labels_3d": labels,
         "labels_2d": labels_2d,
         "points_3d": points,
         "points_2d": points_2d,
         "camera_error": 1000.0 * metrics.camera_distances(points, labels),
-        "epe": 1000.0 * epe,
+        "epe": 1000.0 * metrics.centroid_aligned_distances(points, labels, min_points=min_points),
         "root_error": 1000.0 * metrics.root_aligned_distances(points, labels),
         "pa_error": 1000.0 * metrics.similarity_aligned_distances(points, labels),
         "error_2d": metrics.distances_2d(points_2d, labels_2d),
-        "pa_mpvpe": np.full(n, np.nan),
-        "f5": np.full(n, np.nan),
-        "f15": np.full(n, np.nan),
-        "penetration": np.full(n, np.nan),
-        "expected_error": np.full(n, np.nan),
-        "detect_ms": np.full(n, 20.0),
-        "fit_ms": np.where(detected, 5.0, np.nan),
     }
-    unknown = set(overrides) - set(fields)
-    assert not unknown, f"Scores has no {unknown}"
     return Scores(**{**fields, **overrides})
+
+
+def with_hands(scores: Scores, **columns: Any) -> Scores:
+    """The same scores with other columns of `hands`."""
+    return replace(scores, hands=scores.hands.assign(**columns))

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 
-from handfit_core.evaluate.scores import Evaluation, ProtocolName
+from handfit_core.evaluate import ProtocolName
+from handfit_core.evaluate.scores import Evaluation
 from handfit_core.evaluate.summary import compare, summarise
 from tests.core.evaluate.factory import CENTRE, make_hands, make_scores
 
@@ -39,9 +41,9 @@ def make_evaluation(
     detected = ~np.isin(np.arange(COUNT), list(missed))
     shared = {
         "min_points": 1 if protocol == "paper" else 2,
-        "pictures": (write_picture(folder / "picture.png"),) * COUNT,
-        "samples": tuple(names or (f"Desk/{i:05}" for i in range(COUNT))),
-        "views": ("palm", "palm", "back", "back", "edge", "unknown"),
+        "picture": (write_picture(folder / "picture.png"),) * COUNT,
+        "sample": tuple(names or (f"Desk/{i:05}" for i in range(COUNT))),
+        "view": ("palm", "palm", "back", "back", "edge", "unknown"),
         "tags": tuple({"pose": "fist" if i % 2 else "open", "frame": str(i)} for i in range(COUNT)),
     }
     truth = {"method": "null-truth", "title": "the truth", "is_baseline": True}
@@ -58,7 +60,7 @@ def make_evaluation(
         root=folder,
         protocol=protocol,
         scores=scores,
-        summaries={s.method: summarise(s, protocol) for s in scores},
+        summaries=pd.DataFrame({s.method: summarise(s, protocol) for s in scores}).T,
         comparisons=(compare(scores[2], scores[1], "epe"),),
         pictures=COUNT,
         labelled_hands=COUNT,

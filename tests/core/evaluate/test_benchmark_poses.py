@@ -9,16 +9,16 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, TIP_KEYPOINTS
+from handfit_core.skeleton import FINGER_JOINTS, SIDES, TIP_KEYPOINTS
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.closed import CLOSED, closed_pose, faults
-from scripts.benchmark.contact import penetration, segment_distance
+from scripts.benchmark.contact import penetration
 from scripts.benchmark.grasp import random_grasp
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles, right_limits
 from scripts.benchmark.poses import POSES, random_pose
 from scripts.benchmark.shots import Shot, entries
 from scripts.benchmark.stills import still_shot
-from scripts.benchmark.views import COVERAGE, covered_by, facing, hidden_by, outside, random_view
+from scripts.benchmark.views import COVERAGE, outside
 
 SIZE = 256
 SLACK = 1e-6
@@ -82,24 +82,6 @@ def test_closed_hands_touch_and_do_not_cut(kind: str) -> None:
     assert np.median(worst) < 1.5
     assert max(worst) < 2.0
     assert not np.array_equal(found[0], found[1])
-
-
-def test_tucked_thumbs_are_between_fingers_and_palm() -> None:
-    hand = RightHand(np.zeros(10))
-    for kind, fingers in [("T", "index"), ("N", "index middle"), ("M", "index middle ring")]:
-        points = hand.keypoints(closed_pose(kind, hand, np.random.default_rng(2)))
-        tip = points[4]
-        for finger in fingers.split():
-            middle = points[[1 + 4 * FINGERS.index(finger) + k for k in (1, 2)]].mean(axis=0)
-            assert middle[1] < tip[1], (kind, finger)  # y points out of the back of the hand
-
-
-def test_a_thumb_over_a_fist_is_not_one_inside() -> None:
-    hand = RightHand(np.zeros(10))
-    angles = closed_pose("S", hand, np.random.default_rng(2))
-    assert faults("S", hand, angles) < 1.25
-    inside = closed_pose("thumb in a fist", hand, np.random.default_rng(2))
-    assert faults("S", hand, inside) > 10.0
 
 
 def test_closed_stills_are_of_closed_hands() -> None:
@@ -186,15 +168,6 @@ def test_held_things_are_touched_and_not_cut() -> None:
         assert np.sort(gaps)[1] < 0.03
 
 
-def test_segment_distance_equals_a_dense_search() -> None:
-    rng = np.random.default_rng(0)
-    p1, q1, p2, q2 = rng.normal(size=(4, 30, 3))
-    t = np.linspace(0, 1, 201)[:, None, None]
-    first, second = p1 + t * (q1 - p1), p2 + t * (q2 - p2)
-    dense = np.linalg.norm(first[:, None] - second[None], axis=-1).min(axis=(0, 1))
-    np.testing.assert_allclose(segment_distance(p1, q1, p2, q2), dense, atol=2e-3)
-
-
 def test_the_same_number_gives_the_same_alone_and_in_every_size(stills: list[Shot], clip: Shot) -> None:
     for number in (41, 5):
         again = entries(still_shot(0, number, SIZE))
@@ -230,50 +203,6 @@ def test_everything_asked_for_is_there(stills: list[Shot]) -> None:
     assert {len(s.hands) for s in stills if s.tags[0]["hands"] == "two"} == {2}
     assert all(np.abs(hand.betas).max() <= 2 for s in stills for hand in s.hands)
     assert {hand.arm.sleeve is None for s in stills for hand in s.hands} == {True, False}
-
-
-def test_views_cover_the_sphere_but_for_the_arm() -> None:
-    rng = np.random.default_rng(0)
-    arm = np.array([1.0, 0.0, 0.0])
-    views = np.array([random_view([arm], rng) for _ in range(3000)])
-    np.testing.assert_allclose(np.linalg.norm(views, axis=1), 1.0)
-    assert np.all(views @ arm < np.cos(np.radians(34.9)))
-    grid = np.array([rng.normal(size=3) for _ in range(300)])
-    grid /= np.linalg.norm(grid, axis=1, keepdims=True)
-    grid = grid[grid @ arm < np.cos(np.radians(40))]
-    nearest = np.degrees(np.arccos(np.clip((grid @ views.T).max(axis=1), -1, 1)))
-    assert nearest.max() < 12
-
-
-def test_facing_turns_the_view_against_the_ray() -> None:
-    rng = np.random.default_rng(1)
-    for _ in range(5):
-        view, ray = rng.normal(size=(2, 3))
-        view, ray = view / np.linalg.norm(view), ray / np.linalg.norm(ray)
-        rotation = facing(view, ray, rng.uniform(-3, 3))
-        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-        np.testing.assert_allclose(np.linalg.det(rotation), 1.0)
-        np.testing.assert_allclose(rotation @ view, -ray, atol=1e-12)
-
-
-def test_what_stands_before_a_point_hides_it() -> None:
-    points = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 1.0], [0.0, 0.0, 0.3]])
-    start, end = np.array([[-0.1, 0.0, 0.5]]), np.array([[0.1, 0.0, 0.5]])
-    assert hidden_by(points, start, end, np.array([0.05])) == 1
-    square = np.array([[0.0, 0.0], [10, 0], [10, 10], [0, 10], [5, 5]])
-    assert covered_by(np.array([[5.0, 9.0], [11, 5], [1, 1]]), square) == 2
-
-
-def test_clips_move_smoothly_and_at_a_hand_s_speed(clip: Shot) -> None:
-    assert len(clip.files) == 40
-    points = clip.hands[0].keypoints()
-    assert len(points) == 42
-    speed = np.linalg.norm(np.diff(points, axis=0), axis=-1) * 25.0
-    assert 0.05 < speed.max() < 3.0
-    # No jump: a frame moves no point by more than a little beyond what its neighbours do.
-    assert np.abs(np.diff(speed, axis=0)).max() < 0.5
-    turned = clip.surroundings[:, :3, :3] @ np.swapaxes(clip.surroundings[:, :3, :3], -1, -2)
-    np.testing.assert_allclose(turned, np.broadcast_to(np.eye(3), (42, 3, 3)), atol=1e-9)
 
 
 def test_clip_labels_are_of_their_own_moments(clip: Shot) -> None:

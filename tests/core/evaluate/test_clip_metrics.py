@@ -58,8 +58,6 @@ def test_acceleration_of_a_parabola(even: bool) -> None:
     # x = a t^2 / 2 has acceleration a, also over unequal steps; lengths of (3, 4, 0) are 5.
     error[:, 1:] = (np.array([3.0, 4.0, 0.0]) * (times**2 / 2)[:, None])[:, None, :]
     assert acceleration_error(truth + error, truth, times) == pytest.approx(5.0)
-    # Without root alignment the unmoved wrist counts as one of 21.
-    assert acceleration_error(truth + error, truth, times, root_relative=False) == pytest.approx(100 / 21)
 
 
 def test_acceleration_by_a_loop_leaves_gaps_out() -> None:
@@ -82,11 +80,9 @@ def test_acceleration_ignores_an_offset_and_a_drift_of_the_whole_hand() -> None:
     truth = moving_hand()
     shaken = truth + 0.05 * RNG.normal(size=(FRAMES, 1, 3))
     assert acceleration_error(shaken, truth, TIMES) == pytest.approx(0.0, abs=1e-9)
-    assert acceleration_error(shaken, truth, TIMES, root_relative=False) > 10.0
-    assert acceleration_error(truth + [0.1, 0, 0.4], truth, TIMES, root_relative=False) < 1e-9
 
 
-def test_acceleration_needs_three_frames_a_wrist_and_times() -> None:
+def test_acceleration_needs_three_frames_and_a_wrist() -> None:
     truth = moving_hand(6)
     gaps = truth.copy()
     gaps[[2, 5]] = np.nan
@@ -95,9 +91,6 @@ def test_acceleration_needs_three_frames_a_wrist_and_times() -> None:
     tips_only = truth.copy()
     tips_only[:, 0] = np.nan
     assert math.isnan(acceleration_error(truth, tips_only, TIMES[:6]))
-    assert acceleration_error(truth, tips_only, TIMES[:6], root_relative=False) == 0.0
-    with pytest.raises(ValueError, match="times"):
-        acceleration_error(truth, truth, np.zeros(6))
 
 
 def test_jitter_of_white_noise_has_its_share_of_the_spectrum() -> None:
@@ -117,19 +110,6 @@ def test_jitter_rises_with_noise_and_not_with_a_smooth_error() -> None:
     assert jitter_spectrum(truth + smooth, truth, FPS) < 1e-5
     assert jitter_spectrum(truth + noise + smooth, truth, FPS) == pytest.approx(alone, rel=0.01)
     assert jitter_spectrum(truth + 3 * noise, truth, FPS) == pytest.approx(3 * alone)
-
-
-def test_jitter_uses_runs_without_gaps() -> None:
-    truth = moving_hand()
-    points = truth + swaying(8.0, 3.0)
-    whole = jitter_spectrum(points, truth, FPS)
-    jumping = points.copy()
-    jumping[50:, 1:] += 0.1  # a jump inside a gap is not jitter ...
-    jumping[49:51] = np.nan
-    assert jitter_spectrum(jumping, truth, FPS) == pytest.approx(whole, rel=0.05)
-    jumping = points.copy()
-    jumping[50:, 1:] += 0.1  # ... without the gap it is
-    assert jitter_spectrum(jumping, truth, FPS) > 2 * whole
 
 
 def test_jitter_needs_long_runs_and_a_high_rate() -> None:

@@ -36,7 +36,7 @@ def detect(unit: Unit, folder: Path, options: CaptureOptions | None = None) -> t
 
 
 def kept(folder: Path) -> list[Path]:
-    return sorted(folder.glob("*.npz"))
+    return sorted(folder.rglob("output.pkl"))
 
 
 def assert_same(a: UnitDetections, b: UnitDetections) -> None:
@@ -86,15 +86,6 @@ def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
     detect(still(picture), tmp_path, CaptureOptions(plain_detection=True))
     detect(still(picture), tmp_path, CaptureOptions(quality="draft"))
     assert len(kept(tmp_path)) == 6
-
-
-def test_the_spread_of_looks_is_kept(tmp_path: Path) -> None:
-    unit = still(SAMPLE / "hand.0001.jpg")
-    for plain in (False, True):
-        options = CaptureOptions(plain_detection=plain)
-        found, _ = detect(unit, tmp_path, options)
-        assert (found.hands.spread is None) == plain
-        assert_same(found, detect(unit, tmp_path, options)[0])
 
 
 def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 
 from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate.datasets import open_dataset
-from tests.core.evaluate.dataset_files import K, hand, pixels, touch, write_json
+from tests.core.evaluate.dataset_files import K, hand, labels_of, pixels, reason, touch, write_json
 
 
 def write_split(root: Path, split: str, labels: int, pictures: list[int], **replaced: Any) -> Path:
@@ -41,13 +40,10 @@ def test_evaluation_comes_first_where_it_has_labels(tmp_path: Path) -> None:
 
 def test_numbers(tmp_path: Path) -> None:
     dataset = open_dataset(write_split(tmp_path, "evaluation", 2, [0, 1]), "freihand")
-    labels = dataset.entries[1].read_labels()
-    (label,) = labels.hands
+    label, points = labels_of(dataset.entries[1])
     assert label.side == "right"
     np.testing.assert_allclose(label.joints_3d, hand(1), atol=1e-12)
-    np.testing.assert_allclose(label.keypoints_2d, pixels(hand(1)), atol=1e-9)
-    assert labels.intrinsics is not None
-    assert (labels.intrinsics.fx, labels.intrinsics.cy) == (500.0, 120.0)
+    np.testing.assert_allclose(points, pixels(hand(1)), atol=1e-9)
     assert label.mesh is not None
     np.testing.assert_allclose(label.mesh.vertices(), hand(101, 778), atol=1e-7)
     assert label.mesh.digests == frozenset()
@@ -85,56 +81,44 @@ def test_one_damaged_label_harms_no_other(tmp_path: Path) -> None:
     cameras = [K, K, K, None]
     entries = open_dataset(write_split(tmp_path, "evaluation", 4, [0, 1, 2, 3], xyz=xyz, K=cameras)).entries
     assert entries[0].read_labels().hands
-    with pytest.raises(DatasetError, match=r"00000001.jpg: xyz has shape 20x3, expected 21x3"):
-        entries[1].read_labels()
-    with pytest.raises(DatasetError, match=r"00000002.jpg: xyz is not an array of 21x3"):
-        entries[2].read_labels()
+    assert "00000001.jpg: xyz has shape (20, 3), expected (21, 3)" in reason(entries[1])
+    assert "00000002.jpg: xyz has shape ()" in reason(entries[2])
     last = entries[3].read_labels()
     assert last.intrinsics is None
     assert np.isnan(last.hands[0].keypoints_2d).all()
     assert np.isfinite(last.hands[0].joints_3d).all()
 
 
-def test_labels_are_read_once_and_only_when_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root = write_split(tmp_path, "evaluation", 2, [0, 1])
-    opened: list[str] = []
-    real = Path.read_bytes
-
-    def counted(path: Path) -> bytes:
-        opened.append(path.name)
-        return real(path)
-
-    monkeypatch.setattr(Path, "read_bytes", counted)
-    entries = open_dataset(root).entries
-    assert opened == ["evaluation_K.json"]
-    labels = [entry.read_labels() for entry in entries] + [entries[0].read_labels()]
-    assert opened == ["evaluation_K.json", "evaluation_xyz.json"]
-    for label in labels:
-        assert label.hands[0].mesh is not None
-        label.hands[0].mesh.vertices()
-    assert opened == ["evaluation_K.json", "evaluation_xyz.json", "evaluation_verts.json"]
-
-
-@pytest.mark.parametrize("damage", ["[[1, 2", "{}", "", "[[1] [2]]", "no json", "[" * 100_000])
-def test_damaged_files_are_named(tmp_path: Path, damage: str) -> None:
-    root = write_split(tmp_path, "evaluation", 2, [0, 1])
-    (root / "evaluation_xyz.json").write_text(damage)
-    entry = open_dataset(root).entries[0]
+def test_damaged_meshes_harm_no_joints(tmp_path: Path) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1], verts=[hand(100, 778).tolist(), None])
+    first, second = (labels_of(entry)[0].mesh for entry in open_dataset(root).entries)
+    assert first is not None
+    assert second is not None
+    assert first.vertices().shape == (778, 3)
+    with pytest.raises(DatasetError, match="mesh 1 is null"):
+        second.vertices()
+    root = write_split(tmp_path / "damaged", "evaluation", 1, [0])
+    (root / "evaluation_verts.json").write_text("[[1, 2")
+    ((label, _),) = map(labels_of, open_dataset(root).entries)
     for _ in range(2):  # the second time from memory
-        with pytest.raises(DatasetError, match=r"evaluation_xyz\.json: damaged") as caught:
-            entry.read_labels()
-        assert "\n" not in str(caught.value)
-    (root / "evaluation_K.json").write_text(damage)
-    with pytest.raises(DatasetError, match=r"evaluation_K\.json: damaged"):
+        with pytest.raises(DatasetError, match=r"evaluation_verts\.json: damaged"):
+            label.mesh.vertices()
+
+
+@pytest.mark.parametrize("name", ["K", "xyz"])
+@pytest.mark.parametrize("damage", ["[[1, 2", "", "no json", "[" * 100_000])
+def test_damaged_files_are_named(tmp_path: Path, damage: str, name: str) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1])
+    (root / f"evaluation_{name}.json").write_text(damage)
+    with pytest.raises(DatasetError, match=rf"evaluation_{name}\.json: damaged") as caught:
         open_dataset(root)
+    assert "\n" not in str(caught.value)
 
 
 def test_labels_and_cameras_of_different_number(tmp_path: Path) -> None:
-    root = write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
+    write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
     with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
-        open_dataset(root).entries[0].read_labels()
+        open_dataset(tmp_path)
 
 
 def test_other_missing_things(tmp_path: Path) -> None:
@@ -145,15 +129,3 @@ def test_other_missing_things(tmp_path: Path) -> None:
         open_dataset(tmp_path, split="evaluation")
     with pytest.raises(OptionError, match=r"'test' does not exist here; choose from evaluation, training"):
         open_dataset(tmp_path, split="test")
-
-
-def test_a_list_of_arrays_reads_as_json_does(tmp_path: Path) -> None:
-    from handfit_core.evaluate.datasets.reading import read_json_arrays
-
-    content = [[1, 2.5], [[1, None]], [], [1e-3]]
-    for indent in (None, 2):
-        path = tmp_path / "list.json"
-        path.write_text(" " + json.dumps(content, indent=indent) + "\n")
-        arrays = read_json_arrays(path, "")
-        assert [None if a is None else a.shape for a in arrays] == [(2,), (1, 2), (0,), (1,)]
-    assert read_json_arrays(write_json(path, []), "") == []

@@ -6,7 +6,6 @@ import pytest
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.methods import (
-    TrackResult,
     fused_landmarks,
     get_method,
     in_metres,
@@ -52,24 +51,10 @@ def test_raw_landmarks_in_metres_have_the_world_landmarks_size_and_stand_where_t
     np.testing.assert_allclose(moved, placed, atol=1e-9)
 
 
-def test_a_fitted_hand_tells_how_deep_it_stands_in_itself_and_points_without_one_do_not() -> None:
-    model, nothing = load_model(None, "right"), np.empty((4, 0))
-    crossed = np.zeros((15, 3))
-    crossed[0, 1] = np.radians(-25.0)  # the index finger's first joint, sideways into the middle finger
-    crossed[3, 1] = np.radians(25.0)
-    poses = np.stack([np.zeros(45), model.hands_mean, crossed.ravel(), np.full(45, np.nan)])
-    parameters = np.concatenate([np.zeros((4, 13)), poses, np.zeros((4, 3))], axis=1)
-    fitted, bare = (TrackResult(nothing, nothing, nothing, p, nothing) for p in (parameters, nothing))
-    assert fitted.penetration(model, 0) == 0.0
-    assert fitted.penetration(model, 1) < 0.001
-    assert 0.004 < fitted.penetration(model, 2) < 0.02
-    assert np.isnan([fitted.penetration(model, 3), bare.penetration(model, 0)]).all()
-
-
 @pytest.mark.parametrize("name", ["raw-image", "raw-world", "fused", "paper-a"])
 def test_frames_without_a_detection_stay_empty(name: str) -> None:
     track = track_of("right", [None, seen(joints()), None])
-    result = get_method(name, "strict")({"right": load_model(None, "right")}, track, CAMERA)
+    result = get_method(name, "strict")(load_model(None, "right"), track, CAMERA)
     assert np.isnan(result.points_3d[[0, 2]]).all()
     assert np.isfinite(result.points_3d[1]).all()
     assert np.isfinite(result.picture_points[1]).all()
@@ -79,18 +64,16 @@ def test_frames_without_a_detection_stay_empty(name: str) -> None:
 def test_a_fitted_hand_keeps_the_parameters_that_give_its_surface() -> None:
     model = load_model(None, "right")
     track = track_of("right", [seen(joints()), None])
-    result = get_method("paper-a-plus", "strict")({"right": model}, track, CAMERA)
-    vertices = result.vertices(model, 0)
-    assert vertices is not None
-    np.testing.assert_allclose(vertices[model.tip_vertices], result.points_3d[0, [4, 8, 12, 16, 20]])
-    assert result.vertices(model, 1) is None
-    raw = get_method("fused", "strict")({"right": model}, track, CAMERA)
-    assert raw.vertices(model, 0) is None
+    result = get_method("paper-a-plus", "strict")(model, track, CAMERA)
+    betas, orient, pose, transl = np.split(result.parameters[0], [10, 13, 58])
+    np.testing.assert_allclose(model.keypoints(betas, orient, pose, transl), result.points_3d[0], atol=1e-12)
+    assert np.isnan(result.parameters[1]).all()
+    assert get_method("fused", "strict")(model, track, CAMERA).parameters.shape == (2, 0)
 
 
 def test_the_papers_protocol_takes_the_papers_own_picture_points() -> None:
     model, detection = load_model(None, "right"), seen(joints())
-    result = get_method("paper-b", "paper")({"right": model}, track_of("right", [detection]), CAMERA)
+    result = get_method("paper-b", "paper")(model, track_of("right", [detection]), CAMERA)
     fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints)
     fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
     np.testing.assert_allclose(result.picture_points[0], fit.in_picture(fitted))

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, units_of
+from handfit_core.evaluate.methods import TrackResult
 from handfit_core.evaluate.rows import Rows, rows_of
-from handfit_core.evaluate.scores import ProtocolName, Scores
-from handfit_core.evaluate.scoring import RowResult, baselines, score
+from handfit_core.evaluate.scores import Scores
+from handfit_core.evaluate.scoring import baselines, score
 from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import TIP_KEYPOINTS
@@ -23,7 +25,7 @@ PROTOCOLS: tuple[ProtocolName, ...] = ("paper", "strict")
 
 def rows(entries: Sequence[Entry], detections: Sequence[UnitDetections], protocol: ProtocolName) -> Rows:
     made = iter(detections)
-    return rows_of(units_of(entries), lambda _: next(made), protocol=protocol, max_hands=2, camera="assumed")
+    return rows_of(units_of(entries), lambda _: next(made), protocol=protocol, camera="assumed")
 
 
 def scored(
@@ -39,9 +41,14 @@ def scored(
     detections = [found((seen(points, camera=camera),))] * len(entries)
     if picture_points is None:
         picture_points = seen(points, camera=camera).keypoints
-    result = RowResult(points, picture_points)
-    made = rows(entries, detections, protocol).rows
-    return score("made", "made", lambda row: result if row.track else None, made, protocol)
+    return of_all(rows(entries, detections, protocol), points, picture_points, protocol)
+
+
+def of_all(made: Rows, points: np.ndarray, picture_points: np.ndarray, protocol: ProtocolName) -> Scores:
+    """A method that says the same of every hand."""
+    count = len(made.listed)
+    said = TrackResult.of_points(np.tile(points, (count, 1, 1)), np.tile(picture_points, (count, 1, 1)))
+    return score("made", "made", said, made, protocol)
 
 
 def only(points: np.ndarray, kept: Sequence[int]) -> np.ndarray:
@@ -67,11 +74,10 @@ def test_misses_vanish_in_the_paper_and_are_wrong_in_strict() -> None:
     truth = joints()
     entries = [entry(f"{i}", label(truth)) for i in range(4)]
     detections = [found((seen(truth),)), found(()), found(()), found(())]
-    result = RowResult(truth, seen(truth).keypoints)
     summaries = {}
     for protocol in PROTOCOLS:
         made = rows(entries, detections, protocol)
-        scores = score("made", "made", lambda row: result if row.track else None, made.rows, protocol)
+        scores = of_all(made, truth, seen(truth).keypoints, protocol)
         summaries[protocol] = summarise(scores, protocol)
         assert summaries[protocol]["detection_rate"] == 25.0
         dropped = [p.where for p in made.problems if p.kind == "no hand detected: dropped as in the paper"]
@@ -83,11 +89,11 @@ def test_misses_vanish_in_the_paper_and_are_wrong_in_strict() -> None:
 def test_a_picture_without_a_labelled_tip_is_named_when_the_paper_drops_it() -> None:
     truth = only(joints(), [0, 5, 9])
     made = rows([entry("palm only", label(truth))], [found((seen(joints()),))], "paper")
-    assert not made.rows
+    assert not made.listed
     assert [(p.kind, p.where) for p in made.problems] == [
         ("no labelled fingertip: dropped as in the paper", "palm only")
     ]
-    assert len(rows([entry("palm only", label(truth))], [found((seen(joints()),))], "strict").rows) == 1
+    assert len(rows([entry("palm only", label(truth))], [found((seen(joints()),))], "strict").listed) == 1
 
 
 def test_a_pixel_of_depth_is_a_millimetre_in_the_paper_and_what_it_is_in_strict() -> None:
@@ -125,7 +131,7 @@ def test_every_hand_is_a_left_one_in_the_paper() -> None:
     for protocol, side in (("paper", "left"), ("strict", "right")):
         made = rows([entry("a", label(truth, "right"))], [found((seen(truth, "right"),))], protocol)
         assert [view.track.side for view in made.tracks] == [side]
-        assert made.rows[0].side_correct == (side == "right")
+        assert made.listed[0]["side_correct"] == (side == "right")
 
 
 def test_joints_mix_in_the_paper_where_a_tip_has_no_label() -> None:
@@ -144,32 +150,29 @@ def test_joints_mix_in_the_paper_where_a_tip_has_no_label() -> None:
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 def test_null_baselines_score_what_facts_say(protocol: ProtocolName) -> None:
-    truth = [only(joints(), TIPS), only(joints(), TIPS[:1])]
-    entries = [entry(f"{i}", label(one)) for i, one in enumerate(truth)]
-    made = rows(entries, [found((seen(joints()),))] * 2, protocol).rows
-    name, title, centroid = baselines(made, protocol, None)[0]
-    five = score(name, title, centroid, made[:1], protocol, is_baseline=True)
-    tips = truth[0][TIPS]
-    spread = 1000 * np.linalg.norm(tips - tips.mean(axis=0), axis=1)
-    np.testing.assert_allclose(five.epe[0, TIPS], spread, rtol=1e-6)
-    assert 0.2 < summarise(five, protocol)["auc"] < 0.8
-    one = summarise(score(name, title, centroid, made[1:], protocol, is_baseline=True), protocol)
-    if protocol == "paper":
-        assert one["auc"] == pytest.approx(1.0)
-    else:
-        assert np.isnan(one["auc"])
+    five, one = only(joints(), TIPS), only(joints(), TIPS[:1])
+    summaries = []
+    for truth in (five, one):
+        made = rows([entry("a", label(truth))], [found((seen(joints()),))], protocol)
+        scores = score(*baselines(made, protocol, None)[0], made, protocol, is_baseline=True)
+        summaries.append(summarise(scores, protocol))
+        if truth is five:
+            spread = 1000 * np.linalg.norm(five[TIPS] - five[TIPS].mean(axis=0), axis=1)
+            np.testing.assert_allclose(scores.epe[0, TIPS], spread, rtol=1e-6)
+    assert 0.2 < summaries[0]["auc"] < 0.8
+    assert summaries[1]["auc"] == pytest.approx(1.0) if protocol == "paper" else np.isnan(summaries[1]["auc"])
 
 
 def test_the_paper_takes_the_first_hand_whose_tips_are_labelled() -> None:
     nothing, truth = label(np.full((21, 3), np.nan)), label(joints())
     made = rows([entry("second", nothing, truth)], [found((seen(joints()),))], "paper")
-    assert [row.hand_index for row in made.rows] == [1]
+    assert [row["hand"] for row in made.listed] == [1]
 
 
 def test_the_papers_protocol_needs_the_camera_and_says_whose_is_missing() -> None:
     truth = joints()
     made = rows([entry("dark", label(truth), camera=None)], [found((seen(truth),))], "paper")
-    assert not made.rows
+    assert not made.listed
     assert [(p.kind, p.where) for p in made.problems] == [
         ("camera missing: the paper's protocol needs it", "dark")
     ]

@@ -3,15 +3,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import DatasetError
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, Labels, units_of
-from handfit_core.evaluate.rows import rows_of
-from handfit_core.evaluate.scoring import RowResult, score
+from handfit_core.evaluate.methods import TrackResult
+from handfit_core.evaluate.rows import label_pixels, match, rows_of, view_of
+from handfit_core.evaluate.scoring import score
 from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from tests.core.evaluate.hands import CAMERA, HEIGHT, WIDTH, entry, found, joints, label, seen
 
 TRUTH = joints()
@@ -20,21 +23,20 @@ AWAY = joints(at=(-0.15, 0.08, 0.5))
 
 def strict_rows(entries, *detections: UnitDetections, camera: str = "assumed"):
     made = iter(detections)
-    return rows_of(units_of(entries), lambda _: next(made), protocol="strict", max_hands=2, camera=camera)
+    return rows_of(units_of(entries), lambda _: next(made), protocol="strict", camera=camera)
 
 
 def test_a_detection_of_nothing_labelled_is_an_extra_hand() -> None:
     made = strict_rows([entry("a", label(TRUTH))], found((seen(AWAY), seen(TRUTH))))
-    assert (made.pictures, made.extra_hands, len(made.rows)) == (1, 1, 1)
-    assert made.rows[0].track is not None
-    detections = made.rows[0].track.track.detections
+    assert (made.pictures, made.extra_hands, len(made.listed)) == (1, 1, 1)
+    detections = made.tracks[made.listed[0]["track"]].track.detections
     np.testing.assert_allclose(detections.keypoints_2d[0], CAMERA.project(TRUTH))
 
 
 def test_a_wrong_side_shows_in_handedness_alone() -> None:
     made = strict_rows([entry("a", label(TRUTH, "right"))], found((seen(TRUTH, "left"),)))
-    result = RowResult(TRUTH, seen(TRUTH).keypoints)
-    summary = summarise(score("m", "m", lambda _: result, made.rows, "strict"), "strict")
+    result = TrackResult.of_points(TRUTH[None], seen(TRUTH).keypoints[None])
+    summary = summarise(score("m", "m", result, made, "strict"), "strict")
     assert summary["handedness"] == 0.0
     assert summary["detection_rate"] == 100.0
     assert summary["pa_mpjpe"] < 1e-6
@@ -42,7 +44,7 @@ def test_a_wrong_side_shows_in_handedness_alone() -> None:
 
 def test_two_labelled_hands_are_two_rows_and_one_may_be_missed() -> None:
     made = strict_rows([entry("a", label(TRUTH), label(AWAY, "left"))], found((seen(AWAY, "left"),)))
-    assert [(row.hand_index, row.track is not None) for row in made.rows] == [(0, False), (1, True)]
+    assert [(row["hand"], row["track"]) for row in made.listed] == [(0, -1), (1, 0)]
     assert made.extra_hands == 0
 
 
@@ -50,8 +52,8 @@ def test_a_clip_is_one_track_and_a_frame_without_a_hand_is_a_miss() -> None:
     frames = [entry(f"{i}", label(TRUTH), clip="walk", time=i / 25) for i in range(3)]
     made = strict_rows(frames, found((seen(TRUTH),), (), (seen(TRUTH),)))
     assert len(made.tracks) == 1
-    assert [row.track is not None for row in made.rows] == [True, False, True]
-    assert [row.frame for row in made.rows] == [0, 1, 2]
+    assert [row["track"] for row in made.listed] == [0, -1, 0]
+    assert [row["frame"] for row in made.listed] == [0, 1, 2]
 
 
 def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
@@ -67,7 +69,7 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
     ]
     unreadable = UnitDetections(((),), np.zeros((1, 2), dtype=int), np.zeros(1))
     made = strict_rows(entries, unreadable, found((seen(TRUTH),)))
-    assert [row.entry.name for row in made.rows] == ["good"]
+    assert [row["sample"] for row in made.listed] == ["good"]
     assert [(p.kind, p.where.split(":")[0]) for p in made.problems] == [
         ("labels cannot be read", "damaged"),
         ("no labelled hand", "empty"),
@@ -82,7 +84,7 @@ def test_an_unreadable_frame_of_a_clip_is_no_miss() -> None:
         Detections.of([[], [seen(TRUTH)]]), np.array([[0, 0], [WIDTH, HEIGHT]]), np.zeros(2)
     )
     made = strict_rows(frames, detections)
-    assert [row.entry.name for row in made.rows] == ["1"]
+    assert [row["sample"] for row in made.listed] == ["1"]
     assert [(p.kind, p.where) for p in made.problems] == [("picture cannot be read", "0")]
 
 
@@ -113,5 +115,93 @@ def test_whatever_is_found_in_a_picture_without_hands_is_extra() -> None:
     made = strict_rows(
         [entry("table"), entry("a", label(TRUTH))], found((seen(AWAY),)), found((seen(TRUTH),))
     )
-    assert (made.pictures, made.extra_hands, len(made.rows)) == (2, 1, 1)
+    assert (made.pictures, made.extra_hands, len(made.listed)) == (2, 1, 1)
     assert made.problems == []
+
+
+# Matching
+
+LEFT_OF_PICTURE, RIGHT_OF_PICTURE = joints(at=(-0.12, 0.08, 0.5)), joints(at=(0.12, 0.08, 0.5))
+
+
+def test_each_hand_gets_its_own_detection_whatever_the_order_and_side() -> None:
+    labels = [label(LEFT_OF_PICTURE).keypoints_2d, label(RIGHT_OF_PICTURE).keypoints_2d]
+    detections = [seen(RIGHT_OF_PICTURE, "left").keypoints_2d, seen(LEFT_OF_PICTURE, "left").keypoints_2d]
+    assert match(labels, detections) == [1, 0]
+
+
+def test_a_stray_far_away_is_no_detection_of_the_hand() -> None:
+    assert match([label(LEFT_OF_PICTURE).keypoints_2d], [seen(RIGHT_OF_PICTURE).keypoints_2d]) == [None]
+
+
+def test_a_stray_does_not_push_the_right_pair_apart() -> None:
+    labels = [label(LEFT_OF_PICTURE).keypoints_2d, label(RIGHT_OF_PICTURE).keypoints_2d]
+    assert match(labels, [seen(LEFT_OF_PICTURE).keypoints_2d]) == [0, None]
+    assert match(labels, []) == [None, None]
+
+
+def test_a_few_labelled_points_are_enough() -> None:
+    points = LEFT_OF_PICTURE.copy()
+    points[np.arange(21) != 8] = np.nan
+    pixels = label(points).keypoints_2d
+    assert match([pixels], [seen(RIGHT_OF_PICTURE).keypoints_2d, seen(LEFT_OF_PICTURE).keypoints_2d]) == [1]
+
+
+def test_a_hand_without_pixels_takes_what_is_left() -> None:
+    nowhere = np.full((21, 2), np.nan)
+    labels = [nowhere, label(RIGHT_OF_PICTURE).keypoints_2d]
+    assert match(labels, [seen(RIGHT_OF_PICTURE).keypoints_2d, seen(LEFT_OF_PICTURE).keypoints_2d]) == [1, 0]
+
+
+def test_missing_pixels_are_projected_and_points_behind_the_camera_are_not() -> None:
+    points = LEFT_OF_PICTURE.copy()
+    points[4, 2] = -0.1
+    hand = label(points)
+    without = type(hand)(hand.side, points, np.full((21, 2), np.nan))
+    pixels = label_pixels(without, CAMERA)
+    assert np.isnan(pixels[4]).all()
+    np.testing.assert_allclose(pixels[8], CAMERA.project(points[8]))
+    assert np.isnan(label_pixels(without, None)).all()
+
+
+ENTRIES = [
+    Entry(name, Path(name), lambda: Labels((), None), clip)
+    for name, clip in (("a", None), ("b", None), ("c", None), ("x1", "x"), ("x2", "x"), ("y1", "y"))
+]
+
+
+@pytest.mark.parametrize(
+    ("every", "clips", "expected"),
+    [
+        (1, True, [["a"], ["b"], ["c"], ["x1", "x2"], ["y1"]]),
+        (2, True, [["a"], ["c"], ["x1", "x2"]]),
+        (1, False, [["a"], ["b"], ["c"], ["x1"], ["x2"], ["y1"]]),
+        (3, False, [["a"], ["x1"]]),
+    ],
+)
+def test_stills_are_units_and_clips_stay_whole(every: int, clips: bool, expected: list[list[str]]) -> None:
+    units = units_of(ENTRIES, clips=clips, every=every)
+    assert [[e.name for e in unit.entries] for unit in units] == expected
+    assert [unit.is_clip for unit in units] == [clips and len(u) > 0 and u[0][0] in "xy" for u in expected]
+
+
+def turned(points: np.ndarray, degrees: float) -> np.ndarray:
+    """About the vertical through the palm."""
+    middle = points[[0, 5, 17]].mean(axis=0)
+    turn = rotvec_to_rotmat(np.array([0.0, np.radians(degrees), 0.0]))
+    return (points - middle) @ turn.T + middle
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(
+    ("degrees", "view"), [(0, "palm"), (40, "palm"), (90, "edge"), (-90, "edge"), (180, "back")]
+)
+def test_view_follows_the_palm_for_both_hands(side, degrees: float, view: str) -> None:
+    assert view_of(turned(joints(side, at=(0.0, 0.05, 0.5)), degrees), side) == view
+
+
+def test_view_is_unknown_without_a_side_or_a_knuckle() -> None:
+    points = joints()
+    assert view_of(points, None) == "unknown"
+    points[17] = np.nan
+    assert view_of(points, "right") == "unknown"

@@ -74,8 +74,8 @@ def test_surfaces_sides_and_times() -> None:
         penetration=np.array([3.0, nan, 5.0, nan]),
         side_correct=np.array([1.0, 0.0, nan, nan]),
         # The first picture has two hands; it was detected once.
-        samples=("a", "a", "b", "c"),
-        hands=np.array([0, 1, 0, 0]),
+        sample=("a", "a", "b", "c"),
+        hand=np.array([0, 1, 0, 0]),
         detect_ms=np.array([10.0, 10.0, 30.0, 50.0]),
         fit_ms=np.array([1.0, 2.0, 9.0, nan]),
     )
@@ -208,7 +208,7 @@ def clip_scores(lengths: dict[str, int], **overrides):
     clips = tuple(clip for clip, n in lengths.items() for _ in range(n))
     times = np.concatenate([np.arange(n) / 25.0 for n in lengths.values()])
     return make_scores(
-        **{"labels_3d": labels, "points_3d": labels + noise, "clips": clips, "times": times, **overrides}
+        **{"labels_3d": labels, "points_3d": labels + noise, "clip": clips, "time": times, **overrides}
     )
 
 
@@ -219,7 +219,11 @@ def test_clips_are_averaged_by_their_detected_frames() -> None:
     found = summarise(scores, "strict")
     expected = np.zeros(3)
     for rows, weight in ((slice(0, 40), 40), (slice(40, 140), 70)):
-        points, truth, times = scores.points_3d[rows], scores.labels_3d[rows], scores.times[rows]
+        points, truth, times = (
+            scores.points_3d[rows],
+            scores.labels_3d[rows],
+            scores.hands["time"].to_numpy()[rows],
+        )
         values = (
             bone_length_variation(points),
             acceleration_error(points, truth, times),
@@ -238,9 +242,9 @@ def test_two_hands_of_a_clip_are_two_tracks() -> None:
     two = make_scores(
         labels_3d=labels,
         points_3d=points,
-        hands=np.tile([0, 1], 30),
-        clips=("a",) * 60,
-        times=np.repeat(one.times, 2),
+        hand=np.tile([0, 1], 30),
+        clip=("a",) * 60,
+        time=np.repeat(one.hands["time"].to_numpy(), 2),
     )
     for key in ("bone_variation", "acceleration_error", "jitter"):
         assert summarise(two, "strict")[key] == pytest.approx(summarise(one, "strict")[key])
@@ -250,10 +254,10 @@ def test_frames_that_the_set_lacks_are_a_gap() -> None:
     whole = clip_scores({"a": 100})
     jump = whole.points_3d.copy()
     jump[50:, 1:] += 0.1
-    times = whole.times.copy()
-    found = summarise(clip_scores({"a": 100}, points_3d=jump, times=times), "strict")
+    times = whole.hands["time"].to_numpy(copy=True)
+    found = summarise(clip_scores({"a": 100}, points_3d=jump, time=times), "strict")
     times[50:] += 10.0
-    apart = summarise(clip_scores({"a": 100}, points_3d=jump, times=times), "strict")
+    apart = summarise(clip_scores({"a": 100}, points_3d=jump, time=times), "strict")
     usual = summarise(whole, "strict")
     for key in ("acceleration_error", "jitter"):
         assert apart[key] == pytest.approx(usual[key], rel=0.05)
@@ -263,7 +267,7 @@ def test_frames_that_the_set_lacks_are_a_gap() -> None:
 def test_stills_and_clips_without_times() -> None:
     stills = summarise(make_scores(30), "strict")
     assert all(math.isnan(stills[key]) for key in ("bone_variation", "acceleration_error", "jitter"))
-    timeless = summarise(clip_scores({"a": 30}, times=np.zeros(30)), "strict")
+    timeless = summarise(clip_scores({"a": 30}, time=np.zeros(30)), "strict")
     assert timeless["bone_variation"] > 0.0
     assert math.isnan(timeless["acceleration_error"])
     assert math.isnan(timeless["jitter"])

@@ -13,7 +13,7 @@ from handfit_core.hand_model.anatomy import (
     relaxed_pose,
     rotmats_from_angles,
 )
-from handfit_core.paper.anatomical import AnatomicalPenalty
+from handfit_core.paper.terms import AnatomicalPenalty
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
 MIRROR = np.array([1.0, -1.0, -1.0])

@@ -79,8 +79,6 @@ def test_every_solver_beats_its_start(name: str) -> None:
         return float(np.linalg.norm((points - keypoints)[:, axes], axis=-1).mean())
 
     assert error(fitted) < 0.5 * error(start)
-    assert fit.evaluations > 1
-    assert fit.message
     fixed = fitter.fit(keypoints, betas=np.zeros(10))
     np.testing.assert_array_equal(fixed.betas, np.zeros(10))
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from handfit_core.paper import losses
+from handfit_core.paper import terms
 from handfit_core.skeleton import TIP_KEYPOINTS
 
 RESIDUAL = np.random.default_rng(0).normal(scale=20.0, size=(1, 21, 3))
@@ -16,22 +16,22 @@ NAIVE = {
 
 @pytest.mark.parametrize("name", NAIVE)
 def test_values(name: str) -> None:
-    loss = getattr(losses, name)
+    loss = getattr(terms, name)
     expected = np.mean([NAIVE[name](r) for r in RESIDUAL.reshape(-1)])
     assert float(loss(torch.tensor(RESIDUAL))) == pytest.approx(expected)
     tips = np.mean([NAIVE[name](r) for r in RESIDUAL[:, list(TIP_KEYPOINTS)].reshape(-1)])
-    weighted = losses.with_tips(loss)(torch.tensor(RESIDUAL))
+    weighted = terms.with_tips(loss)(torch.tensor(RESIDUAL))
     assert float(weighted) == pytest.approx(expected + 4.0 * tips)
 
 
 @pytest.mark.parametrize("name", NAIVE)
 def test_gradients(name: str) -> None:
     residual = torch.tensor(RESIDUAL, requires_grad=True)
-    assert torch.autograd.gradcheck(losses.with_tips(getattr(losses, name)), residual)
+    assert torch.autograd.gradcheck(terms.with_tips(getattr(terms, name)), residual)
 
 
 @pytest.mark.parametrize("name", ["geman_mcclure", "huber"])
 def test_robust_losses_grow_slower(name: str) -> None:
-    loss = getattr(losses, name)
+    loss = getattr(terms, name)
     near, far = (float(loss(torch.full((1, 21, 3), v, dtype=torch.float64))) for v in (10.0, 1000.0))
     assert far / near < 1000.0**2 / 10.0**2
