@@ -31,7 +31,7 @@ from handfit_core.skeleton import SIDES
 from scripts.benchmark.clips import clip_file, clip_shot
 from scripts.benchmark.kinematics import model_of
 from scripts.benchmark.shots import FPS, NAME, NOTES, Shot, entries
-from scripts.benchmark.stills import KINDS, Poses, still_file, still_shot
+from scripts.benchmark.stills import still_file, still_shot
 
 RECIPE = 1
 """Raise it when the same seed no longer gives the same pictures"""
@@ -48,8 +48,6 @@ class Plan:
     frames: int
     seed: int
     size: int
-    poses: Poses = "usual"
-    """Of the stills"""
 
     def __len__(self) -> int:
         return self.stills + self.clips * self.frames
@@ -64,7 +62,7 @@ class Plan:
         """Each shot that has any of the `chosen` pictures, and which of its pictures those are."""
         for number in range(self.stills):
             if number in chosen:
-                yield still_shot(self.seed, number, self.size, self.poses), [0]
+                yield still_shot(self.seed, number, self.size), [0]
         for clip in range(self.clips):
             first = self.stills + clip * self.frames
             pictures = [t for t in range(self.frames) if first + t in chosen]
@@ -75,7 +73,7 @@ class Plan:
 def main(argv: list[str] | None = None) -> int:
     """Run the script; returns the exit code."""
     args = _parser().parse_args(_own_arguments() if argv is None else argv)
-    plan = Plan(args.stills, args.clips, args.frames, args.seed, args.size, args.poses)
+    plan = Plan(args.stills, args.clips, args.frames, args.seed, args.size)
     try:
         _check(plan, args.samples)
         chosen = _chosen(args.only, len(plan))
@@ -93,9 +91,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frames", type=int, default=100, help="pictures a clip, 25 a second (default 100)")
     parser.add_argument("--seed", type=int, default=0, help="another seed, other pictures (default 0)")
     parser.add_argument("--size", type=int, default=512, help="pixels a side (default 512)")
-    parser.add_argument(
-        "--poses", choices=tuple(KINDS), default="usual", help="hands of the stills (default usual)"
-    )
     parser.add_argument("--samples", type=int, default=3, help="Cycles samples a pixel (default 3, denoised)")
     parser.add_argument("--only", metavar="N-M", help="only these pictures, from 0, clips after stills")
     parser.add_argument("--overwrite", action="store_true", help="render pictures again that are there")
@@ -111,7 +106,7 @@ def _own_arguments() -> list[str]:
 def _check(plan: Plan, samples: int) -> None:
     least = {"stills": 0, "clips": 0, "frames": 1, "seed": 0, "size": 32}
     for name, value in {**vars(plan), "samples": samples}.items():
-        if name != "poses" and value < least.get(name, 1):
+        if value < least.get(name, 1):
             raise OptionError(f"--{name} must be {least.get(name, 1)} or more, not {value}")
     if len(plan) == 0:
         raise OptionError("there is nothing to render; ask for --stills or --clips")
@@ -142,8 +137,6 @@ def _agree_on_settings(output: Path, plan: Plan, samples: int, overwrite: bool) 
         "frames": plan.frames,
         "hands": {side: model_of(side).digest for side in SIDES},
     }
-    if plan.poses != "usual":
-        wanted["poses"] = plan.poses
     path = output / SETTINGS
     there = [*output.glob("stills/*.jpg"), *output.glob("clips/*/*.jpg")]
     try:
