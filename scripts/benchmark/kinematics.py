@@ -42,8 +42,7 @@ def first_limits() -> JointLimits:
 
 def within_limits(angles: np.ndarray) -> np.ndarray:
     """Clip (..., 15, 3) angles to `first_limits`."""
-    limits = first_limits()
-    return np.clip(angles, limits.lower, limits.upper)
+    return np.clip(angles, first_limits().lower, first_limits().upper)
 
 
 def hand_pose_from_angles(angles: np.ndarray, side: Side) -> np.ndarray:
