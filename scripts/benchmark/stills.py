@@ -38,11 +38,6 @@ KINDS: Final = tuple(POSES)
 """Of hands; another kind would give other pictures of the same seeds"""
 
 
-def still_file(number: int) -> str:
-    """Where a still is in the benchmark's folder."""
-    return f"stills/{number:05d}.jpg"
-
-
 def still_shot(seed: int, number: int, size: int) -> Shot:
     """The still of that number, always the same: it depends on nothing but these three.
 
@@ -91,7 +86,7 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot |
         **lens_tags(focal_mm),
     }
     return Shot(
-        files=(still_file(number),),
+        files=(f"stills/{number:05d}.jpg",),
         clip=None,
         size=size,
         camera=camera,
