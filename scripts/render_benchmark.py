@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -139,32 +140,35 @@ def _render_all(output: Path, plan: Plan, samples: int) -> int:
     _agree_on_settings(output, plan, samples)
 
     start, drawn, done = time.monotonic(), 0, 0
+    pictures: list[dict[str, Any]] = []
     with _stop_wanted() as stop:
         for shot in plan.shots():
             if stop.is_set():
                 break
             built = False
-            for picture, file in enumerate(shot.files):
+            for picture, (file, entry) in enumerate(zip(shot.files, entries(shot), strict=True)):
                 done += 1
                 path = output / file
-                if stop.is_set() or path.is_file():
+                if path.is_file():
+                    pictures.append(entry)
+                    continue
+                if stop.is_set():
                     continue
                 if not built:
                     build_scene(shot, samples)
                     built = True
                 draw(shot, picture, path)
+                pictures.append(entry)
                 drawn += 1
                 each = (time.monotonic() - start) / drawn
                 left = each * (len(plan) - done) / 60
                 print(f"{file} ({done}/{len(plan)}), {each:.1f} s each, {left:.0f} min left", flush=True)
     if stop.is_set():
         print("stopped; the same command goes on from here", flush=True)
-    pictures = [
-        entry for shot in plan.shots() for entry in entries(shot) if (output / entry["file"]).is_file()
-    ]
-    if pictures:
+    # Stopped before it drew anything, this run has not come to all pictures of the runs before.
+    if pictures and (drawn or not stop.is_set()):
         save_index(output, pictures, name=NAME, notes=NOTES, fps=FPS)
-    print(f"{drawn} pictures rendered, {len(pictures)} in {output / 'index.json'}", flush=True)
+    print(f"{drawn} pictures rendered, {len(pictures)} of {len(plan)} are there", flush=True)
     return 130 if stop.is_set() else 0
 
 
