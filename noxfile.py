@@ -22,7 +22,7 @@ PYTHON = "3.11"
 RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "loky", "tqdm"]
 """What captures, one input or many."""
 PAPER = ["torch"]
-"""What the paper's experiments, the differentiable layer and training need on top."""
+"""What the paper's experiments and the differentiable layer need on top."""
 EVALUATION = ["pandas", "matplotlib", "jinja2", "joblib"]
 """What the reports of `evaluate` need on top."""
 FARM = ["distributed"]

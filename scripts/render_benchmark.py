@@ -17,9 +17,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Container, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -28,10 +29,10 @@ from handfit_core.errors import HandfitError, OptionError, OutputError
 from handfit_core.evaluate.datasets.plain import save_index
 from handfit_core.files import written_whole
 from handfit_core.skeleton import SIDES
-from scripts.benchmark.clips import clip_file, clip_shot
+from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.kinematics import model_of
 from scripts.benchmark.shots import FPS, NAME, NOTES, Shot, entries
-from scripts.benchmark.stills import KINDS, Poses, still_file, still_shot
+from scripts.benchmark.stills import still_shot
 
 RECIPE = 1
 """Raise it when the same seed no longer gives the same pictures"""
@@ -41,45 +42,32 @@ SETTINGS = "render_settings.json"
 
 @dataclass(frozen=True)
 class Plan:
-    """Which pictures there are to be; numbered from 0, stills first, then clip by clip."""
+    """Which pictures there are to be."""
 
     stills: int
     clips: int
     frames: int
     seed: int
     size: int
-    poses: Poses = "usual"
-    """Of the stills"""
 
     def __len__(self) -> int:
         return self.stills + self.clips * self.frames
 
-    def there(self, output: Path) -> list[int]:
-        """The numbers of the pictures that are in the folder, whenever they were rendered."""
-        clips = ((c, t) for c in range(self.clips) for t in range(self.frames))
-        files = [still_file(n) for n in range(self.stills)] + [clip_file(*at) for at in clips]
-        return [number for number, file in enumerate(files) if (output / file).is_file()]
-
-    def shots(self, chosen: Container[int]) -> Iterator[tuple[Shot, list[int]]]:
-        """Each shot that has any of the `chosen` pictures, and which of its pictures those are."""
+    def shots(self) -> Iterator[Shot]:
+        """All of them, one after another."""
         for number in range(self.stills):
-            if number in chosen:
-                yield still_shot(self.seed, number, self.size, self.poses), [0]
-        for clip in range(self.clips):
-            first = self.stills + clip * self.frames
-            pictures = [t for t in range(self.frames) if first + t in chosen]
-            if pictures:
-                yield clip_shot(self.seed, clip, self.frames, self.size), pictures
+            yield still_shot(self.seed, number, self.size)
+        for number in range(self.clips):
+            yield clip_shot(self.seed, number, self.frames, self.size)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run the script; returns the exit code."""
     args = _parser().parse_args(_own_arguments() if argv is None else argv)
-    plan = Plan(args.stills, args.clips, args.frames, args.seed, args.size, args.poses)
+    plan = Plan(args.stills, args.clips, args.frames, args.seed, args.size)
     try:
         _check(plan, args.samples)
-        chosen = _chosen(args.only, len(plan))
-        return _render_all(args.output, plan, chosen, args.samples, args.overwrite)
+        return _render_all(args.output, plan, args.samples)
     except HandfitError as error:
         print(f"render_benchmark: {error}", file=sys.stderr)
         return 2
@@ -93,12 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--frames", type=int, default=100, help="pictures a clip, 25 a second (default 100)")
     parser.add_argument("--seed", type=int, default=0, help="another seed, other pictures (default 0)")
     parser.add_argument("--size", type=int, default=512, help="pixels a side (default 512)")
-    parser.add_argument(
-        "--poses", choices=tuple(KINDS), default="usual", help="hands of the stills (default usual)"
-    )
     parser.add_argument("--samples", type=int, default=3, help="Cycles samples a pixel (default 3, denoised)")
-    parser.add_argument("--only", metavar="N-M", help="only these pictures, from 0, clips after stills")
-    parser.add_argument("--overwrite", action="store_true", help="render pictures again that are there")
     return parser
 
 
@@ -111,27 +94,13 @@ def _own_arguments() -> list[str]:
 def _check(plan: Plan, samples: int) -> None:
     least = {"stills": 0, "clips": 0, "frames": 1, "seed": 0, "size": 32}
     for name, value in {**vars(plan), "samples": samples}.items():
-        if name != "poses" and value < least.get(name, 1):
+        if value < least.get(name, 1):
             raise OptionError(f"--{name} must be {least.get(name, 1)} or more, not {value}")
     if len(plan) == 0:
         raise OptionError("there is nothing to render; ask for --stills or --clips")
 
 
-def _chosen(only: str | None, count: int) -> range:
-    """`N-M` or `N`, both included -> picture numbers."""
-    if only is None:
-        return range(count)
-    first, _, last = only.partition("-")
-    if (
-        not first.isdecimal()
-        or not (last or first).isdecimal()
-        or not int(first) <= int(last or first) < count
-    ):
-        raise OptionError(f"--only wants N-M with 0 <= N <= M < {count}, not {only!r}")
-    return range(int(first), int(last or first) + 1)
-
-
-def _agree_on_settings(output: Path, plan: Plan, samples: int, overwrite: bool) -> None:
+def _agree_on_settings(output: Path, plan: Plan, samples: int) -> None:
     """Refuse to mix pictures of two recipes in one folder."""
     # How many stills and clips there are changes none of them.
     wanted = {
@@ -142,28 +111,21 @@ def _agree_on_settings(output: Path, plan: Plan, samples: int, overwrite: bool) 
         "frames": plan.frames,
         "hands": {side: model_of(side).digest for side in SIDES},
     }
-    if plan.poses != "usual":
-        wanted["poses"] = plan.poses
     path = output / SETTINGS
-    there = [*output.glob("stills/*.jpg"), *output.glob("clips/*/*.jpg")]
+    there = any(output.glob("stills/*.jpg")) or any(output.glob("clips/*/*.jpg"))
     try:
         found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
     except ValueError:
         found = None
     if there and found != wanted:
-        if not overwrite:
-            raise OutputError(
-                f"{output}: its pictures were made with {found}, not {wanted}; choose another folder, or add "
-                "--overwrite to render all of them again"
-            )
-        # All of them, also those that this run does not come to: their labels would be the new ones.
-        for old in (output / "index.json", *there):
-            old.unlink(missing_ok=True)
+        raise OutputError(
+            f"{output}: its pictures were made with {found}, not {wanted}; choose another folder"
+        )
     with written_whole(path) as beside:
         beside.write_text(json.dumps(wanted), encoding="utf-8")
 
 
-def _render_all(output: Path, plan: Plan, chosen: range, samples: int, overwrite: bool) -> int:
+def _render_all(output: Path, plan: Plan, samples: int) -> int:
     # Blender's part loads here, so that --help and wrong options answer at once and without it.
     try:
         from scripts.benchmark.drawing import draw
@@ -175,36 +137,38 @@ def _render_all(output: Path, plan: Plan, chosen: range, samples: int, overwrite
             "this Python has no Blender in it; install a bpy wheel, or run it as "
             "blender -b -P scripts/render_benchmark.py -- OUT"
         ) from error
-    _agree_on_settings(output, plan, samples, overwrite)
+    _agree_on_settings(output, plan, samples)
 
     start, drawn, done = time.monotonic(), 0, 0
+    pictures: list[dict[str, Any]] = []
     with _stop_wanted() as stop:
-        for shot, pictures in plan.shots(chosen):
+        for shot in plan.shots():
             if stop.is_set():
                 break
             built = False
-            for picture in pictures:
+            for picture, (file, entry) in enumerate(zip(shot.files, entries(shot), strict=True)):
                 done += 1
-                path = output / shot.files[picture]
-                if stop.is_set() or (path.is_file() and not overwrite):
+                path = output / file
+                if path.is_file():
+                    pictures.append(entry)
+                    continue
+                if stop.is_set():
                     continue
                 if not built:
                     build_scene(shot, samples)
                     built = True
                 draw(shot, picture, path)
+                pictures.append(entry)
                 drawn += 1
                 each = (time.monotonic() - start) / drawn
-                left = each * (len(chosen) - done) / 60
-                print(
-                    f"{shot.files[picture]} ({done}/{len(chosen)}), {each:.1f} s each, {left:.0f} min left",
-                    flush=True,
-                )
+                left = each * (len(plan) - done) / 60
+                print(f"{file} ({done}/{len(plan)}), {each:.1f} s each, {left:.0f} min left", flush=True)
     if stop.is_set():
         print("stopped; the same command goes on from here", flush=True)
-    pictures = [entries(shot)[t] for shot, found in plan.shots(plan.there(output)) for t in found]
-    if pictures:
+    # Stopped before it drew anything, this run has not come to all pictures of the runs before.
+    if pictures and (drawn or not stop.is_set()):
         save_index(output, pictures, name=NAME, notes=NOTES, fps=FPS)
-    print(f"{drawn} pictures rendered, {len(pictures)} in {output / 'index.json'}", flush=True)
+    print(f"{drawn} pictures rendered, {len(pictures)} of {len(plan)} are there", flush=True)
     return 130 if stop.is_set() else 0
 
 

@@ -3,7 +3,7 @@
 The error is the mean distance of a finger's four keypoints from the true ones, once all 21 are laid over
 these by a similarity; the mean over the fingers is PA-MPJPE without the wrist. Its logarithm is linear in
 `evidence`, which needs no truth. The weights come from painted hands that no network was trained on
-(scripts/train_doubt.py).
+(scripts/train_doubt.py at commit 2ca2c99).
 """
 
 from __future__ import annotations

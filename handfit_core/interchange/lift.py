@@ -1,7 +1,8 @@
 """From keypoints in the plane, some of which may be missing, to detections with depth.
 
-A small network, trained by scripts/train_lift.py on projections of the open hand in the poses of painted
-pictures, tells how deep each point is, and where the missing ones are (docs/method.md).
+A small network, trained on projections of the open hand in the poses of painted pictures
+(scripts/train_lift.py at commit 2ca2c99), tells how deep each point is, and where the missing
+ones are (docs/method.md).
 """
 
 from __future__ import annotations

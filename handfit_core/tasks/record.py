@@ -205,6 +205,9 @@ def remove_abandoned(folder: Path) -> None:
 def _lives(pid: int) -> bool:
     if os.name == "nt":  # where asking a process so would end it
         return True
+    with contextlib.suppress(OSError):
+        # One that has ended lives on as a zombie until it is asked for, in containers often never.
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     try:
         os.kill(pid, 0)
     except ProcessLookupError:

@@ -19,8 +19,6 @@ LENGTH: Final = 0.6
 """metres; long enough to leave the picture"""
 _BEND: Final = 0.06
 """metres behind the wrist over which the arm turns into its own direction"""
-RADIUS: Final = 0.042
-"""metres, the arm's thickest"""
 
 
 @dataclass(frozen=True, eq=False)

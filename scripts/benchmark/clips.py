@@ -40,11 +40,6 @@ _MOST_OUTSIDE: Final = 8
 """Keypoints of a picture beyond its frame"""
 
 
-def clip_file(number: int, picture: int) -> str:
-    """Where a picture of a clip is in the benchmark's folder."""
-    return f"clips/{number:02d}/{picture:04d}.jpg"
-
-
 def clip_shot(seed: int, number: int, frames: int, size: int) -> Shot:
     """The clip of that number, always the same: it depends on nothing but these four.
 
@@ -101,7 +96,7 @@ def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: i
     occluder, props = random_occluder(points[0][rows // 2], camera, nearest, rng)
     beyond = np.sum([outside(camera.project(p), size) for p in points], axis=0)
     return Shot(
-        files=tuple(clip_file(number, t) for t in range(frames)),
+        files=tuple(f"clips/{number:02d}/{t:04d}.jpg" for t in range(frames)),
         clip=f"{number:02d}",
         size=size,
         camera=camera,

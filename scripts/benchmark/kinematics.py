@@ -32,12 +32,6 @@ def right_axes() -> np.ndarray:
 
 
 @functools.cache
-def right_limits() -> JointLimits:
-    """Active ranges of the right hand."""
-    return joint_limits("right")
-
-
-@functools.cache
 def first_limits() -> JointLimits:
     """The ranges when the first kinds of poses were drawn: their seeds give the same poses for ever."""
     limits = joint_limits("right")
@@ -46,10 +40,9 @@ def first_limits() -> JointLimits:
     return JointLimits(limits.lower, upper)
 
 
-def within_limits(angles: np.ndarray, limits: JointLimits | None = None) -> np.ndarray:
-    """Clip (..., 15, 3) angles to the active ranges; None: the first ones."""
-    limits = limits or first_limits()
-    return np.clip(angles, limits.lower, limits.upper)
+def within_limits(angles: np.ndarray) -> np.ndarray:
+    """Clip (..., 15, 3) angles to `first_limits`."""
+    return np.clip(angles, first_limits().lower, first_limits().upper)
 
 
 def hand_pose_from_angles(angles: np.ndarray, side: Side) -> np.ndarray:

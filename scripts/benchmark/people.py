@@ -14,7 +14,6 @@ from handfit_core.hand_model import ShapedHand
 from handfit_core.skeleton import Side, other_side
 
 from .arm import Arm, build_arm, forearm_direction
-from .closed import CLOSED, closed_pose
 from .contact import Capsules, capsules, clearance, gap
 from .grasp import Held, random_grasp
 from .kinematics import RightHand, hand_pose_from_angles, model_of
@@ -78,7 +77,7 @@ def random_hand(
         if side == "left":
             held = _mirrored(held)
     else:
-        angles = (closed_pose if kind in CLOSED else random_pose)(kind, right, rng)
+        angles = random_pose(kind, right, rng)
     model = model_of(side)
     shaped = model.shaped(betas)
     pose = hand_pose_from_angles(angles, side)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from handfit_core.hand_model.anatomy import JointLimits
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, TIP_KEYPOINTS
 
 from .contact import overlaps
@@ -33,32 +32,24 @@ def reach(
     angles: np.ndarray,
     free: np.ndarray,
     miss: Callable[[np.ndarray], np.ndarray],
-    wanted: np.ndarray | None = None,
-    limits: JointLimits | None = None,
-    cuts: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Change the `free` (15, 3) angles so that `miss` vanishes: damped Gauss-Newton with differences.
 
     `miss` maps keypoints (B, 21, 3) to vectors (B, M) in metres. The result stays within the active
-    ranges and near the `wanted` angles (15, 3), or those where it starts; `miss` need not vanish: ask again.
-    `cuts` maps angles (B, 15, 3) to metres (B, K) by which parts cut, beside `overlaps`.
+    ranges and near where it starts; `miss` need not vanish: ask again.
     """
-    limits = limits or first_limits()
+    limits = first_limits()
     places = np.flatnonzero(free)
     low, high = limits.lower.ravel()[places], limits.upper.ravel()[places]
     start = angles.ravel()[places]
-    usual = start if wanted is None else wanted.ravel()[places]
 
     def residuals(values: np.ndarray) -> np.ndarray:
         batch = np.repeat(angles.reshape(1, 45), len(values), axis=0)
         batch[:, places] = values
         points = hand.keypoints(batch.reshape(-1, 15, 3))
         tips = miss(points) / (_TIP_MM / 1000)
-        found = [overlaps(points, hand.scale)]
-        if cuts is not None:
-            found.append(cuts(batch.reshape(-1, 15, 3)))
-        deep = np.maximum(np.concatenate(found, axis=1) - 0.001, 0.0) / 0.004
-        return np.concatenate([tips, deep, (values - usual) / np.radians(_POSTURE_DEG)], axis=1)
+        deep = np.maximum(overlaps(points, hand.scale) - 0.001, 0.0) / 0.004
+        return np.concatenate([tips, deep, (values - start) / np.radians(_POSTURE_DEG)], axis=1)
 
     x = np.clip(start, low, high)
     damping = 1.0

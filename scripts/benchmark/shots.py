@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -82,49 +82,35 @@ class Shot:
     def take(self) -> Take:
         """The shot as a take, whose frame numbers are the key frames' rows."""
         count = len(self.surroundings)
-        source = Source("sequence", tuple(f"{i}" for i in range(count)))
-        return rendered_take(source, FPS, np.arange(count), (self.size, self.size), self.camera, self.hands)
-
-
-def rendered_take(
-    source: Source,
-    fps: float,
-    frame_numbers: np.ndarray,
-    size: tuple[int, int],
-    camera: Intrinsics,
-    hands: Sequence[ShotHand],
-) -> Take:
-    """The take of hands that are known, as every frame shows them; `size` is width and height in pixels."""
-    count = len(frame_numbers)
-    tracks = []
-    for hand in hands:
-        points = hand.keypoints()
-        tracks.append(
-            HandTrack(
-                side=hand.side,
-                betas=hand.betas,
-                global_orient=hand.global_orient,
-                hand_pose=hand.hand_pose,
-                transl=hand.transl,
-                joints_3d=points,
-                keypoints_2d=camera.project(points),
-                reprojection_error=np.zeros(count),
-                detected=np.ones(count, dtype=bool),
-                score=np.ones(count),
+        tracks = []
+        for hand in self.hands:
+            points = hand.keypoints()
+            tracks.append(
+                HandTrack(
+                    side=hand.side,
+                    betas=hand.betas,
+                    global_orient=hand.global_orient,
+                    hand_pose=hand.hand_pose,
+                    transl=hand.transl,
+                    joints_3d=points,
+                    keypoints_2d=self.camera.project(points),
+                    reprojection_error=np.zeros(count),
+                    detected=np.ones(count, dtype=bool),
+                    score=np.ones(count),
+                )
             )
+        return Take(
+            source=Source("sequence", tuple(f"{i}" for i in range(count))),
+            fps=FPS,
+            frame_numbers=np.arange(count),
+            width=self.size,
+            height=self.size,
+            intrinsics=self.camera,
+            solver="rendered",
+            model=OPEN_HAND,
+            model_digests={hand.side: model_of(hand.side).digest for hand in self.hands},
+            hands=tuple(tracks),
         )
-    return Take(
-        source=source,
-        fps=fps,
-        frame_numbers=frame_numbers,
-        width=size[0],
-        height=size[1],
-        intrinsics=camera,
-        solver="rendered",
-        model=OPEN_HAND,
-        model_digests={hand.side: model_of(hand.side).digest for hand in hands},
-        hands=tuple(tracks),
-    )
 
 
 def entries(shot: Shot) -> list[dict[str, Any]]:

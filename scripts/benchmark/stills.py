@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.skeleton import SIDES, other_side
 
-from .closed import CLOSED
 from .contact import Capsules, capsules
 from .meshes import Mesh, ball, box, cylinder, mug, pen
 from .people import Placed, arm_capsules, beside, random_betas, random_hand
@@ -35,28 +34,22 @@ STILLS: Final = 0
 """The kind in a still's seed; `clips.CLIPS` is the other"""
 _MOST_HIDDEN: Final = 9
 """Of a hand's 21 keypoints behind an arm or the other hand"""
-Poses = Literal["usual", "closed"]
-"""Which hands there are; an added kind has a set of its own, or seeds would give other pictures"""
-KINDS: Final[dict[Poses, tuple[str, ...]]] = {"usual": tuple(POSES), "closed": tuple(CLOSED)}
+KINDS: Final = tuple(POSES)
+"""Of hands; another kind would give other pictures of the same seeds"""
 
 
-def still_file(number: int) -> str:
-    """Where a still is in the benchmark's folder."""
-    return f"stills/{number:05d}.jpg"
-
-
-def still_shot(seed: int, number: int, size: int, poses: Poses = "usual") -> Shot:
-    """The still of that number, always the same: it depends on nothing but these four.
+def still_shot(seed: int, number: int, size: int) -> Shot:
+    """The still of that number, always the same: it depends on nothing but these three.
 
     Focal length, distance and place are scaled with `size` (pixels a side), so that the labels in
     millimetres are the same in every size.
     """
     rng = np.random.default_rng([seed, STILLS, number])
-    return next(filter(None, (_draw(rng, seed, number, size, poses) for _ in count())))
+    return next(filter(None, (_draw(rng, seed, number, size) for _ in count())))
 
 
-def _draw(rng: np.random.Generator, seed: int, number: int, size: int, poses: Poses) -> Shot | None:
-    hands = _hands(rng, KINDS[poses])
+def _draw(rng: np.random.Generator, seed: int, number: int, size: int) -> Shot | None:
+    hands = _hands(rng)
     if hands is None:
         return None
     cut = len(hands) == 1 and rng.random() < 0.18
@@ -93,7 +86,7 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int, poses: Po
         **lens_tags(focal_mm),
     }
     return Shot(
-        files=(still_file(number),),
+        files=(f"stills/{number:05d}.jpg",),
         clip=None,
         size=size,
         camera=camera,
@@ -105,13 +98,13 @@ def _draw(rng: np.random.Generator, seed: int, number: int, size: int, poses: Po
     )
 
 
-def _hands(rng: np.random.Generator, kinds: tuple[str, ...]) -> list[Placed] | None:
+def _hands(rng: np.random.Generator) -> list[Placed] | None:
     side = SIDES[rng.integers(2)]
     betas = random_betas(rng)
     if rng.random() >= 0.2:
-        return [random_hand(side, betas, rng, kinds=(*kinds, "grasp"))]
-    first = random_hand(side, betas, rng, kinds=kinds)
-    other = random_hand(other_side(side), betas, rng, kinds=kinds)
+        return [random_hand(side, betas, rng, kinds=(*KINDS, "grasp"))]
+    first = random_hand(side, betas, rng, kinds=KINDS)
+    other = random_hand(other_side(side), betas, rng, kinds=KINDS)
     second = beside(first, other, rng.uniform(0.003, 0.05), rng)
     return None if second is None else [first, second]
 

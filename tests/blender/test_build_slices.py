@@ -15,7 +15,7 @@ from handfit_core.errors import BuildInterrupted
 from .conftest import action_curves
 
 LONGEST_SLICE = 0.055
-"""of the whole build of 10 000 frames, which `scripts/window_benchmark.py` tells in milliseconds. Blender's
+"""of the whole build of 10 000 frames, of which Blender's
 copy of an action is the longest step, and cannot be divided"""
 
 

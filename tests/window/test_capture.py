@@ -55,8 +55,7 @@ def test_another_programs_hands_without_a_size(blender, rendered_hand, tmp_path)
 
 
 def test_escape_stops_and_keeps_what_is_finished(blender, make_clip):
-    """How many frames it takes is measured by scripts/window_benchmark.py. Frames behind a gap between two
-    chunks are not kept, so that fewer may be there than were counted."""
+    """Frames behind a gap between two chunks are not kept, so that fewer may be there than were counted."""
     played = blender.play("capture.cancelled", source=make_clip(VERY_LONG_CLIP)).value
     assert played["looked_at"] < VERY_LONG_CLIP / 2
     assert played["state"] == "done"

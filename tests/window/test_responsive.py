@@ -1,7 +1,7 @@
 """The window never freezes, and the hand follows the mouse.
 
 Machines are shared and noisy, so that nothing is held against a clock: two things of one run are compared,
-and the quietest of up to three runs counts. `scripts/window_benchmark.py` tells the milliseconds.
+and the quietest of up to three runs counts.
 """
 
 from __future__ import annotations

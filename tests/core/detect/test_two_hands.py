@@ -8,7 +8,7 @@ import pytest
 
 from handfit_core import capture
 from handfit_core.skeleton import SIDES
-from scripts.two_hands import KINDS, clip, pictures
+from tests.core.detect.two_hands import clip, pictures
 
 
 @pytest.mark.usefixtures("landmark_model")
@@ -29,18 +29,6 @@ def test_hands_that_cross_keep_their_sides(seed: int, tmp_path: Path) -> None:
         overlapped.append(hand.overlapped.any(axis=1))
     assert not np.any(overlapped, axis=0)[[0, 1, -2, -1]].any()
     assert np.sum(overlapped) > 8
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_clips_are_the_same_again_and_hands_meet(kind: str) -> None:
-    first, again = clip(kind, 2, frames=50, size=64), clip(kind, 2, frames=50, size=64)
-    one, other = (hand.keypoints() for hand in first.hands)
-    np.testing.assert_array_equal(one, again.hands[0].keypoints())
-    apart = np.linalg.norm((one - other).mean(axis=1)[:, :2], axis=-1)
-    assert (
-        apart.min() < 0.12 < apart.max() or kind == "leave"
-    )  # metres; there one is away when the other comes
-    np.testing.assert_array_equal(next(pictures(first)), next(pictures(again)))
 
 
 @pytest.mark.usefixtures("landmark_model")

@@ -11,10 +11,9 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.skeleton import FINGER_JOINTS, SIDES, TIP_KEYPOINTS
 from scripts.benchmark.clips import clip_shot
-from scripts.benchmark.closed import CLOSED, closed_pose, faults
 from scripts.benchmark.contact import penetration
 from scripts.benchmark.grasp import random_grasp
-from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles, right_limits
+from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import POSES, random_pose
 from scripts.benchmark.shots import Shot, entries
 from scripts.benchmark.stills import still_shot
@@ -70,24 +69,6 @@ def test_old_seeds_give_what_they_gave(number: int, kind: str, tips: list[list[f
     (entry,) = entries(still_shot(7, number, 512))
     assert entry["tags"]["pose"] == kind
     np.testing.assert_allclose(np.array(entry["hands"][0]["joints_3d_mm"])[[4, 8]], tips, atol=0.15)
-
-
-@pytest.mark.parametrize("kind", CLOSED)
-def test_closed_hands_touch_and_do_not_cut(kind: str) -> None:
-    """The mean hand; on every other shape, too, most of them do."""
-    hand, limits = RightHand(np.zeros(10)), right_limits()
-    found = [closed_pose(kind, hand, np.random.default_rng([5, i])) for i in range(3)]
-    assert all(np.all((limits.lower - SLACK <= a) & (a <= limits.upper + SLACK)) for a in found)
-    worst = [faults(kind, hand, angles) for angles in found]
-    assert np.median(worst) < 1.5
-    assert max(worst) < 2.0
-    assert not np.array_equal(found[0], found[1])
-
-
-def test_closed_stills_are_of_closed_hands() -> None:
-    shots = [still_shot(0, i, SIZE, "closed") for i in range(6)]
-    assert {s.tags[0]["pose"] for s in shots} <= {*CLOSED, "grasp"}
-    assert entries(shots[2]) == entries(still_shot(0, 2, SIZE, "closed"))
 
 
 def test_every_label_lies_within_the_active_ranges(stills: list[Shot], clip: Shot) -> None:

@@ -13,7 +13,6 @@ from handfit_core.fit import doubt
 from handfit_core.fit.fast import fit_track, fitter_of
 from handfit_core.fit.gaps import Times
 from handfit_core.skeleton import SIDES, Side
-from scripts.train_doubt import calibrated
 from tests.core.fit.detections import (
     CAMERA,
     columns,
@@ -138,16 +137,3 @@ def test_temporal_mean() -> None:
     np.testing.assert_allclose(doubt.temporal_mean(expected, Times(frames, shots, 1.0)), expected)
     alone = doubt.temporal_mean(expected[:1], Times(frames[:1], shots[:1], 25.0))
     assert alone == pytest.approx(expected[:1])
-
-
-def test_calibration_recovers_weights() -> None:
-    rng = np.random.default_rng(0)
-    features = rng.normal(size=(4000, 5, 6))
-    weights, constants = (
-        np.array([0.4, 0.1, -0.2, 0.0, 0.3, -0.1]),
-        np.log([0.004, 0.006, 0.008, 0.01, 0.012]),
-    )
-    true = np.exp(features @ weights + constants)
-    found = calibrated(features, true * rng.exponential(size=true.shape))
-    np.testing.assert_allclose(found["weights"], weights, atol=0.03)
-    np.testing.assert_allclose(found["constants"], constants, atol=0.06)

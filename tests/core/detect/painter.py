@@ -1,4 +1,4 @@
-"""A quick painter: a shot's picture in milliseconds, for training in bulk. It needs no Blender.
+"""A quick painter: a shot's picture in milliseconds, without Blender.
 
 Polygons are filled from far to near (painter's algorithm), shaded by a lamp with cast shadows and by
 the sky as far as each vertex sees it. Far from Cycles' looks, but a landmark detector errs alike on both.

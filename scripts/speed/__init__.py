@@ -1,1 +1,0 @@
-"""How fast solvers and the whole pipeline are, and how much memory they take (scripts/measure_speed.py)."""

@@ -1,1 +1,0 @@
-"""Training the learned landmark correction: quick pictures, samples, the network."""
