@@ -37,8 +37,8 @@ def fit_all(
     made_with = (protocol, versions("numpy", "scipy", "torch"), _code())
     kept = joblib.delayed(memory_at(folder).cache(_fit, ignore=["task", "protocol", "model"]))
     calls = (kept((made_with, _key(task, model)), task, protocol, model) for task in tasks)
-    # More threads than cores mostly wait for each other.
-    with joblib.parallel_config("loky", inner_max_num_threads=1):
+    # More threads than cores mostly wait for each other, and processes whose parent was killed shall end.
+    with joblib.parallel_config("loky", inner_max_num_threads=1, idle_worker_timeout=20):
         yield from joblib.Parallel(jobs, return_as="generator")(calls)
 
 
