@@ -27,8 +27,8 @@ from handfit_core.tasks.record import remove_abandoned
 from handfit_core.tasks.task import TAKE_SUFFIX, Task, fingerprint
 
 from ..exporters import EXPORTERS, find_exporter
+from ..exporters.export_hands import Stage, export_hands, export_take
 from ..scene.build import build_take
-from ..scene.export import Stage, export_hands, export_take
 from ..scene.preview import render_preview, spread_frames
 from .character import Character
 from .exported import Exported

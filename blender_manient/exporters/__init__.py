@@ -16,13 +16,25 @@ PRESETS = (
 
 _REQUIRED = ("name", "label", "description", "suffix")
 _BUILT_IN = ("blend", "blender_formats", "vrma", "take")
-"""The files of this folder that are no plug-ins, in the order of the buttons"""
+"""The files of this folder that have formats, in the order of the buttons"""
 
 _TAKEN = (".json", ".export.json", ".sheet.jpg", ".preview.png")
 """What else a batch writes beside an input's exports"""
 
 EXPORTERS: dict[str, Exporter] = {}
 """Every format by its name, in the order of the buttons; who comes later takes away no name and no suffix"""
+
+
+def find_exporter(name: str) -> Exporter:
+    """The format of that name (case and a leading dot do not matter). Raises OptionError."""
+    chosen = EXPORTERS.get(name.lower().lstrip("."))
+    if chosen is None:
+        known = ", ".join(known for known, e in EXPORTERS.items() if e.writes != "captured")
+        raise OptionError(f"there is no export format {name!r}; choose from {known}")
+    return chosen
+
+
+# Files of this folder ask for what stands above, and are imported here.
 for _kind in find_plugins(__name__, Exporter, _REQUIRED, _BUILT_IN):
     _why = ""
     if _kind.name in EXPORTERS:
@@ -34,12 +46,3 @@ for _kind in find_plugins(__name__, Exporter, _REQUIRED, _BUILT_IN):
         print_once(f"{_kind.__name__} of {_file}.py is left out: {_why}")
     else:
         EXPORTERS[_kind.name] = _kind()
-
-
-def find_exporter(name: str) -> Exporter:
-    """The format of that name (case and a leading dot do not matter). Raises OptionError."""
-    chosen = EXPORTERS.get(name.lower().lstrip("."))
-    if chosen is None:
-        known = ", ".join(known for known, e in EXPORTERS.items() if e.writes != "captured")
-        raise OptionError(f"there is no export format {name!r}; choose from {known}")
-    return chosen

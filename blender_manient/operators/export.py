@@ -12,11 +12,11 @@ import bpy
 from handfit_core.errors import OptionError
 
 from ..exporters import EXPORTERS, PRESETS
+from ..exporters.export_hands import Stage, export_hands
 from ..exporters.exporter import Exporter, HandObjects
 from ..properties import EXPORT_FORMATS
 from ..scene.characters import CharacterObjects, active_character, why_not_written
 from ..scene.editable import why_not_readable
-from ..scene.export import Stage, export_hands
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
 from ..section import sentence, split

@@ -20,9 +20,9 @@ import bpy
 import numpy as np
 
 from blender_manient.exporters import EXPORTERS
+from blender_manient.exporters.export_hands import Stage, export_hands, export_take
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import CharacterObjects
-from blender_manient.scene.export import Stage, export_hands, export_take
 from blender_manient.scene.preview import write_png
 from handfit_core.errors import HandfitError
 from handfit_core.take import Take

@@ -23,8 +23,8 @@ def test_import_operator_says_what_is_wrong_in_one_sentence(registered, tmp_path
 
 def test_importing_the_addon_loads_nothing_heavy():
     code = (
-        "import sys, bpy, blender_manient, blender_manient.scene.export, blender_manient.scene.preview,"
-        "handfit_core.worker.client;"
+        "import sys, bpy, blender_manient, blender_manient.exporters.export_hands, "
+        "blender_manient.scene.preview, handfit_core.worker.client;"
         "blender_manient.register();"
         "print([m for m in ('torch', 'scipy', 'cv2', 'mediapipe') if m in sys.modules]);"
         "blender_manient.unregister()"  # the bpy wheel of 4.5 hangs at exit on classes left behind

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.exporters.export_hands import export_take
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import export_take
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from blender_manient.exporters import EXPORTERS
+from blender_manient.exporters.export_hands import export_take
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import export_take
 from handfit_core.errors import OptionError
 
 from .importing import joint_error, read_back, vertex_error

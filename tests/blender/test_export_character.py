@@ -7,8 +7,8 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.exporters.clean_rig import deforming_tree
 from blender_manient.panels.export import MANIENT_PT_export
-from blender_manient.scene.clean_rig import deforming_tree
 from blender_manient.scene.sampling import rotations_of
 from handfit_core.skeleton import SIDES
 from tests.drawn import drawn

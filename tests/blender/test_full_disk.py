@@ -10,8 +10,8 @@ import sys
 import pytest
 
 from blender_manient.exporters import EXPORTERS
+from blender_manient.exporters.export_hands import export_take
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import export_take
 from blender_manient.scene.proof import prove_whole
 from handfit_core.errors import OutputError
 from tests.conftest import ROOT

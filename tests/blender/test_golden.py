@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from blender_manient.exporters import EXPORTERS
+from blender_manient.exporters.export_hands import export_take
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import export_take
 from blender_manient.scene.store import captured_hands, kept_take
 from handfit_core.take import Take
 from tests.golden import FOLDER, TAKE, Golden, numbers

@@ -10,9 +10,9 @@ import pytest
 from mathutils import Matrix
 
 import blender_manient
+from blender_manient.exporters.export_hands import export_take
 from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
-from blender_manient.scene.export import export_take
 from blender_manient.scene.matching import clear_view
 from blender_manient.scene.plate import rows_of
 from handfit_core.media.source import Source

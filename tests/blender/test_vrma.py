@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from mathutils import Quaternion, Vector
 
+from blender_manient.exporters.export_hands import Stage, export_hands, export_take
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import CharacterObjects, keep_map
-from blender_manient.scene.export import Stage, export_hands, export_take
 from blender_manient.scene.onto_character import TransferOptions, applying, motion_of
 from handfit_core.errors import OptionError
 from handfit_core.retarget.hand_map import HandMap

@@ -162,7 +162,8 @@ def test_rooms_know_only_what_comes_before_them(room: str) -> None:
 ROOMS = (
     "block_reference blender_versions installation plugins preferences screen section wording",
     "rigs",
-    "scene exporters",  # which know each other: scene/export.py and scene/clean_rig.py ask for formats
+    "scene",
+    "exporters",
     "cache details error_graph hand_adjusting hand_table jobs key_preview live_link properties refiner "
     "shared_worker source_info steady",
     "modes",

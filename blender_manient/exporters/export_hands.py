@@ -32,16 +32,16 @@ from handfit_core.errors import HandfitError, OptionError, OutputError
 from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
-from ..exporters import EXPORTERS, PRESETS, find_exporter
-from ..exporters.exporter import Exporter, HandObjects, Preset
 from ..plugins import failure_sentence
 from ..rigs.controls import control_bones
-from .build import BuiltTake
-from .camera import frame_scene
+from ..scene.build import BuiltTake
+from ..scene.camera import frame_scene
+from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
+from ..scene.proof import prove_whole
+from ..scene.timing import set_timing
+from . import EXPORTERS, PRESETS, find_exporter
 from .clean_rig import clean_rig
-from .own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
-from .proof import prove_whole
-from .timing import set_timing
+from .exporter import Exporter, HandObjects, Preset
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ from handfit_core.retarget.bones import Bones
 from handfit_core.skeleton import Side
 
 from ..blender_versions import assign_action
-from ..exporters.exporter import HandObjects
 from ..rigs import rig_of
 from ..rigs.character import bones_of
 from ..rigs.controls import control_bones
-from .keys import new_curve
-from .sampling import Sampled, rotations_of, sample, stepped
+from ..scene.keys import new_curve
+from ..scene.sampling import Sampled, rotations_of, sample, stepped
+from .exporter import HandObjects
 
 
 @dataclass(frozen=True)
