@@ -1,4 +1,5 @@
-"""File formats for other programs, found by themselves."""
+"""File formats for other programs, found by themselves. A line here runs in Blender, asks rigs and the scene,
+and writes files; it knows of no operator and no panel."""
 
 from __future__ import annotations
 
