@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import joblib
 import numpy as np
@@ -62,7 +63,7 @@ class UnitDetector:
             code_digest(detect, media, NETWORK_FILE),
         )
         memory = memory_at(folder or cache_dir() / "detections")
-        self._find = memory.cache(_find, ignore=["unit", "detector", "on_picture"])
+        self._find: Any = memory.cache(_find, ignore=["unit", "detector", "on_picture"])
         self._stills: Detector | None = None
 
     def __enter__(self) -> UnitDetector:

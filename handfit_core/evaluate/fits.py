@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import joblib
 
@@ -39,7 +40,8 @@ def fit_all(
     calls = (kept((made_with, _key(task, model)), task, protocol, model) for task in tasks)
     # More threads than cores mostly wait for each other, and processes whose parent was killed shall end.
     with joblib.parallel_config("loky", inner_max_num_threads=1, idle_worker_timeout=20):
-        yield from joblib.Parallel(jobs, return_as="generator")(calls)
+        results: Any = joblib.Parallel(jobs, return_as="generator")(calls)
+        yield from results
 
 
 def _fit(key: object, task: Task, protocol: ProtocolName, model: str | None) -> TrackResult:  # noqa: ARG001

@@ -100,7 +100,7 @@ def hands_table(scores: Scores) -> pd.DataFrame:
     table.insert(0, "method", scores.method)
     table = table.join(scores.hands[["penetration", "expected_error", "detect_ms", "fit_ms"]])
     tags = tags_of(scores)
-    return table.join(tags[sorted(tags)].add_prefix("tag_"))
+    return table.join(tags[sorted(tags.columns)].add_prefix("tag_"))
 
 
 def tags_of(scores: Scores) -> pd.DataFrame:
