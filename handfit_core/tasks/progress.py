@@ -13,7 +13,7 @@ from typing import Any, Final, TextIO
 
 from handfit_core.errors import HandfitError
 from handfit_core.tasks.record import Result
-from handfit_core.tasks.report import line, write_report
+from handfit_core.tasks.report import line, read_results, write_report
 from handfit_core.tasks.task import Task
 
 _OFTEN: Final = 1.0
@@ -26,7 +26,7 @@ class Progress:
     """Tells of each input that is over, and keeps the report up to date."""
 
     def __init__(self, output: Path, tasks: Sequence[Task], style: str) -> None:
-        self._output, self._style, self._count = output, style, len(tasks)
+        self._output, self._style, self._count, self._tasks = output, style, len(tasks), tasks
         self.results = {task.key: Result(task.shown, task.name, id=task.key) for task in tasks}
         """By the key of its task, what came of each input so far"""
         self.trouble = ""
@@ -69,9 +69,11 @@ class Progress:
         self._next = time.monotonic() + max(_OFTEN, _SHARE * (time.monotonic() - began))
 
     def close(self) -> None:
-        """Write the reports a last time, and leave the terminal as it was."""
+        """Write the reports a last time, with what was done at a stop, and leave the terminal as it was."""
         if self._bar is not None:
             self._bar.close()
+        unknown = [task for task in self._tasks if self.results[task.key].status == "pending"]
+        self.results |= {r.id: r for r in read_results(self._output, unknown) if r.status == "ok"}
         self.write()
 
 

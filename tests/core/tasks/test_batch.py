@@ -67,8 +67,13 @@ class Shop:
 
     @property
     def records(self) -> list[str]:
-        """Names of the records that are there, also while folders beside them come and go."""
-        return [name for _, _, names in os.walk(self.output) for name in names if name.endswith(".json")]
+        """Names of the records that are at their place, also while folders beside them come and go."""
+        return [
+            name
+            for folder, _, names in os.walk(self.output)
+            for name in names
+            if name.endswith(".json") and PART not in folder
+        ]
 
     @property
     def unfinished(self) -> list[str]:
