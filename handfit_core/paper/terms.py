@@ -40,7 +40,7 @@ def huber(residual: torch.Tensor) -> torch.Tensor:
 
 
 def with_tips(loss: Loss) -> Loss:
-    """The same loss with the fingertips counted again, times `tip_weight`; takes (B, 21, C) residuals."""
+    """A loss of (B, 21, C) residuals in which fingertips count again, times `tip_weight`."""
     tips = list(TIP_KEYPOINTS)
 
     def weighted(residual: torch.Tensor) -> torch.Tensor:

@@ -26,7 +26,7 @@ class Progress:
     """Tells of each input that is over, and keeps the report up to date."""
 
     def __init__(self, output: Path, tasks: Sequence[Task], style: str) -> None:
-        self._output, self._style, self._count, self._tasks = output, style, len(tasks), tasks
+        self._output, self._style, self._tasks = output, style, tasks
         self.results = {task.key: Result(task.shown, task.name, id=task.key) for task in tasks}
         """By the key of its task, what came of each input so far"""
         self.trouble = ""
@@ -37,7 +37,7 @@ class Progress:
             with contextlib.suppress(ImportError):
                 from tqdm import tqdm
 
-                self._bar = tqdm(total=self._count, unit="input", file=sys.stderr, dynamic_ncols=True)
+                self._bar = tqdm(total=len(self._tasks), unit="input", file=sys.stderr, dynamic_ncols=True)
 
     def ended(self, task: Task, result: Result) -> None:
         """An input is over."""
@@ -45,14 +45,14 @@ class Progress:
         self._over += 1
         if self._style == "json":
             said = {"task": task.key, "name": task.name, "status": result.status, "error": result.error}
-            event = {"event": "ended", **said, "done": self._over, "total": self._count}
+            event = {"event": "ended", **said, "done": self._over, "total": len(self._tasks)}
             say(json.dumps(event), sys.stdout)
         elif self._bar is not None:
             self._bar.clear()
             say(line(result), sys.stdout)
             self._bar.update()
         elif self._style == "text":
-            say(f"[{self._over}/{self._count}] {line(result)}", sys.stdout)
+            say(f"[{self._over}/{len(self._tasks)}] {line(result)}", sys.stdout)
         if time.monotonic() > self._next:
             self.write()
 

@@ -91,5 +91,5 @@ def make_scores(
 
 
 def with_hands(scores: Scores, **columns: Any) -> Scores:
-    """The same scores with other columns of `hands`."""
+    """Scores whose table `hands` has other columns."""
     return replace(scores, hands=scores.hands.assign(**columns))
