@@ -92,9 +92,12 @@ def _run(args: argparse.Namespace) -> int:
         for task, result in found:
             if not _is_left(result, args):
                 progress.ended(task, result)
-        if left:
-            for task, result in run_tasks(left, output, settings, _workers(args, jobs)):
-                progress.ended(task, result)
+        try:
+            if left:
+                for task, result in run_tasks(left, output, settings, _workers(args, jobs)):
+                    progress.ended(task, result)
+        finally:
+            progress.catch_up()
     done = all(result.status == "ok" for result in progress.results.values())
     return 0 if done and not progress.trouble else EXIT_SOME_FAILED
 

@@ -68,12 +68,15 @@ class Progress:
             self.trouble = str(error)
         self._next = time.monotonic() + max(_OFTEN, _SHARE * (time.monotonic() - began))
 
-    def close(self) -> None:
-        """Write the reports a last time, with what was done at a stop, and leave the terminal as it was."""
-        if self._bar is not None:
-            self._bar.close()
+    def catch_up(self) -> None:
+        """Note what a stop kept from being told: processes may have finished it all the same."""
         unknown = [task for task in self._tasks if self.results[task.key].status == "pending"]
         self.results |= {r.id: r for r in read_results(self._output, unknown) if r.status == "ok"}
+
+    def close(self) -> None:
+        """Write the reports a last time, and leave the terminal as it was."""
+        if self._bar is not None:
+            self._bar.close()
         self.write()
 
 
