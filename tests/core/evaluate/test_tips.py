@@ -181,17 +181,6 @@ def test_numbers_that_start_nowhere_sure_pair_in_order_and_say_so(tmp_path: Path
     np.testing.assert_allclose(points[TIPS], projected(EGO_M, frames(4)[0]), atol=1e-6)
 
 
-def test_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
-    write_ego(tmp_path, frames(2))
-    pictures(tmp_path, "Kitchen", [2, 3])
-    dataset = open_dataset(tmp_path)
-    assert len(dataset.entries) == 8
-    assert [(p.kind, Path(p.where).stem) for p in dataset.problems] == [
-        ("picture without a label", "image_00002_color"),
-        ("picture without a label", "image_00003_color"),
-    ]
-
-
 @pytest.mark.parametrize(
     ("line", "says"),
     [
