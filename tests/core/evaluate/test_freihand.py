@@ -104,17 +104,12 @@ def test_damaged_meshes_harm_no_joints(tmp_path: Path) -> None:
         label.mesh.vertices()
 
 
-@pytest.mark.parametrize("name", ["K", "xyz"])
-@pytest.mark.parametrize("damage", ["[[1, 2", "", "no json", "[" * 100_000])
-def test_damaged_files_are_named(tmp_path: Path, damage: str, name: str) -> None:
-    root = write_split(tmp_path, "evaluation", 2, [0, 1])
-    (root / f"evaluation_{name}.json").write_text(damage)
-    with pytest.raises(DatasetError, match=rf"evaluation_{name}\.json: damaged") as caught:
+@pytest.mark.parametrize("damage", ["[[1, 2", "", "[" * 100_000])
+def test_damaged_files_are_named(tmp_path: Path, damage: str) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
+    with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
+        open_dataset(root)
+    (root / "evaluation_K.json").write_text(damage)
+    with pytest.raises(DatasetError, match=r"evaluation_K\.json: damaged") as caught:
         open_dataset(root)
     assert "\n" not in str(caught.value)
-
-
-def test_labels_and_cameras_of_different_number(tmp_path: Path) -> None:
-    write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
-    with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
-        open_dataset(tmp_path)
