@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import handfit_core
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 METADATA = "Metadata-Version: 2.1\nName: handfit-core\nVersion: {}\n"
 
 
@@ -33,20 +33,16 @@ def version_of(package: Path) -> str:
     return done.stdout.strip()
 
 
-def test_it_is_the_manifests() -> None:
+def test_it_stands_in_the_manifest_alone():
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
     assert handfit_core.__version__ == manifest["version"]
-
-
-def test_it_stands_nowhere_else() -> None:
-    code = (ROOT / "handfit_core" / "version.py").read_text(encoding="utf-8")
-    assert not re.search(r'=\s*"\d', code)
+    assert not re.search(r'=\s*"\d', (ROOT / "handfit_core" / "version.py").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert "version" not in project
     assert project["dynamic"] == ["version"]
 
 
-def test_manifest_beside_the_package_wins_over_an_old_egg_info(package: Path) -> None:
+def test_manifest_beside_the_package_wins_over_an_old_egg_info(package):
     (package.parent / "blender_manifest.toml").write_text('id = "manient"\nversion = "7.8.9"\n')
     old = package.parent / "handfit_core.egg-info"
     old.mkdir()
@@ -55,7 +51,7 @@ def test_manifest_beside_the_package_wins_over_an_old_egg_info(package: Path) ->
 
 
 @pytest.mark.parametrize("other", ['id = "another"\nversion = "5.0.0"\n', "not = [toml", None])
-def test_installed_package_has_its_wheels_version(package: Path, other: str | None) -> None:
+def test_installed_package_has_its_wheels_version(package, other):
     """Blender's site-packages is shared by all extensions: another one's manifest is not ours."""
     if other is not None:
         (package.parent / "blender_manifest.toml").write_text(other)
@@ -65,5 +61,5 @@ def test_installed_package_has_its_wheels_version(package: Path, other: str | No
     assert version_of(package) == "3.2.1"
 
 
-def test_copied_package_imports_without_a_version(package: Path) -> None:
+def test_copied_package_imports_without_a_version(package):
     assert version_of(package) == "unknown"

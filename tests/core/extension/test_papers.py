@@ -19,29 +19,20 @@ GCC = "GPL-3.0-or-later WITH GCC-exception-3.1"
     ("file_name", "libraries", "expression"),
     [
         (
-            "opencv_python_headless-4.11.0.86-cp37-abi3-win_amd64.whl",
-            ["cv2/opencv_videoio_ffmpeg4110_64.dll"],
-            "Apache-2.0 AND LGPL-2.1-or-later",
-        ),
-        (
             "opencv_python_headless-4.11.0.86-cp37-abi3-macosx_13_0_arm64.whl",
-            ["cv2/.dylibs/libavcodec.61.19.100.dylib", "cv2/.dylibs/libx264.164.dylib", "cv2/libssl.3.dylib"],
+            "cv2/.dylibs/libavcodec.61.19.100.dylib cv2/.dylibs/libx264.164.dylib cv2/libssl.3.dylib",
             "Apache-2.0 AND LGPL-2.1-or-later AND GPL-2.0-or-later",
         ),
         (
             "scipy-1.15.3-cp311-cp311-manylinux_2_28_x86_64.whl",
-            ["scipy.libs/libquadmath-1.so", "scipy.libs/libgfortran-1.so"],
+            "scipy.libs/libquadmath-1.so scipy.libs/libgfortran-1.so",
             f"BSD-3-Clause AND {GCC} AND LGPL-2.1-or-later",
         ),
-        (
-            "scipy-1.15.3-cp311-cp311-win_amd64.whl",
-            ["scipy.libs/libscipy_openblas.dll"],
-            f"BSD-3-Clause AND {GCC}",
-        ),
+        ("scipy-1.15.3-cp311-cp311-win_amd64.whl", "libscipy_openblas.dll", f"BSD-3-Clause AND {GCC}"),
     ],
 )
 def test_libraries_inside_a_wheel_bring_their_licences(make_wheel, file_name, libraries, expression):
-    wheel = make_wheel(file_name, "License: Apache 2.0", files=dict.fromkeys(libraries, ""))
+    wheel = make_wheel(file_name, "License: Apache 2.0", files=dict.fromkeys(libraries.split(), ""))
     assert licence(wheel) == expression
 
 
@@ -107,12 +98,9 @@ def test_the_manifest_is_for_one_platform_and_lists_the_wheels(wheels):
     assert after.pop("platforms") == ["linux-x64"]
     before.pop("platforms")
     assert after == before
-
-
-@pytest.mark.parametrize("text", ['id = "x"\n[permissions]\n', 'platforms = [\n  "linux-x64",\n]\n'])
-def test_a_manifest_of_another_form_is_refused(wheels, text):
-    with pytest.raises(BuildError, match="expected one line"):
-        staged_manifest(text, "linux-x64", wheels)
+    for other in ('id = "x"\n[permissions]\n', 'platforms = [\n  "linux-x64",\n]\n'):
+        with pytest.raises(BuildError, match="expected one line"):
+            staged_manifest(other, "linux-x64", wheels)
 
 
 def test_the_inventory_tells_which_python_a_wheel_is_for(wheels):
