@@ -26,7 +26,7 @@ def network() -> bytes:
     return bytes(builder.Output())
 
 
-def test_what_was_in_the_file_stays_and_the_metadata_can_be_read() -> None:
+def test_what_was_in_the_file_stays_and_the_metadata_can_be_read():
     old = network()
     made = with_image_metadata(old, 127.5, 2.5, ("points", "é"))
     assert made == with_image_metadata(old, 127.5, 2.5, ("points", "é"))
@@ -52,7 +52,7 @@ def test_what_was_in_the_file_stays_and_the_metadata_can_be_read() -> None:
     assert features == {metadata_schema.FeaturePropertiesT}
 
 
-def test_mediapipe_runs_the_network_of_2020() -> None:
+def test_mediapipe_runs_the_network_of_2020():
     path = landmarks_2020_path()
     if path is None:
         pytest.skip("MediaPipe's landmark network of December 2020 is not here")
