@@ -1,8 +1,6 @@
 """Arrays of dataclasses: there and back through messages and files, and one sentence for each that is not as
 declared."""
 
-from __future__ import annotations
-
 import io
 import json
 from dataclasses import replace
@@ -79,17 +77,14 @@ def test_what_is_as_declared(changes):
     ("changes", "said"),
     [
         ({"betas": np.zeros(9)}, "betas has shape (9,), expected (10,)"),
-        ({"betas": None}, "betas has shape (), expected (10,)"),
         ({"betas": np.full(10, np.nan)}, "betas is not finite"),
         ({"betas": np.full(10, 1001.0)}, "betas holds numbers beyond 1000"),
         ({"betas": np.full(10, "a")}, "betas holds <U1, expected floats"),
         ({"pose": np.zeros((ROWS, 44))}, f"pose has shape ({ROWS}, 44), expected ({ROWS}, 45)"),
         ({"pose": np.full((ROWS, 45), np.nan)}, "pose is not finite where the hand is seen"),
         ({"pose": np.full((ROWS, 45), [[0.0], [0.0], [np.inf], [0.0]])}, "pose holds numbers beyond 1e+09"),
-        ({"seen": np.ones(ROWS + 1, dtype=bool)}, f"seen has shape ({ROWS + 1},), expected ({ROWS},)"),
         ({"seen": np.ones(ROWS)}, "seen holds float64, expected bools"),
         ({"first": np.zeros(3)}, "first holds float64, expected whole numbers"),
-        ({"first": np.zeros((3, 1), dtype=int)}, "first has shape (3, 1), expected (N,)"),
         ({"first": np.arange(6)}, "first has 6 rows, more than 5"),
         ({"first": np.array([2**64 - 1], dtype=np.uint64)}, "first holds numbers beyond 1e+09"),
         ({"depth": np.zeros((ROWS + 1, 21))}, f"depth has shape ({ROWS + 1}, 21), expected ({ROWS}, 21)"),
@@ -102,9 +97,6 @@ def test_what_is_not(changes, said):
     with pytest.raises(Unfit) as caught:
         check_arrays(motion(**changes))
     assert str(caught.value) == said
-
-
-def test_sizes_that_are_known_and_errors_of_its_own():
     with pytest.raises(TakeError, match=r"^the left hand's pose has shape \(4, 45\), expected \(5, 45\)$"):
         check_arrays(motion(), TakeError, "the left hand's ", T=5)
 

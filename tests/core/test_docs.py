@@ -1,7 +1,5 @@
 """What the documentation says of commands, versions and places is true."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What docs/extending.md shows, made from the page alone: installed, found by its name, used."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

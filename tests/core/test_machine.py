@@ -1,7 +1,5 @@
 """What a process may use of its machine, as Linux tells it in files."""
 
-from __future__ import annotations
-
 import pytest
 
 from handfit_core.machine import free_memory, usable_cores

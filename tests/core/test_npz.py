@@ -1,7 +1,5 @@
 """`.npz` files from anywhere: what NumPy writes is read, what claims to be something else is not."""
 
-from __future__ import annotations
-
 import io
 import json
 import pickle

@@ -1,7 +1,5 @@
 """Options of a capture: one table, which the library, the command line, the worker and the docs follow."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path
@@ -120,6 +118,8 @@ def test_choices_are_looked_up_when_help_is_shown_and_not_before():
         ({"regions": [["1", "2", "3", "x"]]}, "must be regions X,Y"),
         ({"regions": [[1, 2, 0, 4]]}, "must be regions X,Y"),
         ({"regions": [[0, 0, 1e300, 4]]}, "must be regions X,Y"),
+        ({"regions": [7]}, "must be regions X,Y"),
+        ({"model": ""}, "'model' must be a text"),
         ({"regions": [[1, 2, 3, 4, "both"]]}, "must be regions X,Y"),
         ({"regions": [["left", 1, 2, 3, 4]]}, "must be regions X,Y"),
         ({"lens": [1, 0, 0], "intrinsics": [1, 1, 0, 0]}, "as intrinsics or as a lens, not both"),

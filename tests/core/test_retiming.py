@@ -1,7 +1,5 @@
 """Takes at another frame rate: poses between pictures, gaps, and what was measured in the nearest picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pickles of arrays: read as NumPy reads them, and nothing else. Whole hostile files: tests/hostile."""
 
-from __future__ import annotations
-
 import contextlib
 import pickle
 import tracemalloc

@@ -1,7 +1,5 @@
 """Contact sheets: which frames they show, of which pictures, and where the hands lie on them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

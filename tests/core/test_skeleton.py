@@ -1,7 +1,5 @@
 """The joint and keypoint maps, against the published orders written out a second time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from handfit_core import skeleton

@@ -1,7 +1,5 @@
 """Steps taken at once, or map_yields as something else."""
 
-from __future__ import annotations
-
 import pytest
 
 from handfit_core.slices import map_yields, run_to_completion

@@ -1,7 +1,5 @@
 """The version stands in blender_manifest.toml alone: in a checkout, in a wheel, beside old leftovers."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

@@ -31,13 +31,6 @@ def test_to_the_crop_and_back(turn, mirrored):
     np.testing.assert_allclose(back.world, world, atol=1e-12)
 
 
-def test_a_turn_is_clockwise_about_the_centre():
-    crop = Crop.of_square(np.array([50.0, 60.0]), 100.0, 200, turn=np.pi / 2)
-    np.testing.assert_allclose(crop.linear @ [50, 60] + crop.offset, [100, 100])
-    # What lies to the right of it comes to lie below.
-    np.testing.assert_allclose(crop.linear @ [60, 60] + crop.offset, [100, 120])
-
-
 @pytest.mark.parametrize(("turn", "mirrored"), SQUARES)
 @pytest.mark.parametrize("span", [100.0, 500.0, 2400.0])
 def test_pixels_lie_where_the_mapping_says(turn, mirrored, span):

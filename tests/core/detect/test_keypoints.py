@@ -1,7 +1,5 @@
 """What a detection says about its side."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -53,12 +53,10 @@ def test_points_on_another_hand():
     ids=["beside", "upside down", "a part of it", "the next one", "a finger of it"],
 )
 def test_of_one_hand_or_of_two(x, scale, turn, expected):
-    first, keypoints = hand(0), SHAPE.copy()
-    about = keypoints[:, :2] - 50.0
-    for _ in range(turn):
-        about = about @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    keypoints, quarter = SHAPE.copy(), np.array([[0.0, 1.0], [-1.0, 0.0]])
+    about = (SHAPE[:, :2] - 50.0) @ np.linalg.matrix_power(quarter, turn)
     keypoints[:, :2] = 50.0 + scale * about + [x, 0.0]
-    second = HandDetection("left", 0.9, keypoints, SHAPE)
+    first, second = hand(0), HandDetection("left", 0.9, keypoints, SHAPE)
     assert is_same_hand(first, second) is is_same_hand(second, first) is expected
 
 
@@ -78,14 +76,8 @@ def test_the_mean_of_predictions():
     assert mean.score == pytest.approx(1.2 / 3)  # the second saw another side
     np.testing.assert_allclose(mean.keypoints, SHAPE + [6.0, 0.0, 0.0])
     np.testing.assert_allclose(mean.world, SHAPE / 1000 + 6.0)
-    assert mean.spread is not None
     np.testing.assert_allclose(mean.spread, np.tile([np.sqrt(24.0), 0.0, 0.0], (21, 1)), atol=1e-9)
     assert mean.keypoints_2020 is None
     assert mean_detection([hand(0)]).spread is None
-
-
-def test_the_mean_has_keypoints_2020():
     first, last = replace(hand(0), keypoints_2020=SHAPE), replace(hand(0), keypoints_2020=SHAPE + 4.0)
-    mean = mean_detection([first, hand(6), last]).keypoints_2020
-    assert mean is not None
-    np.testing.assert_allclose(mean, SHAPE + 2.0)
+    np.testing.assert_allclose(mean_detection([first, hand(6), last]).keypoints_2020, SHAPE + 2.0)

@@ -1,7 +1,5 @@
 """The metadata as MediaPipe's own schema reads it, and all that was in the file before."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What may go into handfit_core's wheel, and what a zip of it is made of."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What the script says and leaves where one of the two models is not to be had."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -38,7 +36,6 @@ def fetch(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     ("npm", "reason"),
     [
         ("echo 'npm error code E404\nnpm error 404 Not Found' >&2; exit 1", r"\(code E404, 404 Not Found\)"),
-        ("exit 7", r"\(npm ended with 7\)"),
         ("exit 0", r"\(npm wrote no file\)"),
         ("echo nonsense > hands.tgz", "cannot be read as npm's @mediapipe/hands"),
     ],

@@ -1,7 +1,5 @@
 """What a zip says of what it carries: licences, bill of materials, manifest."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 

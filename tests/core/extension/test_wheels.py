@@ -1,7 +1,5 @@
 """Locks, and the wheels that they name: from the index into the cache, once, each held against its hash."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """The pinhole camera: closed forms, round trips, refusals."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rotation conversions against SciPy-free closed forms, each other, and degenerate inputs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

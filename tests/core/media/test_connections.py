@@ -1,7 +1,5 @@
 """No name and no content of a file makes a decoder open something else: an address, or another file."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What a file claims by its first bytes, read without a decoder."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

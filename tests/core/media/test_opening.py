@@ -181,6 +181,7 @@ BAD: dict[str, tuple[list[str], str]] = {
     "surrogate": (["a\ud800b.jpg"], r"'a\\ud800b.jpg': there is no such file"),
     "too long": (["x" * 300], "cannot be opened|no such file"),
     "too long in a list": (["cut.png", "x" * 300], "cannot be opened|no such file"),
+    "missing in a list": (["cut.png", "gone.png"], "no such file"),
     "empty list": ([], "no pictures"),
 }
 

@@ -1,7 +1,5 @@
 """What claims more than may be read is refused in a sentence, before it costs memory."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

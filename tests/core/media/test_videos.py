@@ -1,7 +1,5 @@
 """Single frames of a video, read and sought."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Detections in the canonical frame: the same hand looks the same, wherever and however it is seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The network's judgement of sides beside the detector's."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

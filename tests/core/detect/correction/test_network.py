@@ -1,7 +1,5 @@
 """The landmark network: the file that ships, and the forward pass against torch's."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
