@@ -66,7 +66,7 @@ def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_reads_converted_files(tmp_path: Path, protocol: int) -> None:
-    """In every protocol, with Fortran's order, other number types, SciPy's matrices, and -1 above the root."""
+    """In every protocol, with Fortran's order, other numbers, SciPy's matrices, and -1 above the root."""
     sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
     arrays, path = imitation_arrays(), tmp_path / "converted.pkl"
     stored = dict(arrays, posedirs=np.asfortranarray(arrays["posedirs"]), f=arrays["f"].astype(">i4"))

@@ -1,4 +1,4 @@
-"""Hand models from anywhere, read as they were written or refused in one sentence; `model convert` and `info`."""
+"""Hand models from anywhere, read or refused in one sentence; `model convert` and `info`."""
 
 from __future__ import annotations
 
