@@ -6,7 +6,6 @@ import io
 import json
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from functools import cache, partial
 from typing import Any
@@ -43,37 +42,23 @@ def raw_member(shape: str, descr: str = "'<f8'", data: bytes = bytes(64), versio
 
 def zipped(members: dict[str, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
     stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w", compression, compresslevel=1) as archive:
+    with zipfile.ZipFile(stream, "w", compression, compresslevel=6) as archive:
         for name, data in members.items():
             archive.writestr(zipfile.ZipInfo(f"{name}.npy"), data, compression)
     return stream.getvalue()
 
 
-def bomb(members: dict[str, bytes], name: str, size: int, shape: str | None = None) -> bytes:
+def bomb(members: dict[str, bytes], name: str, size: int) -> bytes:
     """A zip whose member `name` unpacks from a thousandth to `size` zero bytes (uint8)."""
-    header = raw_member(shape or f"({size},)", "'|u1'", b"")
-    packer = zlib.compressobj(1, zlib.DEFLATED, -15)
-    chunk = bytes(1 << 20)
-    packed, crc = packer.compress(header) + packer.flush(zlib.Z_FULL_FLUSH), zlib.crc32(header)
-    repeated = packer.compress(chunk) + packer.flush(zlib.Z_FULL_FLUSH)
-    for _ in range(size >> 20):
-        crc = zlib.crc32(chunk, crc)
-    packed += repeated * (size >> 20) + zlib.compressobj(1, zlib.DEFLATED, -15).flush()
-    total = len(header) + (size >> 20 << 20)
-    data = zipped({**members, name: b""}, zipfile.ZIP_STORED)
-    # The empty member is the last: its bytes go between its local header and the directory.
-    stream = io.BytesIO(data)
-    with zipfile.ZipFile(stream) as archive:
-        info, start = archive.infolist()[-1], archive.start_dir
-    fields = struct.pack("<III", crc, len(packed), total)
-    local = bytearray(data[info.header_offset : start])
-    local[8:10], local[14:26] = struct.pack("<H", 8), fields
-    directory = bytearray(data[start:])
-    at = directory.rindex(b"PK\x01\x02")
-    directory[at + 10 : at + 12], directory[at + 16 : at + 28] = struct.pack("<H", 8), fields
-    end = directory.rindex(b"PK\x05\x06")
-    directory[end + 16 : end + 20] = struct.pack("<I", start + len(packed))
-    return data[: info.header_offset] + bytes(local) + packed + bytes(directory)
+    stream, chunk = io.BytesIO(), bytes(1 << 20)
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        for other, data in members.items():
+            archive.writestr(f"{other}.npy", data)
+        with archive.open(f"{name}.npy", "w") as packed:
+            packed.write(raw_member(f"({size},)", "'|u1'", b""))
+            for _ in range(size // len(chunk)):
+                packed.write(chunk)
+    return stream.getvalue()
 
 
 ARRAY_LIES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
