@@ -122,6 +122,9 @@ def test_own_colors_come_back(armature):
     bpy.context.scene.frame_set(3)
     assert shown(armature).keys() == {"thumb_distal.R"}
     assert armature.manient.own_colors == ""
+    bpy.ops.object.armature_add()
+    bpy.context.object.manient.show_confidence = True  # which is no captured hand
+    assert shown(bpy.context.object, evaluated=False) == {}
 
 
 def handlers() -> int:
