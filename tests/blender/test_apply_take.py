@@ -115,17 +115,6 @@ def test_a_pose_of_a_file_at_the_current_frame(make_take, tmp_path, wrist):
         np.testing.assert_allclose(np.abs(quats[0, 0] @ here[0][0, 0]), 1.0, atol=1e-6)
 
 
-def test_a_captured_pose_of_another_photo_leaves_the_wrist(make_take):
-    """What a capture does that was asked for the active hand's pose; of its own pictures it goes there."""
-    target = build_take(make_take(sides=("right",)).take).hands[0]
-    made = make_take(sides=("right",), seed=4, frame_numbers=np.array([1]))
-    rig, at = rig_of(target.armature), np.array([10.0])
-    _, here = pose_at(rig, at)
-    for take, stays in ((other_source(made, "photo.png"), True), (made.take, False)):
-        apply_track(target.armature, take, take.hands[0], "POSE", 10.0)
-        assert (np.abs(pose_at(rig, at)[1] - here).max() < 1e-3) == stays
-
-
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_another_hand_of_the_scene_as_the_artist_left_it(make_take, side):
     source = build_take(make_take(sides=(side,), seed=5).take).hands[0]

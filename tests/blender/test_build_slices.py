@@ -5,7 +5,6 @@ from __future__ import annotations
 import bpy
 import pytest
 
-from blender_manient.scene import build
 from blender_manient.scene.build import build_take, building
 from blender_manient.scene.keys import CURVES
 from handfit_core.errors import BuildInterrupted
@@ -55,15 +54,6 @@ def test_half_a_build_is_unseen_and_closing_it_removes_it(make_take, imitation_m
         assert (scene.camera, len(bpy.data.scenes)) == (None, 1)
         steps.close()
         assert blocks() == before
-
-
-def test_a_failing_build_removes_what_it_made(make_take, monkeypatch):
-    """As where a disk error or a defect ends it in the middle."""
-    before = blocks()
-    monkeypatch.setattr(build, "computing_keys", lambda *_: {}["a defect"])
-    with pytest.raises(KeyError):
-        build_take(make_take().take)
-    assert blocks() == before
 
 
 @pytest.mark.parametrize("what", ["a deletion", "another file", "an undo"])

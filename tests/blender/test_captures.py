@@ -124,19 +124,6 @@ def test_the_artists_view_is_not_taken(imported, why):
             assert captures.active_capture(scene) == one
 
 
-def test_undo_is_one_step(imported):
-    imported("a"), imported("b")
-    bpy.ops.ed.undo_push(message="before")
-    bpy.ops.manient.hide_captures(hide=False)
-    bpy.ops.manient.remove_capture(capture="b")
-    bpy.ops.ed.undo_push(message="Remove Capture")
-    bpy.ops.ed.undo()
-    a, b = (bpy.data.collections[n] for n in "ab")
-    assert seen(a, b) == [False, True]
-    assert bpy.context.scene.camera == b.manient.camera
-    assert len(store.captured_hands(bpy.context.scene)) == 2
-
-
 def blocks() -> set[str]:
     kinds = "objects collections actions armatures meshes cameras lights images materials shape_keys".split()
     return {f"{kind}/{block.name}" for kind in kinds for block in getattr(bpy.data, kind)}
@@ -361,17 +348,6 @@ def test_a_second_clip_leaves_the_first_ones_time_alone(clip, make_take, picture
     armature = brought_in(other, tmp_path)
     assert state()[:2] == before[:2]
     assert scene.camera == armature.manient.capture.manient.camera, "it is looked at, the first one is hidden"
-
-
-def test_the_same_clip_again_lies_on_the_same_frames(clip, tmp_path):
-    first = brought_in(clip, tmp_path)
-    bpy.context.scene.frame_set(10)
-    second = brought_in(clip, tmp_path)
-    frames = [read_pose_keys(rig_of(armature)).frames.tolist() for armature in (first, second)]
-    assert frames[0] == frames[1]
-    # But not before a camera of the artist's.
-    own_camera(bpy.context.scene)
-    assert why_kept(bpy.context.scene, Footage.of_take(clip)) == "its camera is Shot Camera"
 
 
 def test_a_picture_has_no_time(make_take, clip, tmp_path):

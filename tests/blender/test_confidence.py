@@ -19,7 +19,6 @@ from blender_manient.scene.confidence import (
     errors_of,
     is_marked,
     mark_doubtful,
-    next_doubtful,
 )
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.retake import retaken
@@ -282,13 +281,6 @@ def test_another_captures_hand_keeps_its_markers(hand, make_take):
     assert markers() == sorted([*OURS, *((frame + 100, name) for frame, name in OURS)])
     mark_doubtful(scene, later, False)
     assert markers() == OURS
-
-
-def test_next_doubtful(hand):
-    going = {frame: next_doubtful(hand, frame, "NEXT") for frame in (1, 3, 8, 17)}
-    back = {frame: next_doubtful(hand, frame, "PREVIOUS") for frame in (18, 17, 8, 3)}
-    assert going == {1: 3, 3: 8, 8: 17, 17: None}
-    assert back == {18: 17, 17: 8, 8: 3, 3: None}
 
 
 def test_operators(hand):

@@ -112,20 +112,6 @@ def test_clearing_puts_every_key_back(armature, scope):
     assert armature.manient.corrections == ""
 
 
-def test_clearing_one_leaves_the_other_as_if_it_had_been_alone(armature):
-    correct(armature, 5, 6, size=0.3)
-    alone = all_keys(armature)
-    correct(armature, 8, 6, seed=2, size=0.3, pins={4: (1.0, 2.0)})
-    # The other corrected frame keeps its pose.
-    at = int(np.flatnonzero(SEEN == 5)[0])
-    assert same_rotations(all_keys(armature).quats[at], alone.quats[at]) < 1e-5
-    corrections.clear_corrections(armature, [8])
-    after = all_keys(armature)
-    assert same_rotations(after.quats, alone.quats) < 1e-5
-    np.testing.assert_allclose(after.locations, alone.locations, atol=1e-5)
-    assert corrections.corrected_frames(armature) == [5]
-
-
 def test_what_was_done_by_hand_stays(armature):
     """A key that the artist turned under a correction keeps that turn when the correction goes."""
     correct(armature, 6, 6, size=0.3)
@@ -180,22 +166,6 @@ def test_fitting_a_range_again_contains_its_corrections(armature):
     assert not field.at(np.array([6.0]))[0].any()
     corrections.clear_corrections(armature)
     np.testing.assert_allclose(all_keys(armature).quats, after.quats, atol=1e-6)
-
-
-def test_scene_frames_that_are_not_the_sources(armature):
-    """A capture that lies elsewhere in the scene, at another speed."""
-    capture = armature.manient.capture
-    capture.manient.frame_offset, capture.manient.frame_scale = 100.0, 0.5
-    keys = all_keys(armature)
-    for place, quats, location in zip(100.0 + 0.5 * SEEN, keys.quats, keys.locations, strict=True):
-        write(armature, place, quats, location)
-    before = read_pose_keys(rig_of(armature), 100.0)
-    quats, location = moved_pose(armature, 103.0)
-    corrections.correct_frames(armature, [6], quats[None], location[None], 3, pins=[{8: (1.0, 2.0)}])
-    after = read_pose_keys(rig_of(armature), 100.0)
-    moved = np.linalg.norm(after.locations - before.locations, axis=-1) > 1e-6
-    np.testing.assert_array_equal(moved, (SEEN > 3) & (SEEN < 9))
-    np.testing.assert_array_equal(read_pose_keys(rig_of(armature), 0.0, 50.0).quats, keys.quats)
 
 
 @pytest.mark.parametrize("spread", [2, 6, 20])
