@@ -24,24 +24,17 @@ for line in sys.stdin:
 """
 
 
-def test_one_worker_until_the_preferences_change(registered):
+def test_one_worker_until_the_preferences_change_and_it_is_free(registered, peer):
     assert shared_worker.current() is None
-    worker = shared_worker.worker()
-    assert shared_worker.worker() is worker
-    preferences.get().threads = 2
-    other = shared_worker.worker()
-    assert other is not worker
-    assert shared_worker.current() is other
-
-
-def test_a_busy_worker_is_not_replaced(registered, peer):
     preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
     request = worker.submit("warm")
     preferences.get().threads = 2
     assert shared_worker.worker() is worker
     worker.wait(request, timeout=20)
-    assert shared_worker.worker() is not worker
+    other = shared_worker.worker()
+    assert other is not worker
+    assert shared_worker.current() is other
     assert not worker.alive
 
 
@@ -82,33 +75,24 @@ def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer
     assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split()), "to change back"
 
 
-def test_takes_have_names_of_their_own(registered, tmp_path):
-    first, second = cache.temporary_take("my clip.mp4"), cache.temporary_take("my clip.mp4")
-    assert first != second
-    assert first.parent.is_dir()
-    assert first.name.endswith(".take.npz")
-    assert cache.cache_folder() in first.parents
-
-
-def test_a_full_disk_is_one_sentence(registered):
-    with pytest.raises(OutputError, match=r"full.*MB free.*preferences"):
-        cache.temporary_take(needed=1 << 60)
-
-
-def test_a_folder_that_cannot_be_written_is_one_sentence(registered, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    preferences.get().cache_folder = str(tmp_path / "file")
-    with pytest.raises(OutputError, match=r"cannot write here.*preferences"):
-        cache.temporary_take()
-
-
-def test_takes_of_a_crashed_blender_go(registered):
+def test_takes_have_names_of_their_own_and_those_of_a_crashed_blender_go(registered):
     folder = cache.cache_folder()
     old, recent = folder / "takes-old", folder / "takes-recent"
     for path in (old, recent):
         path.mkdir()
         (path / "a.take.npz").write_bytes(b"x")
     os.utime(old, (1, 1))
-    cache.temporary_take()
-    assert not old.exists()
-    assert recent.exists()
+    first, second = cache.temporary_take("my clip.mp4"), cache.temporary_take("my clip.mp4")
+    assert first != second
+    assert first.name.endswith(".take.npz")
+    assert folder in first.parents
+    assert (first.parent.is_dir(), old.exists(), recent.exists()) == (True, False, True)
+
+
+def test_no_room_or_no_folder_is_one_sentence(registered, tmp_path):
+    with pytest.raises(OutputError, match=r"full.*MB free.*preferences"):
+        cache.temporary_take(needed=1 << 60)
+    (tmp_path / "file").write_text("in the way")
+    preferences.get().cache_folder = str(tmp_path / "file")
+    with pytest.raises(OutputError, match=r"cannot write here.*preferences"):
+        cache.temporary_take()
