@@ -18,52 +18,37 @@ def test_hands_cover_exactly_where_the_model_projects(make_take):
     both = preview_rows(built, made.take, frame)
     assert both.shape == (HEIGHT, 2 * WIDTH, 3)
     left, right = both[:, :WIDTH], both[:, WIDTH:]
-    ramp = np.linspace(0, 1, WIDTH)
-    assert np.abs(left[..., 0] - ramp).max() < 0.01, "the picture comes out as it went in"
+    assert np.abs(left[..., 0] - np.linspace(0, 1, WIDTH)).max() < 0.01, "the picture comes out as it went in"
     covered = np.abs(left - right).max(axis=-1) > 0.02
-    pixels = np.concatenate([OFF_CENTRE.project(made.vertices[s][row]) for s in ("left", "right")])
+    pixels = np.concatenate([OFF_CENTRE.project(vertices[row]) for vertices in made.vertices.values()])
     inside = (pixels > 1).all(-1) & (pixels < [WIDTH - 1, HEIGHT - 1]).all(-1)
     columns, rows = np.floor(pixels[inside]).astype(int).T
-    near = np.zeros_like(covered)
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            near[np.clip(rows + dy, 0, HEIGHT - 1), np.clip(columns + dx, 0, WIDTH - 1)] = True
     assert covered[rows, columns].mean() > 0.9
     # Between neighbouring vertices there is skin; far from all of them there is none.
     assert not covered[: max(0, rows.min() - 2)].any()
     assert not covered[:, columns.max() + 3 :].any()
-
-
-def test_frames_without_a_hand_show_the_picture_only(make_take):
-    made = make_take()
-    both = preview_rows(build_take(made.take), made.take, int(FRAMES[UNSEEN]))
-    np.testing.assert_allclose(both[:, :WIDTH], both[:, WIDTH:], atol=1e-6)
+    unseen = preview_rows(built, made.take, int(FRAMES[UNSEEN]))
+    np.testing.assert_allclose(unseen[:, :WIDTH], unseen[:, WIDTH:], atol=1e-6)
 
 
 def test_preview_leaves_the_file_as_it_was(make_take, tmp_path):
-    bpy.ops.mesh.primitive_cube_add()
-    made = make_take()
-    built = build_take(made.take)
+    """Large pictures are made smaller."""
+    take = make_take(width=4800, height=2400, sides=("left",)).take
+    built = build_take(take)
     bpy.context.scene.frame_set(5)
-    before = _contents()
-    path = render_preview(built, made.take, made.seen[0][1], tmp_path / "new folder" / "preview.png")
-    assert path.stat().st_size > 0
-    assert _contents() == before
+
+    def contents() -> dict[str, list[str]]:
+        kinds = "scenes objects meshes materials lights cameras images worlds collections".split()
+        return {k: [x.name for x in getattr(bpy.data, k) if x.name != "Render Result"] for k in kinds}
+
+    before = contents()
+    path = render_preview(built, take, 3, tmp_path / "new folder" / "preview.png")
+    assert contents() == before
     assert bpy.context.scene.frame_current == 5
+    assert tuple(bpy.data.images.load(str(path)).size) == (2400, 600)
 
 
-def _contents() -> dict[str, list[str]]:
-    kinds = "scenes objects meshes materials lights cameras images worlds collections".split()
-    return {k: sorted(x.name for x in getattr(bpy.data, k) if x.name != "Render Result") for k in kinds}
-
-
-def test_large_pictures_are_made_smaller(make_take):
-    made = make_take(width=4800, height=2400, sides=("left",))
-    both = preview_rows(build_take(made.take), made.take, 3)
-    assert both.shape == (600, 2400, 3)
-
-
-def test_spread_frames(make_take):
+def test_frames_are_spread(make_take):
     take = make_take().take
     assert spread_frames(take, 3) == [3, 12, 18]
     assert spread_frames(take, 1) == [3]
