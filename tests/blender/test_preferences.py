@@ -1,7 +1,9 @@
-"""Preferences: their defaults, the entry in Blender's own preferences, MANO's check, the cache."""
+"""What is chosen once: preferences, MANO's files, the cache, the worker, and the options of a capture."""
 
 from __future__ import annotations
 
+import argparse
+import os
 import shutil
 
 import bpy
@@ -10,13 +12,19 @@ import pytest
 
 import blender_manient
 from blender_manient import cache, preferences, shared_worker
+from blender_manient.batch.arguments import add_arguments
 from blender_manient.operators import housekeeping
+from blender_manient.operators.capture import new_job
+from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
+from handfit_core.errors import OutputError
+from handfit_core.options import OPTIONS, CaptureOptions
+from tests.conftest import ROOT
 from tests.drawn import drawn
 from tests.takes import correctable
 
-from .conftest import write_png
+from .conftest import READY, write_png
 
 
 @pytest.fixture
@@ -132,3 +140,108 @@ def test_clear_removes_only_what_is_ours_and_what_no_file_shows(registered, tmp_
     (cache.cache_folder() / "other.png").write_bytes(b"x")
     assert cache.clear() == (1, 1)
     assert [path.name for path in cache.cache_folder().iterdir()] == ["shown.png"]
+
+
+# The worker that all share, and the takes that it writes
+
+
+PEER = f"""{READY}
+for line in sys.stdin:
+    if answers:
+        print(json.dumps({{"event": "done", "id": json.loads(line)["id"]}}), flush=True)
+"""
+
+
+def test_one_worker_until_the_preferences_change_and_it_is_free(registered, peer):
+    assert shared_worker.current() is None
+    preferences.get().python = peer(f"answers = True{PEER}")
+    worker = shared_worker.worker()
+    request = worker.submit("warm")
+    preferences.get().threads = 2
+    assert shared_worker.worker() is worker
+    worker.wait(request, timeout=20)
+    other = shared_worker.worker()
+    assert other is not worker
+    assert shared_worker.current() is other
+    assert not worker.alive
+
+
+def test_unregister_ends_it_and_its_files(peer, tmp_path):
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    preferences.get().python = peer(f"answers = False{PEER}")
+    worker = shared_worker.worker()
+    worker.submit("warm")
+    pid = worker.pid
+    assert pid is not None
+    take = cache.temporary_take("a photo.jpg")
+    take.write_bytes(b"x")
+    blender_manient.unregister()
+    with pytest.raises(ProcessLookupError):  # already: Blender may be about to remove the files that it runs
+        os.kill(pid, 0)
+    assert list((tmp_path / "cache").iterdir()) == []
+    assert shared_worker.current() is None
+
+
+def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer):
+    settings = bpy.context.scene.manient
+    assert not {"solver", "detector"} & set(drawn(MANIENT_PT_capture_advanced).said.split())
+    preferences.get().python = peer(f"answers = True{PEER}")
+    worker = shared_worker.worker()
+    worker.wait(worker.submit("warm"), timeout=20)
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split())
+    assert [shared_worker.detectors(), shared_worker.solvers()] == [
+        ["mediapipe", "bright-spot"],
+        ["fast", "flat"],  # the paper's experiments are chosen as such
+    ]
+    settings.source = str(ROOT / "samples" / "rendered_hand" / "hand.0001.jpg")
+    assert {"solver", "detector"}.isdisjoint(new_job(bpy.context, only_frame=False).options.to_message())
+    settings.detector, settings.solver = "bright-spot", "flat"
+    options = new_job(bpy.context, only_frame=False).options
+    assert (options.detector, options.solver) == ("bright-spot", "flat")
+    shared_worker.stop()
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split()), "to change back"
+
+
+def test_takes_have_names_of_their_own_and_those_of_a_crashed_blender_go(registered):
+    folder = cache.cache_folder()
+    old, recent = folder / "takes-old", folder / "takes-recent"
+    for path in (old, recent):
+        path.mkdir()
+        (path / "a.take.npz").write_bytes(b"x")
+    os.utime(old, (1, 1))
+    first, second = cache.temporary_take("my clip.mp4"), cache.temporary_take("my clip.mp4")
+    assert first != second
+    assert first.name.endswith(".take.npz")
+    assert folder in first.parents
+    assert (first.parent.is_dir(), old.exists(), recent.exists()) == (True, False, True)
+
+
+def test_no_room_or_no_folder_is_one_sentence(registered, tmp_path):
+    with pytest.raises(OutputError, match=r"full.*MB free.*preferences"):
+        cache.temporary_take(needed=1 << 60)
+    (tmp_path / "file").write_text("in the way")
+    preferences.get().cache_folder = str(tmp_path / "file")
+    with pytest.raises(OutputError, match=r"cannot write here.*preferences"):
+        cache.temporary_take()
+
+
+# The options of a capture against the core's table
+
+
+@pytest.mark.parametrize(("name", "units"), [("smoothing", 1.0), ("threshold", 1.0), ("hand_length", 100.0)])
+def test_what_a_property_takes_its_option_takes(registered, name, units):
+    settings, option = bpy.context.scene.manient, OPTIONS[name]
+    shown = settings.bl_rna.properties[name]
+    for value in (shown.hard_min, shown.hard_max):
+        setattr(settings, name, value)
+        assert option.least <= option.read(getattr(settings, name) / units) <= option.most
+
+
+def test_the_panel_has_the_hands_to_choose_from_and_a_batch_every_option(registered):
+    shown = bpy.context.scene.manient.bl_rna.properties["hands"]
+    assert [item.identifier for item in shown.enum_items] == list(OPTIONS["hands"].choices())
+    assert shown.default == CaptureOptions.hands
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    assert {option.flag for option in OPTIONS.values()} <= set(parser._option_string_actions)
