@@ -147,45 +147,6 @@ def test_bones_without_keys_are_posed_and_keyed_by_auto_keying_alone(hand, keys)
     np.testing.assert_allclose(shown(armature), ready("Relaxed", side), atol=1e-4)
 
 
-def test_half_of_the_way(hand):
-    armature, side = hand
-    before, wanted = shown(armature), ready("Fist", side)
-    apply("Fist", blend=0.5)
-    half = shown(armature)
-    np.testing.assert_allclose(angles(before, half), angles(before, wanted) / 2, atol=0.01)
-    np.testing.assert_allclose(angles(half, wanted), angles(before, wanted) / 2, atol=0.01)
-    bpy.ops.manient.clear_corrections(scope="FRAME")
-    apply("Fist", blend=0.0)
-    np.testing.assert_allclose(shown(armature), before, atol=1e-5)
-
-
-def test_selected_bones_choose_fingers_and_other_points_stay(hand):
-    armature, side = hand
-    here = pose_at(rig_of(armature), np.array([6.0]))
-    pins = {4: (1.0, 2.0), 8: (10.0, 20.0)}
-    corrections.correct_frames(armature, [6], *here, 4, pins=[pins], touches=[{16: 12, 8: 4}])
-    before = shown(armature)
-    select_bones(armature, [bone_names(side)[FINGER_JOINTS["index"][1]]])
-    apply("Fist")
-    moved = angles(before, shown(armature)) > 0.6
-    assert np.flatnonzero(moved).tolist() == [joint - 1 for joint in FINGER_JOINTS["index"]]
-    field = corrections.corrections_of(armature)
-    assert set(field.pins(6)) == {4}  # the index finger's own is gone
-    assert dict(field.touching(6)) == {16: 12}
-
-
-def test_the_chosen_picture_is_what_is_applied(hand):
-    armature, side = hand
-    settings = bpy.context.scene.manient
-    items = pose_items(settings, bpy.context)
-    assert [item[0] for item in items] == list(ready_poses())
-    assert len({item[4] for item in items}) == len(items)
-    assert settings.pose == "Relaxed"
-    settings.pose = "Horns"
-    apply()
-    assert is_pose(armature, side, "Horns", [6]) == [True]
-
-
 BACKWARDS = {"pose": "Fist", "scope": "RANGE", "first": 12, "last": 8}
 
 
@@ -210,7 +171,56 @@ def test_what_cannot_be_applied_changes_nothing(armature, kind, fields, said):
     assert armature.manient.corrections == kept
 
 
-# On ranges, and held
+def test_selected_bones_choose_fingers_half_of_the_way_and_other_points_stay(hand):
+    armature, side = hand
+    here = pose_at(rig_of(armature), np.array([6.0]))
+    pins = {4: (1.0, 2.0), 8: (10.0, 20.0)}
+    corrections.correct_frames(armature, [6], *here, 4, pins=[pins], touches=[{16: 12, 8: 4}])
+    before, wanted = shown(armature), ready("Fist", side)
+    select_bones(armature, [bone_names(side)[FINGER_JOINTS["index"][1]]])
+    apply("Fist", blend=0.5)
+    way = angles(before, wanted) * np.isin(np.arange(1, 16), FINGER_JOINTS["index"])
+    np.testing.assert_allclose(angles(before, shown(armature)), way / 2, atol=0.2)
+    field = corrections.corrections_of(armature)
+    assert set(field.pins(6)) == {4}  # the index finger's own is gone
+    assert dict(field.touching(6)) == {16: 12}
+
+
+def test_the_panel_offers_pictures_and_the_range(hand):
+    armature, side = hand
+    settings, scene = bpy.context.scene.manient, bpy.context.scene
+    items = pose_items(settings, bpy.context)
+    assert [item[0] for item in items] == list(ready_poses())
+    assert len({item[4] for item in items}) == len(items)
+    assert settings.pose == "Relaxed"
+    settings.pose = "Horns"
+    apply()
+    assert is_pose(armature, side, "Horns", [6]) == [True]
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 7, 9
+    for _ in range(2):
+        settings.pose_scope = "RANGE"
+        assert (settings.pose_first, settings.pose_last) == (7, 9)
+        assert "Mirrored Reset" in drawn(MANIENT_PT_poses).said
+        settings.pose_scope = "HERE"
+        settings.pose_first = 3
+
+
+def test_this_pose_is_held_reset_is_rest_and_mirrored_the_other_hands(make_take, model):
+    built = build_take(make_take(model=model).take)
+    bpy.context.scene.manient.spread = 0
+    left, right = (hand.armature for hand in built.hands)
+    bpy.context.view_layer.objects.active = left
+    own = shown(left, 7)
+    apply(source="OWN", scope="HOLD")
+    for frame in (7, 12, 18):
+        np.testing.assert_allclose(shown(left, frame), own, atol=1e-4)
+    apply(source="REST", scope="RANGE", first=9, last=10)
+    np.testing.assert_allclose(shown(left, 10), REST, atol=1e-4)
+    bpy.context.scene.frame_set(6)
+    apply("Horns")
+    bpy.context.view_layer.objects.active = right
+    apply(source="OTHER", scope="RANGE", first=10, last=14)
+    assert all(is_pose(right, "right", "Horns", range(10, 15)))
 
 
 def test_a_held_pose_ends_where_the_next_one_begins(hand):
@@ -239,56 +249,6 @@ def test_a_held_pose_leads_into_a_key_of_ones_own(hand):
     apply("Fist", scope="HOLD")
     assert is_pose(armature, side, "Fist", range(5, 12)) == [False] + [True] * 5 + [False]
     np.testing.assert_allclose(pose_at(rig_of(armature), np.array([14.0]))[0], own, atol=1e-6)
-
-
-def test_a_range_on_few_keys_stays_within_its_spread(hand):
-    """Between keys that lie far apart, the curves before and after the range stay what they were."""
-    armature, side = hand
-    rig = rig_of(armature)
-    first, last = read_pose_keys(rig).frames[[0, -1]]
-    remove_pose_keys(rig, first + 1, last - 1)
-    bpy.context.scene.manient.spread = 2
-    around = np.array([first + 1, last - 1])
-    before = pose_at(rig, around)[0]
-    middle = round((first + last) / 2)
-    apply("Fist", scope="RANGE", first=middle - 1, last=middle + 1)
-    assert all(is_pose(armature, side, "Fist", range(middle - 1, middle + 2)))
-    assert apart(before, pose_at(rig, around)[0]) < 0.06
-
-
-def test_this_pose_is_held_and_reset_is_rest(hand):
-    armature, _ = hand
-    bpy.context.scene.manient.spread = 0
-    own = shown(armature, 7)
-    apply(source="OWN", scope="HOLD")
-    for frame in (7, 12, 18):
-        np.testing.assert_allclose(shown(armature, frame), own, atol=1e-4)
-    apply(source="REST", scope="RANGE", first=9, last=10)
-    np.testing.assert_allclose(shown(armature, 10), REST, atol=1e-4)
-
-
-def test_mirrored_is_the_other_hands_pose(make_take, model):
-    built = build_take(make_take(sides=SIDES, model=model).take)
-    hands = {one.armature.manient.side: one.armature for one in built.hands}
-    bpy.context.view_layer.objects.active = hands["left"]
-    bpy.context.scene.frame_set(6)
-    apply("Horns")
-    bpy.context.view_layer.objects.active = hands["right"]
-    apply(source="OTHER", scope="RANGE", first=10, last=14)
-    assert all(is_pose(hands["right"], "right", "Horns", range(10, 15)))
-
-
-def test_the_range_is_suggested(hand):
-    settings, scene = bpy.context.scene.manient, bpy.context.scene
-    scene.use_preview_range = True
-    scene.frame_preview_start, scene.frame_preview_end = 7, 9
-    settings.pose_scope = "RANGE"
-    assert (settings.pose_first, settings.pose_last) == (7, 9)
-    assert "Mirrored Reset" in drawn(MANIENT_PT_poses).said
-    settings.pose_scope = "HERE"
-    settings.pose_first = 3
-    settings.pose_scope = "RANGE"
-    assert settings.pose_first == 7
 
 
 # Characters
@@ -361,100 +321,55 @@ def test_a_ready_pose_points_a_characters_fingers_as_ours(name, side):
 
 
 @pytest.mark.parametrize("kind", ["CONSTANT", "BEZIER"])
-def test_a_characters_range_holds_between_its_own_keys(kind):
-    armature = character("right")
-    bpy.context.scene.manient.spread = 4
-    for frame, name in ((1, "Flat"), (12, "Point"), (40, "Flat")):
-        bpy.context.scene.frame_set(frame)
-        apply(name)
-    for curve in curves_of(armature):
-        for point in curve.keyframe_points:
-            point.interpolation = kind
-            point.handle_left_type = point.handle_right_type = "ALIGNED"
-    outside = [bent(armature, "right", frame) for frame in (1, 40)]
-    bpy.context.scene.frame_set(20)
-    apply("Fist")
-    fist = bent(armature, "right", 20)
-    apply("Fist", scope="RANGE", first=10, last=20)
-    for frame in range(10, 21):
-        assert apart(bent(armature, "right", frame), fist) < 1.7
-    for frame, before in zip((1, 40), outside, strict=True):
-        np.testing.assert_allclose(bent(armature, "right", frame), before, atol=1e-5)
-
-
-def test_a_characters_pose_is_held_to_its_next_key_and_mirrored_to_its_other_hand():
-    armature = two_hands()
+def test_a_characters_range_and_hold_end_at_its_own_keys(kind):
+    """Of the hand with selected bones; its other hand can have the pose mirrored."""
+    armature, scene = two_hands(), bpy.context.scene
     armature.manient.character.contacts = False
-    scene = bpy.context.scene
     scene.manient.spread, scene.frame_end = 5, 60
     select_bones(armature, [joint_name(0, "left")])
-    scene.frame_set(40)
-    apply("Flat")
+    for frame, name in ((1, "Flat"), (40, "Flat")):
+        scene.frame_set(frame)
+        apply(name)
+    for point in (point for curve in curves_of(armature) for point in curve.keyframe_points):
+        point.interpolation = kind
+        point.handle_left_type = point.handle_right_type = "ALIGNED"
     flat = bent(armature, "left", 40)
-    scene.frame_set(10)
-    apply("Fist", scope="HOLD")
+    apply("Fist", scope="RANGE", first=10, last=20)
     fist = bent(armature, "left", 10)
-    np.testing.assert_allclose(bent(armature, "left", 35), fist, atol=1e-5)
-    assert np.abs(bent(armature, "left", 37) - fist).max() > 1e-3
-    np.testing.assert_allclose(bent(armature, "left", 40), flat, atol=1e-5)
-    scene.frame_set(20)
+    assert apart(bent(armature, "left", 15), fist) < 1.7
+    assert apart(bent(armature, "left", 26), fist) > 1.7
+    scene.frame_set(25)
+    apply("Fist", scope="HOLD")
+    assert apart(bent(armature, "left", 35), fist) < 1.7
+    assert (apart(bent(armature, "left", 37), fist) > 1.7) == (kind == "BEZIER")
+    for frame in (1, 40):
+        np.testing.assert_allclose(bent(armature, "left", frame), flat, atol=1e-5)
+    scene.frame_set(30)
     select_bones(armature, [joint_name(0, "right")])
     apply(source="OTHER", scope="HOLD")
     keyed = {p.co[0] for c in curves_of(armature) if "_r" in c.data_path for p in c.keyframe_points}
-    assert keyed == {15.0, 20.0, 60.0}
+    assert keyed == {25.0, 30.0, 60.0}
     scene.frame_set(50)
     (hand,) = posable_hands(bpy.context)
     assert apart(turns(hand.read(), "right"), ready("Fist", "right")) < 0.6
 
 
-def test_a_pinch_of_a_character_is_closed_where_contacts_are_kept():
-    armature = character("right", bend=0.2, stretch=0.1)
-    gaps = []
-    for contacts in (False, True):
-        armature.manient.character.contacts = contacts
-        apply("Pinch")
-        bones = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
-        thumb, index = (bones[joint_name(FINGER_JOINTS[f][2], "right")].tail for f in ("thumb", "index"))
-        gaps.append((thumb - index).length / target().scale)
-    still = np.zeros(3)
-    points = load_model(None, "right").keypoints(None, still, ready_poses()["Pinch"].pose.hand_pose, still)
-    captured = np.linalg.norm(points[4] - points[8])
-    assert abs(gaps[1] - captured) < 0.003
-    assert abs(gaps[0] - captured) > 0.006
-
-
-def test_a_characters_fingers_by_selected_bones_and_half_of_the_way():
-    armature = character("left")
-    select_bones(armature, [joint_name(FINGER_JOINTS["thumb"][2], "left")])
-    apply("Fist", blend=0.5)
-    assert keyed_bones(armature) == {joint_name(j, "left") for j in FINGER_JOINTS["thumb"]}
-    (hand,) = posable_hands(bpy.context)
-    half, whole = (angles(REST, pose)[12:] for pose in (turns(hand.read(), "right"), ready("Fist", "right")))
-    assert half.min() > 3.0
-    assert (half < whole).all()
-
-
-def test_both_hands_of_a_character_or_the_one_with_selected_bones():
+def test_both_hands_of_a_character_or_what_is_selected():
+    """A hand that cannot take a pose keeps the other from it."""
     armature = two_hands()
-    select_bones(armature, [joint_name(0, "right")])
-    apply("Point")
-    assert keyed_bones(armature) == {joint_name(j, "right") for j in range(1, 16)}
+    armature.data.pose_position = "REST"
+    assert not bpy.ops.manient.apply_pose.poll()
+    armature.data.pose_position = "POSE"
+    thumb = FINGER_JOINTS["thumb"]
+    for selected, joints in ((thumb[2], thumb), (0, range(1, 16))):
+        select_bones(armature, [joint_name(selected, "right")])
+        apply("Point")
+        assert keyed_bones(armature) == {joint_name(j, "right") for j in joints}
     select_bones(armature, [])
     apply("Point")
     assert keyed_bones(armature) == {joint_name(j, side) for side in SIDES for j in range(1, 16)}
     with pytest.raises(RuntimeError, match="two hands: select a bone"):
         bpy.ops.manient.save_pose_asset(asset_name="Both")
-    select_bones(armature, [joint_name(1, "left")])
-    assert bpy.ops.manient.save_pose_asset(asset_name="Mine") == {"FINISHED"}
-    assert kept_pose(bpy.data.actions["Mine"].asset_data).side == "left"
-
-
-def test_a_hand_that_cannot_take_a_pose_keeps_the_other_from_it():
-    armature = two_hands()
-    armature.data.pose_position = "REST"
-    assert not bpy.ops.manient.apply_pose.poll()
-    armature.data.pose_position = "POSE"
-    apply("Fist")
     next(c for c in curves_of(armature) if joint_name(4, "right") in c.data_path).lock = True
     bpy.context.scene.frame_set(7)
     before = contents(armature), [tuple(bone.rotation_quaternion) for bone in armature.pose.bones]
@@ -463,6 +378,7 @@ def test_a_hand_that_cannot_take_a_pose_keeps_the_other_from_it():
     assert (contents(armature), [tuple(bone.rotation_quaternion) for bone in armature.pose.bones]) == before
     select_bones(armature, [joint_name(1, "left")])
     apply("Spread")
+    assert kept_pose(save("Mine").asset_data).side == "left"
 
 
 # Assets for every rig
