@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 import bpy
 import numpy as np
 import pytest
@@ -223,24 +221,6 @@ def test_corrections_can_still_be_taken_out(armature):
     restored = read_pose_keys(rig_of(armature))
     np.testing.assert_allclose(restored.quats, captured.quats, atol=1e-4)
     np.testing.assert_allclose(restored.locations, captured.locations, atol=1e-5)
-
-
-def test_a_missing_model_is_one_sentence_and_changes_nothing(make_take, imitation_mano, tmp_path, capfd):
-    folder = shutil.copytree(imitation_mano, tmp_path / "models")
-    made = make_take(sides=("right",), model=str(folder))
-    built = build_take(made.take)
-    armature = built.hands[0].armature
-    shutil.rmtree(folder)
-    armature.manient.betas = BETAS
-    assert "there is no such hand model" in reshape.trouble(armature)
-    assert "Traceback" not in capfd.readouterr().err
-    row, frame = made.seen[1]
-    bpy.context.scene.frame_set(frame)
-    error = evaluated_vertices(built.hands[0].mesh) - world(made.vertices["right"][row])
-    assert np.abs(error).max() < 1e-4
-    bpy.context.view_layer.objects.active = armature
-    assert bpy.ops.manient.reset_shape() == {"FINISHED"}  # it still has the captured shape
-    assert reshape.trouble(armature) is None
 
 
 def test_a_changed_mesh_and_other_objects_are_left_alone(built):

@@ -14,8 +14,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import CharacterObjects, keep_map
 from blender_manient.scene.onto_character import TransferOptions, applying, motion_of
 from handfit_core.errors import OptionError
-from handfit_core.retarget.hand_map import HandMap
-from handfit_core.skeleton import FINGER_JOINTS, SIDES
+from handfit_core.skeleton import SIDES
 from handfit_core.slices import run_to_completion
 from tests.core.interchange.humanoids import Played, apart, directions, named, wanted
 
@@ -110,25 +109,6 @@ def test_a_characters_wrist_bends_as_it_shows(make_take, tmp_path, side):
     bent = along * np.cos(np.pi / 6.0) - [0.0, np.sin(np.pi / 6.0), 0.0]
     assert apart((turned @ along)[None], bent[None]) < 3.0
     assert np.degrees(np.arccos((np.trace(turned) - 1.0) / 2.0)) == pytest.approx(30.0, abs=0.01)
-
-
-def test_toon_hands_tell_of_the_fingers_that_they_have(make_take, tmp_path):
-    take = make_take(sides=("left",)).take
-    armature = character(np.random.default_rng(6), ("left",))
-    lacking = {*FINGER_JOINTS["ring"], FINGER_JOINTS["thumb"][0]}
-    toon = HandMap("left", tuple("" if j in lacking else name for j, name in enumerate(map_of("left").bones)))
-    motions = [(toon, motion_of(take, take.hands[0]))]
-    run_to_completion(applying(armature, motions, TransferOptions(contacts=False)))
-    played = exported(armature, take, tmp_path, hand_maps=(toon,))
-    moved = {name for name, node in played.bones.items() if node in played.tracks}
-    fingers = {"Thumb", "Index", "Middle", "Little"}
-    assert len(moved) == 12
-    assert {next(f for f in fingers if f in name) for name in moved} == fingers
-    (row, time), *_ = times(take, take.hands[0])
-    shown = directions(named(played.places(time), "left")).reshape(5, 3, 3)
-    there = wanted(take.hands[0], row).reshape(5, 3, 3)
-    assert apart(shown[1:3, :2], there[1:3, :2]) < 5.0, "of mean shape, in the palm's axes"
-    assert apart(shown[0, 1:2], there[0, 1:2]) < 8.0
 
 
 def test_the_panels_button_writes_the_selected_character(make_take, tmp_path):

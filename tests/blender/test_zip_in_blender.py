@@ -21,23 +21,21 @@ if not addon_utils.check("bl_pkg")[1]:
     addon_utils.enable("bl_pkg", default_set=True)
 NAME = "bl_ext.user_default.manient"
 
-def install(path, repo="user_default", enabled=True):
+def attempt(operator, **fields):
     try:
-        bpy.ops.extensions.package_install_files(filepath=path, repo=repo, enable_on_install=enabled)
+        operator(**fields)
     except RuntimeError as error:
         print("Blender says:", error)
+
+def install(path, repo="user_default", enabled=True):
+    install_files = bpy.ops.extensions.package_install_files
+    attempt(install_files, filepath=path, repo=repo, enable_on_install=enabled)
 
 def enable(name=NAME):
-    try:
-        bpy.ops.preferences.addon_enable(module=name)
-    except RuntimeError as error:
-        print("Blender says:", error)
+    attempt(bpy.ops.preferences.addon_enable, module=name)
 
 def disable(name=NAME):
-    try:
-        bpy.ops.preferences.addon_disable(module=name)
-    except RuntimeError as error:
-        print("Blender says:", error)
+    attempt(bpy.ops.preferences.addon_disable, module=name)
 
 def uninstall():
     bpy.ops.extensions.package_uninstall(repo_index=1, pkg_id="manient")
@@ -214,30 +212,6 @@ found([before, state(), marks()])
     assert before == ["old"] * 5
     assert state["runs"], state
     assert after == ["new"] * 5
-
-
-def test_what_could_not_be_imported_is_read_again_once_it_is_mended(blender):
-    (broken, mended, *found), _ = blender("""
-install(ZIP)
-disable()
-file = folder() / "operators" / "review.py"
-good = file.read_text()
-file.write_text(good + chr(10) + "raise OSError('half a file')" + chr(10))
-for name in [n for n in sys.modules if n.startswith(NAME)]:
-    del sys.modules[name]
-enable()
-broken = state()
-disable()
-file.write_text(good)
-earlier = file.parents[1] / "source_info.py"  # was imported before the other failed
-earlier.write_text(earlier.read_text() + chr(10) + "MENDED = True" + chr(10))
-enable()
-modules = [sys.modules[NAME].modules.source_info, sys.modules[NAME + ".source_info"]]
-found([broken, state(), *(hasattr(module, "MENDED") for module in modules)])
-""")
-    assert "half a file" in broken["problems"][0]
-    assert mended["runs"]
-    assert found == [True, True]
 
 
 def test_a_part_that_fails_does_not_keep_the_others(blender):
