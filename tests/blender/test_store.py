@@ -15,7 +15,6 @@ from blender_manient.refiner import Refiner
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.retake import retaken
-from blender_manient.scene.timing import Timing
 from handfit_core.edit.messages import from_message
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.media.source import Source
@@ -239,28 +238,6 @@ def test_a_copy_of_a_hand_has_the_copied_mesh(built, armature, linked):
         own = store.hand_of(copy).mesh
         assert own is None if mesh not in copied else own != mesh and own.parent == copy
     assert store.hand_of(armature).mesh == mesh
-
-
-@pytest.mark.parametrize(("offset", "scale"), [(0.0, 1.0), (100.5, 0.8), (7.0, 2.0)])
-def test_rows_of_scene_frames(make_take, offset, scale):
-    take = make_take(sides=("right",)).take
-    collection = bpy.data.collections.new("capture")
-    store.describe_capture(collection, None, Timing(offset, scale))
-    places = store.scene_frames(collection, take)
-    np.testing.assert_allclose(Timing(offset, scale).source_frames(places), FRAMES, atol=1e-6)
-    for near in (places, places + 0.2 * scale):
-        np.testing.assert_array_equal(store.rows_at(collection, take, near), np.arange(len(FRAMES)))
-    between = offset + scale * np.array([-5.0, 10.0, 900.0])  # source frames 9, 10 and 11 are no rows
-    np.testing.assert_array_equal(store.rows_at(collection, take, between), -1)
-
-
-@pytest.mark.parametrize("field", ["frame_offset", "frame_scale"])
-@pytest.mark.parametrize("value", [1e30, float("nan")])
-def test_a_time_that_no_timeline_reaches_is_none(built, field, value):
-    """As only a hostile file has it: Blender raises for such frames."""
-    take = store.kept_take(built.collection)
-    setattr(built.collection.manient, field, value)
-    np.testing.assert_array_equal(store.scene_frames(built.collection, take), take.frame_numbers)
 
 
 def test_nothing_is_kept_without_the_add_on(make_take):

@@ -185,15 +185,6 @@ def test_a_hands_block_has_units_and_a_word(take, fields, said):
         assert (colors == confidence.UNSEEN_COLOR).all()
 
 
-def test_a_photos_hand_has_a_photos_word(registered, make_take):
-    take = make_take(sides=("right",), frame_numbers=np.array([1])).take
-    track = replace(take.hands[0], expected_error=np.full((1, 5), 0.0158), doubtful=np.array([True]))
-    build_take(replace(take, hands=(track,)))
-    block = drawn(MANIENT_PT_result).said
-    assert "Likely error 15.8 mm: fair " in block
-    assert "doubtful" not in block
-
-
 @pytest.mark.parametrize("larger", [1.0, 1.01])
 def test_a_hands_block_says_that_its_model_has_changed(take, larger):
     track = replace(take.hands[0], joints_3d=larger * take.hands[0].joints_3d)
