@@ -33,7 +33,6 @@ from tests.core.evaluate.made import (
     make_evaluation,
     make_scores,
     with_errors,
-    with_hands,
     write_picture,
 )
 from tests.golden import Golden
@@ -268,15 +267,6 @@ def test_joint_plot_shows_each_labelled_joint(tmp_path: Path) -> None:
     ticks = [text.get_text() for text in drawn[0].axes[0].get_xticklabels()]
     assert ticks == ["thumb 4", "index 4", "middle 4", "ring 4", "little 4"]
     assert "EPE" in drawn[0].axes[0].get_ylabel()  # five tips alone: similarity would hide too much
-
-
-def test_view_plot_has_the_mean_of_each_view(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path, missed=())
-    _, y = lines_of(plots.view_plot(evaluation))["poor"]
-    errors = evaluation.scores[2].pa_error.mean(axis=1)
-    np.testing.assert_allclose(y, [errors[:2].mean(), errors[2:4].mean(), errors[4], errors[5]])
-    blind = tuple(with_hands(s, view="unknown") for s in evaluation.scores)
-    assert plots.view_plot(replace(evaluation, scores=blind)) is None
 
 
 def test_the_users_settings_stay(tmp_path: Path) -> None:
