@@ -15,14 +15,15 @@ from handfit_core.hand_model.files import kept_model
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.take import Take
 
-from .. import jobs, screen, shared_worker, source_info
-from ..modes import drawing, view
-from ..modes.view import free_corner
-from ..properties import SIDE_ITEMS
+from ..common import screen
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
+from ..session import jobs, shared_worker, source_info
+from ..session.properties import SIDE_ITEMS
 from .base import LINKED_SCENE, ModalOperator, select_alone, show_frame_again
 from .capture import new_job
+from .modes import drawing, view
+from .modes.view import free_corner
 
 _CLICK_PIXELS = 6.0
 """pixels at a user interface scale of 1. A drag that is shorter is a click"""

@@ -14,7 +14,7 @@ from handfit_core.errors import HandModelError
 from handfit_core.retarget.hand_map import HandMap, SeveralHands
 from handfit_core.skeleton import SIDES, Side
 
-from ..plugins import failure_sentence, find_plugins, print_once
+from ..common.plugins import failure_sentence, find_plugins, print_once
 from .character import Character, Found, bones_of
 from .rig import Rig
 

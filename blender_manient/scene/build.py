@@ -26,8 +26,8 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.take import HandTrack, Take
 
+from ..common.wording import NAME_BYTES, hand_part, named_after, shortened_name
 from ..rigs.captured_hand import build_rig
-from ..wording import NAME_BYTES, hand_part, named_after, shortened_name
 from . import captures
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field

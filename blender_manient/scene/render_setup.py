@@ -17,8 +17,8 @@ from mathutils import Vector
 from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
-from ..blender_versions import use_nodes
-from ..wording import named_after
+from ..common.blender_versions import use_nodes
+from ..common.wording import named_after
 from .camera import put_before
 from .matching import is_untouched
 from .plate import Plate

@@ -34,7 +34,7 @@ from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.shape_names import shape_names
 from handfit_core.skeleton import NUM_BETAS
 
-from ..blender_versions import channels
+from ..common.blender_versions import channels
 from ..rigs.rig import Rig
 from .actions import own_action
 from .corrections import corrections_of, keep_turned

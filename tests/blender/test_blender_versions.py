@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import pytest
 
-from blender_manient.blender_versions import (
+from blender_manient.common.blender_versions import (
     action_slot,
     assign_action,
     channels,

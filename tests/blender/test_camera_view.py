@@ -8,8 +8,8 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
+from blender_manient.common.screen import enlarged, zoom_and_offset
 from blender_manient.scene.camera import lens_of_camera
-from blender_manient.screen import enlarged, zoom_and_offset
 from handfit_core.errors import OptionError
 
 PORTRAIT, LANDSCAPE, SQUARE = (620.0, 1080.0), (1920.0, 1080.0), (500.0, 500.0)

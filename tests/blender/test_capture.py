@@ -11,9 +11,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from blender_manient import jobs, shared_worker  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
+from blender_manient.session import jobs, shared_worker  # noqa: E402
 from handfit_core.errors import HandfitError  # noqa: E402
 from handfit_core.skeleton import FINGERS  # noqa: E402
 from tests.capturing import needs_capture  # noqa: E402

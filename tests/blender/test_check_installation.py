@@ -7,8 +7,9 @@ import os
 import bpy
 import pytest
 
-from blender_manient import details, preferences
+from blender_manient.common import preferences
 from blender_manient.operators import check_installation
+from blender_manient.session import details
 from handfit_core.version import __version__
 from tests.capturing import needs_capture
 

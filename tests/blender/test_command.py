@@ -10,7 +10,8 @@ from pathlib import Path
 import bpy
 import pytest
 
-from blender_manient import command, preferences
+from blender_manient import command
+from blender_manient.common import preferences
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.take import Take
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.blender_versions import channels
+from blender_manient.common.blender_versions import channels
 from blender_manient.rigs import rig_of
 from blender_manient.scene import corrections
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys

@@ -6,9 +6,9 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import error_graph
 from blender_manient.scene.confidence import colors_of, errors_of
 from blender_manient.scene.store import hand_of
+from blender_manient.session import error_graph
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE, relative_errors
 
 from .conftest import FRAMES, UNSEEN

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_manient.blender_versions import use_nodes
+from blender_manient.common.blender_versions import use_nodes
 from blender_manient.exporters import EXPORTERS
 from blender_manient.panels.export import MANIENT_PT_export
 from blender_manient.rigs import rig_of

@@ -10,13 +10,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from blender_manient import jobs, shared_worker  # noqa: E402
-from blender_manient.modes.choice import Choice, FoundHand  # noqa: E402
-from blender_manient.modes.view import MAX_ZOOM, PictureView  # noqa: E402
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source  # noqa: E402
+from blender_manient.operators.modes.choice import Choice, FoundHand  # noqa: E402
+from blender_manient.operators.modes.view import MAX_ZOOM, PictureView  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.scene.store import captured_hands  # noqa: E402
+from blender_manient.session import jobs, shared_worker  # noqa: E402
 from handfit_core.arrays import pack  # noqa: E402
 from handfit_core.detect.detector import Region  # noqa: E402
 from handfit_core.errors import OptionError  # noqa: E402

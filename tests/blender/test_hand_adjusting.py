@@ -9,12 +9,12 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import hand_adjusting, live_link
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.hand_motion import MARK, written_keys
 from blender_manient.scene.store import hand_of
+from blender_manient.session import hand_adjusting, live_link
 from tests.drawn import drawn
 
 from .characters import build_armature, hand_specs, joint_name, map_of

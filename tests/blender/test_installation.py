@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from blender_manient import installation
+from blender_manient.common import installation
 from tests.blender.small_zip import FOREIGN, PLATFORM, PYTHON, cut_short, gone, small_zip
 
 

@@ -8,12 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.modes import keypoints, view
-from blender_manient.modes.drawing import RADIUS, Picture, handle_sizes
-from blender_manient.modes.keypoints import REACH, KeypointMode, forget_views
 from blender_manient.operators import edit_keypoints
-from blender_manient.refiner import Refiner
+from blender_manient.operators.modes import keypoints, view
+from blender_manient.operators.modes.drawing import RADIUS, Picture, handle_sizes
+from blender_manient.operators.modes.keypoints import REACH, KeypointMode, forget_views
 from blender_manient.scene.build import build_take
+from blender_manient.session.refiner import Refiner
 from handfit_core.geometry.picture_map import mapped
 from tests.takes import correctable
 

@@ -8,12 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import live_link
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import PoseKeys, pose_at, remove_pose_keys, set_pose, write_pose_keys
 from blender_manient.scene.store import hand_of
+from blender_manient.session import live_link
 
 from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves

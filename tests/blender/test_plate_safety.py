@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from blender_manient import source_info
 from blender_manient.scene.build import build_take
+from blender_manient.session import source_info
 from handfit_core.media.source import Source
 from tests.bombs import clip, with_claimed_size
 from tests.child import peak_megabytes

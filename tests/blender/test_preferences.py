@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import cache, preferences
+from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
+from blender_manient.session import cache
 from tests.blender.conftest import FRAMES, write_png
 from tests.drawn import drawn
 
@@ -161,7 +162,7 @@ def test_clear_keeps_pictures_that_the_file_shows(registered, picture):
 
 
 def test_no_clearing_while_the_worker_writes(registered):
-    from blender_manient import shared_worker
+    from blender_manient.session import shared_worker
 
     shared_worker.worker().submit("check")
     assert not bpy.ops.manient.clear_cache.poll()

@@ -12,12 +12,12 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import key_preview
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import pose_at
+from blender_manient.session import key_preview
 
 from .test_corrections import correct
 from .test_simplify import apart, chosen, key_change

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import preferences
-from blender_manient.blender_versions import channels
+from blender_manient.common import preferences
+from blender_manient.common.blender_versions import channels
 from blender_manient.panels.shape import MANIENT_PT_shape
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import source_info
-from blender_manient.refiner import Refiner
 from blender_manient.rigs import rig_of
 from blender_manient.scene import see_through, store
 from blender_manient.scene.apply import apply_track
@@ -22,6 +20,8 @@ from blender_manient.scene.preview import render_plate
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene
+from blender_manient.session import source_info
+from blender_manient.session.refiner import Refiner
 from handfit_core.errors import OptionError
 from handfit_core.media.source import Source
 from handfit_core.retiming import shown_numbers

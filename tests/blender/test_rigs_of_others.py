@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.blender_versions import assign_action
+from blender_manient.common.blender_versions import assign_action
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.character import bones_of

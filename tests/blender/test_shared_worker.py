@@ -8,9 +8,10 @@ import bpy
 import pytest
 
 import blender_manient
-from blender_manient import cache, preferences, shared_worker
+from blender_manient.common import preferences
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture_advanced
+from blender_manient.session import cache, shared_worker
 from handfit_core.errors import OutputError
 from tests.conftest import ROOT
 from tests.drawn import drawn

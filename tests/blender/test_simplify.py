@@ -6,8 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import key_preview
-from blender_manient.blender_versions import action_slot, assign_action, channels
+from blender_manient.common.blender_versions import action_slot, assign_action, channels
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
@@ -32,6 +31,7 @@ from blender_manient.scene.simplify import (
     write,
 )
 from blender_manient.scene.store import hand_of
+from blender_manient.session import key_preview
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotmat, rotvec_to_quat
 from handfit_core.retarget.hand_map import HandMap

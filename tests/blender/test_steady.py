@@ -9,17 +9,18 @@ from pathlib import Path
 import bpy
 import pytest
 
-from blender_manient import jobs, source_info, steady
-from blender_manient.modes import find_hands as find_mode
-from blender_manient.modes.find_hands import row_of
 from blender_manient.operators import add_hand
 from blender_manient.operators.base import Work
 from blender_manient.operators.capture import new_job
+from blender_manient.operators.modes import find_hands as find_mode
+from blender_manient.operators.modes.find_hands import row_of
 from blender_manient.operators.refit_range import MANIENT_OT_refit_range
+from blender_manient.panels import steady
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.source import MANIENT_PT_source
 from blender_manient.scene.build import build_take
+from blender_manient.session import jobs, source_info
 from tests.drawn import drawn
 from tests.takes import correctable
 
@@ -67,7 +68,9 @@ def sources(tmp_path) -> dict[str, Path]:
 @pytest.mark.parametrize("matching", ["AUTO", "MATCH", "KEEP"])
 def test_rows_stay_when_the_worker_answers(settings, tmp_path, kind, matching, monkeypatch):
     # As narrow as a sidebar: no window tells here how wide letters are.
-    monkeypatch.setattr("blender_manient.section.wrapped", lambda text, _: textwrap.wrap(text, 28) or [""])
+    monkeypatch.setattr(
+        "blender_manient.common.section.wrapped", lambda text, _: textwrap.wrap(text, 28) or [""]
+    )
     settings.source, settings.matching = str(sources(tmp_path)[kind]), matching
     info = source_info.of(settings)
     assert info.files is not None
@@ -169,7 +172,7 @@ def test_rows_stay_while_hands_are_chosen_and_added(settings, clock, monkeypatch
 
 
 def test_the_buttons_over_the_picture_stay(monkeypatch):
-    monkeypatch.setattr("blender_manient.modes.find_hands.ui_scale", lambda: 1.0)
+    monkeypatch.setattr("blender_manient.operators.modes.find_hands.ui_scale", lambda: 1.0)
     free = (0.0, 0.0, 900.0, 600.0)
     capture, leave, add = ("capture", "Capture 12 Hands"), ("leave", "Leave"), ("add", "Add Hand")
     alone, full = row_of(None, leave, None, free), row_of(capture, leave, add, free)

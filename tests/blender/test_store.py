@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.refiner import Refiner
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.retake import retaken
 from blender_manient.scene.timing import Timing
+from blender_manient.session.refiner import Refiner
 from handfit_core.edit.messages import from_message
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.hand_model.files import kept_model

@@ -44,7 +44,7 @@ def state(name=NAME):
     return {
         "enabled": name in bpy.context.preferences.addons,
         "runs": module.runs(),
-        "problems": [found.sentence for found in [module.installation.fault()] if found],
+        "problems": [found.sentence for found in [module.common.installation.fault()] if found],
         "sections": [n for n in dir(bpy.types) if n.startswith("MANIENT_PT_")],
         "scene": hasattr(bpy.types.Scene, "manient"),
     }
@@ -114,7 +114,7 @@ report = bpy.data.texts["Hand Capture Check"].as_string()
 disable()
 off = [n for n in dir(bpy.types) if "MANIENT" in n]
 enable()
-cache = str(sys.modules[NAME + ".cache"].folder_path())
+cache = str(sys.modules[NAME + ".session.cache"].folder_path())
 uninstall()
 found([before, report, off, cache, files()])
 """)
@@ -168,7 +168,7 @@ def test_without_mediapipe_only_capturing_is_impossible(blender, tmp_path):
     done = blender(f"""
 install({str(path)!r})
 module = sys.modules[NAME]
-shared_worker = sys.modules[NAME + ".shared_worker"]
+shared_worker = sys.modules[NAME + ".session.shared_worker"]
 section = bpy.types.MANIENT_PT_installation
 said = [section.poll(bpy.context), shared_worker.capture_sentence()]
 try:
@@ -214,7 +214,7 @@ found([state(), sys.modules[NAME + ".command"].main(["check"])])
 MARKS = """
 def marks():
     import handfit_core
-    names = ("", ".installation", ".details", ".wording")
+    names = ("", ".common.installation", ".session.details", ".common.wording")
     return [getattr(sys.modules.get(NAME + n), "MARK", None) for n in names] + [handfit_core.MARK]
 """
 
@@ -254,9 +254,9 @@ def test_scripts_can_be_reloaded(blender, tmp_path):
     path = small_zip(tmp_path / "good.zip")
     done = blender(f"""
 install({str(path)!r})
-before = sys.modules[NAME + ".details"]
+before = sys.modules[NAME + ".session.details"]
 bpy.utils.load_scripts(reload_scripts=True)
-found([state(), sys.modules[NAME + ".details"] is before])
+found([state(), sys.modules[NAME + ".session.details"] is before])
 """)
     state, same = done.value
     assert state["runs"]
@@ -282,10 +282,10 @@ except RuntimeError as error:
 broken = state()
 disable()
 file.write_text(good)
-earlier = file.parents[1] / "source_info.py"  # was imported before the other failed
+earlier = file.parents[1] / "session" / "source_info.py"  # was imported before the other failed
 earlier.write_text(earlier.read_text() + chr(10) + "MENDED = True" + chr(10))
 enable()
-modules = [sys.modules[NAME].modules.source_info, sys.modules[NAME + ".source_info"]]
+modules = [sys.modules[NAME].session.source_info, sys.modules[NAME + ".session.source_info"]]
 found([broken, state(), *(hasattr(module, "MENDED") for module in modules)])
 """)
     broken, mended, *found = done.value

@@ -1,4 +1,4 @@
-"""Differences between Blender's versions are met in one module, blender_manient/blender_versions.py."""
+"""Differences between Blender's versions are met in one module, common/blender_versions.py."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ONLY_HERE = ROOT / "blender_manient" / "blender_versions.py"
+ONLY_HERE = ROOT / "blender_manient" / "common" / "blender_versions.py"
 MODULES = sorted(path for folder in ("blender_manient", "scripts") for path in (ROOT / folder).rglob("*.py"))
 
 ASKED_ELSEWHERE = {

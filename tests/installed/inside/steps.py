@@ -197,7 +197,7 @@ class _Drawn:
 
 def worker() -> dict[str, Any]:
     """The process that captures, as the system sees it."""
-    process = module("shared_worker").current()
+    process = module("session.shared_worker").current()
     if process is None or process.pid is None:
         return {}
     folder = Path("/proc") / str(process.pid)

@@ -81,7 +81,7 @@ def refit() -> dict[str, Any]:
     hand = armature()
     bpy.context.scene.frame_set(12)
     before = places(hand, 12)
-    refiner = steps.module("refiner").Refiner(hand)
+    refiner = steps.module("session.refiner").Refiner(hand)
     place = refiner.keyed_poses([refiner.row_at(12)]).landmarks[0][8] + [30.0, -20.0]
     moved = steps.attempt(
         bpy.ops.manient.move_keypoint, hand=hand.name, frame=12, keypoint=8, x=place[0], y=place[1]

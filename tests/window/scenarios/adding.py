@@ -123,7 +123,7 @@ def in_window(place) -> tuple[float, float]:
 
 
 def _viewport(address):
-    return part("modes.view").viewport_at(bpy.context, address)
+    return part("operators.modes.view").viewport_at(bpy.context, address)
 
 
 def _mesh(armature) -> np.ndarray:

@@ -54,7 +54,7 @@ def of_another_program(stage, source, size):
     yield from stage.open_sidebar()
     settings = bpy.context.scene.manient
     settings.source = source
-    info = part("source_info")
+    info = part("session.source_info")
     yield from stage.until(lambda: info.of(settings).unsized, 60.0, "the worker to miss a size")
     yield 0.5
     yield from stage.screenshot("size-asked")
@@ -102,7 +102,9 @@ def in_place(stage, source):
     """A double click on Capture; then a click on the button that stands there. Where both are."""
     yield from stage.open_sidebar()
     bpy.context.scene.manient.source = source
-    yield from stage.until(lambda: part("source_info").of(bpy.context.scene.manient).width, 30.0, "its size")
+    yield from stage.until(
+        lambda: part("session.source_info").of(bpy.context.scene.manient).width, 30.0, "its size"
+    )
     yield from stage.screenshot("place-before")
     start = yield from stage.find_button("bpy.ops.manient.capture(")
     yield from stage.click(start)
@@ -316,7 +318,7 @@ def dropped(stage, source):
     said = [said_of(job)]
     for step in (stage.undo, stage.undo, stage.redo, stage.redo):
         yield from step()
-        shown = part("source_info").of(bpy.context.scene.manient)
+        shown = part("session.source_info").of(bpy.context.scene.manient)
         if shown.path:
             yield from stage.until(lambda: shown.width, 10.0, "the size of the source")  # noqa: B023
         said.append(said_of(job))
@@ -350,7 +352,7 @@ def said_of(job) -> dict:
         "hands": len(hands()),
         "undone": job.undone,
         "source": Path(settings.source).name,
-        "shown": Path(part("source_info").of(settings).path).name,
+        "shown": Path(part("session.source_info").of(settings).path).name,
     }
 
 
@@ -362,10 +364,12 @@ def into_the_start_up_scene(stage, source):
     yield from stage.open_sidebar()
     scene = bpy.context.scene
     scene.manient.source = source
-    yield from stage.until(lambda: part("source_info").of(scene.manient).width, 30.0, "the clip's size")
+    yield from stage.until(
+        lambda: part("session.source_info").of(scene.manient).width, 30.0, "the clip's size"
+    )
     yield from stage.screenshot("start-up-scene-before")
-    settings, info = scene.manient, part("source_info").of(scene.manient)
-    footage = part("source_info").footage(settings, info)
+    settings, info = scene.manient, part("session.source_info").of(scene.manient)
+    footage = part("session.source_info").footage(settings, info)
     told = part("scene.matching").scene_sentence(scene, "AUTO", footage, scene.frame_current)
     job = yield from capture(stage, source)
     yield from stage.screenshot("start-up-scene-after")

@@ -162,14 +162,14 @@ def linked(stage, source, steps=12):
     yield from stage.until(lambda: not refine.operator().running(), 5.0, "the mode to end")
     yield 1.0
     yield from stage.until(
-        lambda: part("live_link").keying_progress(follower) is None, 20.0, "the follower's keys"
+        lambda: part("session.live_link").keying_progress(follower) is None, 20.0, "the follower's keys"
     )
     after, ours = _index_turns(follower), _index_turns(armature)
     return {
         "behind": behind,
         "moved": [frame for frame in before if abs(before[frame] - after[frame]) > 0.01],
         "off": max(abs(after[frame] - ours[frame]) for frame in ours),
-        "trouble": part("live_link").trouble(follower),
+        "trouble": part("session.live_link").trouble(follower),
     }
 
 
@@ -327,7 +327,7 @@ def moved(stage, take):
 
 def _is_adjusted() -> bool:
     """Whether the keys are as the settings are, and nothing is being written."""
-    idle = not bpy.app.timers.is_registered(part("hand_adjusting").step)
+    idle = not bpy.app.timers.is_registered(part("session.hand_adjusting").step)
     return idle and part("scene.onto_character").is_adjusted(_rig())
 
 

@@ -61,7 +61,7 @@ def captured(stage, shot):
     yield from finish(stage, job, timeout=180.0)
     done(job)
     yield from stage.screenshot(shot)
-    left = part("modes.find_hands").current is None
+    left = part("operators.modes.find_hands").current is None
     return {"built": sorted(armature.manient.side for armature in hands()), "left": left}
 
 
@@ -91,7 +91,7 @@ def added(stage, source):
 
 def crowded(stage, source, most):
     """A photo with more than `most` hands, which are not built before somebody has chosen."""
-    for module in ("jobs", "modes.choice"):
+    for module in ("session.jobs", "operators.modes.choice"):
         part(module).CROWD = most
     try:
         yield from stage.open_sidebar()
@@ -108,7 +108,7 @@ def crowded(stage, source, most):
         yield from finish(stage, *jobs(), timeout=180.0)
         return {**answer, "then": len(hands())}
     finally:
-        for module in ("jobs", "modes.choice"):
+        for module in ("session.jobs", "operators.modes.choice"):
             part(module).CROWD = 10
 
 
@@ -132,7 +132,7 @@ def of_a_frame(stage, source, frame):
     zoomed = float(np.abs(np.subtract(over(hand), place)).max())
     yield from stage.key("HOME")
     yield from stage.key("ESC")
-    yield from stage.until(lambda: part("modes.find_hands").current is None, 5.0, "the mode to end")
+    yield from stage.until(lambda: part("operators.modes.find_hands").current is None, 5.0, "the mode to end")
     answer = {"frame": shown, "zoomed": zoomed, "jobs": len(jobs())}
     yield from begun(stage, source)
     yield from stage.move_to(over(mode().choice.hands[0]))
@@ -161,11 +161,11 @@ def found(stage):
 
 
 def mode():
-    return part("modes.find_hands").current
+    return part("operators.modes.find_hands").current
 
 
 def viewport():
-    return part("modes.view").viewport_at(bpy.context, mode().address)
+    return part("operators.modes.view").viewport_at(bpy.context, mode().address)
 
 
 def described() -> list[tuple[str, bool]]:

@@ -18,7 +18,7 @@ def built_in_slices(stage, take, source):
 
     from handfit_core.options import CaptureOptions
 
-    jobs, scene_of = part("jobs"), part("block_reference").BlockReference.of
+    jobs, scene_of = part("session.jobs"), part("common.block_reference").BlockReference.of
 
     yield from stage.open_sidebar()
     scene = bpy.context.scene

@@ -93,7 +93,7 @@ def live_latency(stage, source, steps=60):
     yield from stage.until(lambda: not operator().running(), 5.0, "the mode to end")
     return {
         "waits_ms": waits,
-        "latencies_ms": [1000 * s for s in part("modes.keypoints").latencies],
+        "latencies_ms": [1000 * s for s in part("operators.modes.keypoints").latencies],
         "redraw_ms": (yield from redraws.timed(stage)),
     }
 
@@ -225,10 +225,10 @@ def _camera_view(stage) -> list:
 def _looked(stage) -> dict:
     """The handles, what is free for them, and the zoom."""
     mode, handles = operator()._mode, np.array(list(places().values()))
-    viewport = part("modes.view").viewport_at(bpy.context, mode.view.address)
+    viewport = part("operators.modes.view").viewport_at(bpy.context, mode.view.address)
     free = viewport.free() + [viewport.region.x, viewport.region.y]
     corners = [(0, 0), (mode.refiner.take.width, mode.refiner.take.height)]
-    picture = part("modes.keypoints").mapped(mode.matrix(viewport), np.array(corners))
+    picture = part("operators.modes.keypoints").mapped(mode.matrix(viewport), np.array(corners))
     picture += [viewport.region.x, viewport.region.y]
     return {
         "handles": [*handles.min(axis=0), *handles.max(axis=0)],
@@ -383,7 +383,7 @@ def touched(stage, source):
     yield from stage.until(lambda: not refit().RangeFitOperator.fitting(), WARM, "the fit")
     yield 0.3
     yield from stage.screenshot("touch-done")
-    refiner = part("refiner").Refiner(armature)
+    refiner = part("session.refiner").Refiner(armature)
     rows = [refiner.row_at(frame) for frame in range(first, last + 1)]
     gaps = refiner.gaps(refiner.keyed_poses(rows), (8, 4))
     changed, spread = _changed(armature, before), bpy.context.scene.manient.spread
@@ -458,7 +458,7 @@ def operator():
 def places() -> dict[int, tuple[float, float]]:
     """Keypoint -> (x, y) of its handle in window pixels, as events have them; empty while none are shown."""
     mode = operator()._mode
-    viewport = part("modes.view").viewport_at(bpy.context, mode.view.address) if mode else None
+    viewport = part("operators.modes.view").viewport_at(bpy.context, mode.view.address) if mode else None
     if viewport is None:
         return {}
     found = mode.region_places(viewport) + np.array([viewport.region.x, viewport.region.y])

@@ -77,10 +77,10 @@ def _look() -> dict:
     """Where both ends of the bar lie in pixels of the screenshot, and the hand's points in the picture."""
     mode = operator()._mode
     refiner = mode.refiner
-    viewport = part("modes.view").viewport_at(bpy.context, mode.view.address)
+    viewport = part("operators.modes.view").viewport_at(bpy.context, mode.view.address)
     ends = np.array([[0.0, STRIP], [refiner.take.width, STRIP]])
     matrix = mode.matrix(viewport)
-    mapped = part("modes.keypoints").mapped
+    mapped = part("operators.modes.keypoints").mapped
     window = mapped(matrix, ends) + [viewport.region.x, viewport.region.y]
     window[:, 1] = bpy.context.window.height - window[:, 1]
     row = mode.row()

@@ -100,7 +100,7 @@ def _press(stage, operator):
 
 def _found():
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
-        found = part("key_preview").preview(bpy.context)
+        found = part("session.key_preview").preview(bpy.context)
     return sum(one.after for one in found) if isinstance(found, list) else None
 
 

@@ -20,13 +20,13 @@ import numpy as np
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import map_yields, run_to_completion, slice_clock
 
-from . import screen
-from .block_reference import BlockReference
-from .scene.characters import hands_to_move
-from .scene.editable import check_unlayered
-from .scene.hand_motion import BoneKeys, without_artist_keys
-from .scene.keys import nearest, remove_pose_keys, set_pose
-from .scene.onto_character import (
+from ..common import screen
+from ..common.block_reference import BlockReference
+from ..scene.characters import hands_to_move
+from ..scene.editable import check_unlayered
+from ..scene.hand_motion import BoneKeys, without_artist_keys
+from ..scene.keys import nearest, remove_pose_keys, set_pose
+from ..scene.onto_character import (
     Motion,
     TransferOptions,
     computing,
@@ -36,7 +36,7 @@ from .scene.onto_character import (
     writing,
     writing_anew,
 )
-from .scene.sampling import rotations_of, shown_now
+from ..scene.sampling import rotations_of, shown_now
 
 _T = TypeVar("_T")
 

@@ -14,11 +14,11 @@ from handfit_core.errors import HandfitError
 from handfit_core.skeleton import SIDES
 from handfit_core.slices import slice_clock
 
+from ..common.block_reference import BlockReference
+from ..common.wording import counted
+from ..scene.characters import hands_to_move
+from ..scene.onto_character import adjusting, is_adjusted, offsets_of
 from . import live_link
-from .block_reference import BlockReference
-from .scene.characters import hands_to_move
-from .scene.onto_character import adjusting, is_adjusted, offsets_of
-from .wording import counted
 
 _TICK = 1 / 60
 """seconds between two looks while something is to be done"""
