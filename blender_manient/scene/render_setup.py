@@ -159,7 +159,6 @@ _seen: dict[int, tuple[int, int, int]] = {}
 """session_uid of a scene -> what it was when `follow_camera` was last asked about it"""
 
 
-@bpy.app.handlers.persistent
 def _on_update(scene: bpy.types.Scene, *_args) -> None:
     """Another camera, or a deletion. Blender calls this after every step: what it compares is cheap."""
     settings = scene.manient

@@ -23,7 +23,6 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 
 from handfit_core.edit.corrections import CorrectionField
 from handfit_core.errors import HandfitError, HandModelError, OptionError
@@ -188,7 +187,6 @@ def _catch_up() -> None:
                 _reshape_or_note(armature)
 
 
-@persistent
 def _after_time_travel(*_: Any) -> None:
     """Undo, redo and loading may end between a slider's change and the hand's."""
     for armature in [o for o in bpy.data.objects if o.type == "ARMATURE" and o.library is None]:

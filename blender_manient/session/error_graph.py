@@ -130,7 +130,6 @@ def _draw_in_editors(wanted: bool) -> None:
         _handles.clear()
 
 
-@bpy.app.handlers.persistent
 def _follow(*_args) -> None:
     """Draw as long as some hand shows its graph, and no longer."""
     _draw_in_editors(any(o.manient.is_hand and o.manient.show_error for o in bpy.data.objects))

@@ -106,7 +106,6 @@ class ManientHandTable(bpy.types.PropertyGroup):
 ManientHandTable.__annotations__ |= {name: f"_bone({name!r})" for name in BONES}
 
 
-@bpy.app.handlers.persistent
 def _read_linked(*_args) -> None:
     """Read the settings of linked characters that have overrides. That makes those that their file does not
     have, without which Blender 5.2 saves the overrides' own settings in a way that it cannot load."""

@@ -454,7 +454,6 @@ def _duration(seconds: float) -> str:
     return f"{int(seconds // 60)}:{int(seconds % 60):02d} min"
 
 
-@bpy.app.handlers.persistent
 def _on_load(*_args) -> None:
     abandon()
 

@@ -291,7 +291,6 @@ def _await_answer() -> float | None:
     return None
 
 
-@bpy.app.handlers.persistent
 def _on_undo(*_args) -> None:
     """Undo and redo change the source without telling."""
     scene = bpy.context.scene

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.exporters.take import retaken
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs
 from blender_manient.session.refiner import Refiner, why_not_refinable

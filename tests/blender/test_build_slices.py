@@ -165,20 +165,6 @@ def test_an_undo_in_the_middle_is_an_interruption(make_take, registered):
         assert len(action_curves(hand.action)) == CURVES
 
 
-def test_handlers_are_gone_afterwards(make_take):
-    def installed() -> int:
-        handlers = bpy.app.handlers
-        return len(handlers.undo_post) + len(handlers.redo_post) + len(handlers.load_post)
-
-    before = installed()
-    steps = building(make_take().take)
-    next(steps)
-    assert installed() == before + 3
-    steps.close()
-    build_take(make_take().take)
-    assert installed() == before
-
-
 @pytest.mark.parametrize("mode", ["OBJECT", "POSE", "EDIT"])
 def test_the_artists_mode_and_selection_stay(make_take, mode):
     bpy.ops.object.armature_add()

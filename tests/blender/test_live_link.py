@@ -13,7 +13,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import PoseKeys, pose_at, remove_pose_keys, set_pose, write_pose_keys
 from blender_manient.scene.store import hand_of
-from blender_manient.session import live_link
+from blender_manient.session import followers, live_link
 
 from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves
@@ -83,7 +83,7 @@ def alike(hand, target, frame):
 def test_switched_on_it_shows_this_frame_before_it_keys_and_tells_how_far_it_is(beside, monkeypatch):
     hand, target = beside
     bpy.context.scene.frame_set(6)
-    monkeypatch.setattr(live_link, "slice_clock", lambda: lambda: True)
+    monkeypatch.setattr(followers, "slice_clock", lambda: lambda: True)
     target.manient.character.live = True
     assert live_link.step() is not None
     assert target.animation_data is None, "a key"

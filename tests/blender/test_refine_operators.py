@@ -15,6 +15,7 @@ import pytest
 
 import blender_manient
 from blender_manient.common import preferences
+from blender_manient.exporters.take import retaken
 from blender_manient.operators import edit_keypoints
 from blender_manient.operators import touch as touching
 from blender_manient.operators.modes.keypoints import KeypointMode
@@ -26,7 +27,6 @@ from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
 from blender_manient.scene.own_keys import keyed_by_hand
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
 from blender_manient.session import shared_worker
 from blender_manient.session.refiner import BonePoses, Refiner, why_not_smoothable

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.scene import see_through, store
 from blender_manient.scene.apply import apply_track
@@ -16,7 +17,6 @@ from blender_manient.scene.corrections import corrected_frames
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.plate import load_plate
 from blender_manient.scene.preview import render_plate
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene
 from blender_manient.session import source_info

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from blender_manient.common.blender_versions import action_slot, assign_action, channels
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
@@ -20,7 +21,6 @@ from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.onto_character import reading_motion
 from blender_manient.scene.origin import origin_to_wrist
 from blender_manient.scene.own_keys import keyed_by_hand
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.simplify import (
     DENSE,
     Bounds,

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.exporters.take import retaken
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.timing import Timing
 from blender_manient.session.refiner import Refiner
 from handfit_core.edit.messages import from_message
