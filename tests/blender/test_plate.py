@@ -12,11 +12,11 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
-from blender_manient import source_info
 from blender_manient.scene.build import build_take
 from blender_manient.scene.plate import load_plate, rows_of
 from blender_manient.scene.preview import preview_rows, render_plate, render_preview, spread_frames
 from blender_manient.scene.timing import timing_in
+from blender_manient.session import source_info
 from handfit_core.geometry.picture_map import mapped, picture_to_region
 from handfit_core.media.source import Source
 from handfit_core.skeleton import FINGER_JOINTS

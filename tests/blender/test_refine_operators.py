@@ -13,20 +13,21 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import preferences, shared_worker
-from blender_manient.modes.keypoints import KeypointMode
+from blender_manient.common import preferences
+from blender_manient.exporters.take import retaken
 from blender_manient.operators import edit_keypoints
+from blender_manient.operators.modes.keypoints import KeypointMode
 from blender_manient.operators.refit_range import replaced
 from blender_manient.operators.touch import MANIENT_OT_touch, touching_range
-from blender_manient.refiner import BonePoses, Refiner, why_not_smoothable
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
 from blender_manient.scene.own_keys import keyed_by_hand
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
+from blender_manient.session import shared_worker
+from blender_manient.session.refiner import BonePoses, Refiner, why_not_smoothable
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take

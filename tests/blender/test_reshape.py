@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import preferences
+from blender_manient.common import preferences
 from blender_manient.panels.shape import MANIENT_PT_shape
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import key_preview
-from blender_manient.blender_versions import action_slot, assign_action, channels
+from blender_manient.common.blender_versions import action_slot, assign_action, channels
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
@@ -22,7 +22,6 @@ from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.onto_character import reading_motion
 from blender_manient.scene.origin import origin_to_wrist
 from blender_manient.scene.own_keys import keyed_by_hand
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.simplify import (
     DENSE,
     Bounds,
@@ -33,6 +32,7 @@ from blender_manient.scene.simplify import (
     write,
 )
 from blender_manient.scene.store import hand_of
+from blender_manient.session import key_preview
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, rotvec_to_quat
 from handfit_core.retarget.hand_map import HandMap

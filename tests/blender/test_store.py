@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient.refiner import Refiner
+from blender_manient.exporters.take import retaken
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
-from blender_manient.scene.retake import retaken
+from blender_manient.session.refiner import Refiner
 from handfit_core.edit.messages import from_message
 from handfit_core.errors import HandModelError, TakeError
 from handfit_core.media.source import Source

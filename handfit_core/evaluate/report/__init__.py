@@ -1,4 +1,5 @@
-"""The report of an evaluation: tables, plots and picture sheets in a folder, with a page that shows them."""
+"""The report of an evaluation: tables, plots and picture sheets in a folder, with a page that shows them. A
+line here draws and writes what was scored, and scores nothing."""
 
 from __future__ import annotations
 

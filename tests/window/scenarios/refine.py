@@ -63,7 +63,7 @@ def follows_the_mouse(stage, source, steps=60):
     drags the quietest counts, since machines are shared and noisy."""
     yield from capture(stage, source)
     yield from edited(stage, hands()[0], frame=30)
-    mode, found = part("modes.keypoints"), []
+    mode, found = part("operators.modes.keypoints"), []
     while len(found) < 3:
         mode.latencies.clear()
         x, y = places()[INDEX_TIP]
@@ -224,7 +224,7 @@ def operator():
 
 
 def viewport():
-    return part("modes.view").viewport_at(bpy.context, operator()._mode.view.address)
+    return part("operators.modes.view").viewport_at(bpy.context, operator()._mode.view.address)
 
 
 def places() -> dict[int, tuple[float, float]]:

@@ -23,10 +23,11 @@ from handfit_core.media.size_limit import check_for_blender
 from handfit_core.retiming import shown_numbers
 from handfit_core.take import is_take
 
-from . import jobs, preferences, screen, shared_worker
-from .scene.matching import Footage
-from .scene.store import captures_of, clip_timing
-from .wording import capitalised, without_name
+from ..common import preferences, screen
+from ..common.wording import capitalised, without_name
+from ..scene.matching import Footage
+from ..scene.store import captures_of, clip_timing
+from . import jobs, shared_worker
 
 _POLL_SECONDS = 0.1
 """seconds"""
@@ -290,7 +291,6 @@ def _await_answer() -> float | None:
     return None
 
 
-@bpy.app.handlers.persistent
 def _on_undo(*_args) -> None:
     """Undo and redo change the source without telling."""
     scene = bpy.context.scene

@@ -15,9 +15,10 @@ from handfit_core.worker.events import Event, WorkerError, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
 
-from . import installation, preferences, properties
+from ..common import installation, preferences
+from ..common.wording import capitalised
+from . import properties
 from .cache import remove_temporary_takes
-from .wording import capitalised
 
 _EXIT_WAIT_SECONDS = 3.0
 """seconds that disabling the add-on waits for killed processes; they need a tenth of one"""

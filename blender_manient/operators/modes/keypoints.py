@@ -20,12 +20,13 @@ from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-from .. import details, jobs, preferences, screen, shared_worker
-from ..refiner import BonePoses, Refiner
-from ..rigs import rig_of
-from ..scene import see_through
-from ..scene.keys import set_pose
-from ..wording import capitalised, counted
+from ...common import preferences, screen
+from ...common.wording import capitalised, counted
+from ...rigs import rig_of
+from ...scene import see_through
+from ...scene.keys import set_pose
+from ...session import details, jobs, shared_worker
+from ...session.refiner import BonePoses, Refiner
 from . import drawing, view
 
 REACH: Final = 14.0

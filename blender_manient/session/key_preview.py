@@ -15,8 +15,8 @@ import bpy
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.slices import run_to_completion, slice_clock
 
-from .scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, state_of, thinning
-from .wording import capitalised
+from ..common.wording import capitalised
+from ..scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, state_of, thinning
 
 _PAUSE = 0.02
 """seconds between two slices"""

@@ -23,14 +23,14 @@ from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import SOLVERS
 
-from .exporters import EXPORTERS
-from .exporters import PRESETS as PROGRAMS
+from ..common.preferences import PRESETS, notifier
+from ..exporters import EXPORTERS
+from ..exporters import PRESETS as PROGRAMS
+from ..scene.matching import CHOICES
+from ..scene.poses import pose_items
+from ..scene.simplify import PARTS
+from ..scene.spans import SCOPES
 from .hand_table import ManientHandTable
-from .preferences import PRESETS, notifier
-from .scene.matching import CHOICES
-from .scene.poses import pose_items
-from .scene.simplify import PARTS
-from .scene.spans import SCOPES
 
 # Plug-ins may import anything, which Blender's process is to be spared.
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
