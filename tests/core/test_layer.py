@@ -1,4 +1,4 @@
-"""The torch layer against a naive twin, the NumPy model, finite differences and symmetry."""
+"""The torch layer against a naive twin, the NumPy model and finite differences."""
 
 import numpy as np
 import pytest

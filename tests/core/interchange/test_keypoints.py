@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,15 +11,15 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError, OptionError, PictureSizeError
-from handfit_core.interchange.opening import RELATIVE, is_recording, read_recording
+from handfit_core.interchange.opening import RELATIVE, is_recording
 from handfit_core.interchange.point_hands import share_left
 from handfit_core.interchange.recording import Recording, SeenHands
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.writers import writer_for
-from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
-from handfit_core.skeleton import KEYPOINT_NAMES, SIDES
+from handfit_core.skeleton import KEYPOINT_NAMES, SIDES, other_side
 from tests.core.interchange import point_files as files
+from tests.core.interchange.known_hands import read, says
 from tests.core.interchange.point_files import (
     NAMES,
     PICTURES,
@@ -35,14 +34,6 @@ from tests.core.interchange.point_files import (
 from tests.told import FRAMES, HEIGHT, WIDTH
 
 ALL = list(range(FRAMES))
-
-
-def read(path: Path, **options: Any) -> Recording:
-    return read_recording(path, CaptureOptions(**options))
-
-
-def says(recording: Recording, words: str) -> bool:
-    return any(words in phrase for phrase in recording.assumed)
 
 
 def seen_in(recording: Recording) -> SeenHands:
@@ -76,36 +67,27 @@ def worst_in_space(recording: Recording, away: Any = 0.0) -> float:
 
 
 @pytest.mark.parametrize("layout", PICTURES)
-def test_a_list_of_frames(tmp_path: Path, layout: Callable[[int], Any]) -> None:
-    recording = read(saved(tmp_path / "hands.json", [layout(i) for i in ALL]))
-    assert recording.format == PICTURES[layout]
+def test_frames(tmp_path: Path, layout: Callable[[int], Any]) -> None:
+    """In a list, with numbers and times beside a size, by their numbers, in lines, and in a folder."""
+    frames, odd = [layout(i) for i in ALL], list(range(3, 3 + 2 * FRAMES, 2))
+    told = [{**f, "frame": n, "frame_id": n, "timestamp": 40.0 * n} for n, f in zip(odd, frames, strict=True)]
+    lines = tmp_path / "lines.jsonl"
+    lines.write_text("\n".join(json.dumps({"frame_id": i, **frames[i]}) for i in ALL))
     numbered = layout in (files.mmpose, files.halpe)
-    assert recording.frame_numbers.tolist() == [i + (not numbered) for i in ALL]
-    assert worst(recording) < 0.01
-    assert not says(recording, "--hands")
-
-
-@pytest.mark.parametrize("layout", PICTURES)
-def test_numbers_times_and_a_size(tmp_path: Path, layout: Callable[[int], Any]) -> None:
-    frames = [{**layout(i), "frame": 3 + 2 * i, "frame_id": 3 + 2 * i, "timestamp": 80.0 * i} for i in ALL]
-    content = {"width": WIDTH, "height": HEIGHT, "frames": frames}
-    recording = read(saved(tmp_path / "hands.json", content))
-    assert recording.frame_numbers.tolist() == list(range(3, 3 + 2 * FRAMES, 2))
-    assert (recording.size, recording.fps) == ((WIDTH, HEIGHT), 25.0)
-    assert worst(recording) < 0.01
-
-
-@pytest.mark.parametrize("layout", [files.tasks, files.openpose, files.apple])
-def test_frames_by_numbers_in_lines_and_in_a_folder(tmp_path: Path, layout: Callable[[int], Any]) -> None:
-    lines = tmp_path / "hands.jsonl"
-    lines.write_text("\n".join(json.dumps({"frame_id": i, **layout(i)}) for i in ALL))
-    by_number = saved(tmp_path / "hands.json", {str(i): layout(i) for i in ALL})
-    folder = files.folder(tmp_path / "hands", [layout(i) for i in ALL], "frame_{:05d}.json")
-    assert is_recording(folder)
-    for path in (by_number, lines, folder):
+    for path, numbers in (
+        (saved(tmp_path / "list.json", frames), [i + (not numbered) for i in ALL]),
+        (saved(tmp_path / "told.json", {"width": WIDTH, "height": HEIGHT, "frames": told}), odd),
+        (saved(tmp_path / "by_number.json", {str(i): frames[i] for i in ALL}), ALL),
+        (lines, ALL),
+        (files.folder(tmp_path / "hands", frames, "frame_{:05d}.json"), ALL),
+    ):
+        assert is_recording(path)
         recording = read(path)
-        assert recording.frame_numbers.tolist() == ALL
+        assert (recording.format, recording.frame_numbers.tolist()) == (PICTURES[layout], numbers)
         assert worst(recording) < 0.01
+        assert not says(recording, "--hands")
+        if numbers is odd:
+            assert (recording.size, recording.fps) == ((WIDTH, HEIGHT), 25.0)
 
 
 @pytest.mark.parametrize("empty", [None, {"landmarks": [], "worldLandmarks": [], "handedness": []}])
@@ -430,10 +412,8 @@ def test_units_by_the_palms_length(output: Path, unit: float, said: str | None) 
 
 
 def test_swapped_files_are_noticed(output: Path) -> None:
-    left, right = (output / f"mediapipe_{side}_hand_3d_xyz.npy" for side in SIDES)
-    shutil.move(left, output / "x.npy")
-    shutil.move(right, left)
-    shutil.move(output / "x.npy", right)
+    for side in SIDES:
+        np.save(output / f"mediapipe_{side}_hand_3d_xyz.npy", files.in_room(other_side(side)))
     assert says(read(output), "its left hand bends like a right one")
 
 
@@ -488,43 +468,52 @@ def test_world_landmarks_alone_are_hands_in_space(tmp_path: Path) -> None:
             assert np.abs(hand.points - TOLD.world[hand.side]).max() < 1e-4
 
 
-# This project's own table, whose JSON is in test_points
+# This project's own
 
 
-def own_table(path: Path, *left_out: str) -> Path:
+def own(path: Path, *left_out: str) -> Path:
+    """What this program writes of the known hands, without some columns or values."""
     writer_for(path).write(TOLD.take, path)
+    if path.suffix == ".json":
+        content = json.loads(path.read_text())
+        hands = [{k: v for k, v in hand.items() if k not in left_out} for hand in content.get("hands", [])]
+        return saved(path, content | ({"hands": hands} if hands else {}))
     lines = [line.split(",") for line in path.read_text().splitlines()]
     kept = [i for i, name in enumerate(lines[0]) if name not in left_out]
     return table(path, [lines[0][i] for i in kept], [[line[i] for i in kept] for line in lines[1:]])
 
 
-def test_a_table_of_our_own(tmp_path: Path) -> None:
-    recording = read(own_table(tmp_path / "a.points.csv"))
-    assert (recording.format, recording.size) == ("points-table", (WIDTH, HEIGHT))
+@pytest.mark.parametrize(
+    ("name", "reader", "left_out"),
+    [
+        ("a.points.json", "points", []),
+        ("a.points.json", "points", ["keypoints_3d"]),
+        ("a.points.csv", "points-table", []),
+        ("a.points.csv", "points-table", ["x_m", "y_m", "z_m"]),
+        ("a.mediapipe.json", "mediapipe", []),
+    ],
+)
+def test_our_own_comes_back(tmp_path: Path, name: str, reader: str, left_out: list[str]) -> None:
+    recording = read(own(tmp_path / name, *left_out))
+    assert (recording.format, recording.size) == (reader, (WIDTH, HEIGHT))
     assert recording.fps == pytest.approx(TOLD.take.fps)
     assert recording.frame_numbers.tolist() == TOLD.take.frame_numbers.tolist()
-    assert worst_in_space(recording) < 1e-6
-    assert all(hand.on_joints for hand in recording.points)
-    plane = read(own_table(tmp_path / "b.points.csv", "x_m", "y_m", "z_m"))
-    assert worst(plane) < 1e-3
-    assert np.allclose(seen_in(plane).confidence, 0.9)
-    rows = [[12, "left", i, *xy] for i, xy in enumerate(TOLD.pixels["left"][0].tolist()) if i != 8]
-    least = read(
-        table(tmp_path / "c.csv", ["frame", "side", "point", "x_px", "y_px"], rows),
-        picture_size=(WIDTH, HEIGHT),
-    )
-    assert (least.size, least.frame_numbers.tolist()) == ((WIDTH, HEIGHT), [12])
-    assert np.isnan(seen_in(least).keypoints[0, 8]).all()
-
-
-def test_landmarks_of_our_own(tmp_path: Path) -> None:
-    path = tmp_path / "hands.mediapipe.json"
-    writer_for(path).write(TOLD.take, path)
-    recording = read(path)
-    assert (recording.format, recording.size, recording.fps) == ("mediapipe", (WIDTH, HEIGHT), TOLD.take.fps)
-    assert recording.frame_numbers.tolist() == TOLD.take.frame_numbers.tolist()
-    assert worst(recording) < 0.01
+    assert recording.intrinsics == (TOLD.take.intrinsics if reader == "points" else None)
+    if left_out or reader == "mediapipe":
+        assert worst(recording) < (0.01 if reader == "mediapipe" else 1e-3)
+        assert np.allclose(seen_in(recording).confidence, 0.9 if reader == "points-table" else 1.0)
+    else:
+        assert worst_in_space(recording) < 1e-6
+        assert all(hand.on_joints for hand in recording.points)
     assert not recording.assumed
+
+
+def test_the_least_that_a_table_of_our_own_has(tmp_path: Path) -> None:
+    rows = [[12, "left", i, *xy] for i, xy in enumerate(TOLD.pixels["left"][0].tolist()) if i != 8]
+    path = table(tmp_path / "c.csv", ["frame", "side", "point", "x_px", "y_px"], rows)
+    recording = read(path, picture_size=(WIDTH, HEIGHT))
+    assert (recording.size, recording.frame_numbers.tolist()) == ((WIDTH, HEIGHT), [12])
+    assert np.isnan(seen_in(recording).keypoints[0, 8]).all()
 
 
 # Beside the table
@@ -591,6 +580,11 @@ def of_apple(value: Any) -> list[Any]:
     return [{"chirality": "left", "joints": dict.fromkeys(files.APPLE_CODES, value)}]
 
 
+def ours(**changes: Any) -> dict[str, Any]:
+    hands = [{"side": side, "keypoints_3d": TOLD.points[side].tolist()} for side in SIDES]
+    return {"format": "handfit-points", "version": 1, "frames": ALL, "hands": hands, **changes}
+
+
 WRONG: list[tuple[str, Any, str]] = [
     ("openpose", {"people": [{"pose_keypoints_2d": [1.0, 2.0, 0.5] * 25}]}, "--hand"),
     ("openpose", of_left_hand([1.0, 2.0, 0.5] * 20), "60 numbers of a hand; expected 21 times xyc"),
@@ -625,6 +619,17 @@ WRONG: list[tuple[str, Any, str]] = [
     ("leap", leap(lambda frame: frame["pointables"][3].update(btipPosition=[1e300] * 3)), "beyond"),
     ("leap", [*files.websocket(), *([{}] * LIMITS.frames)], f"at most {LIMITS.frames} are read; cut it"),
     ("points", [], "Points"),
+    ("points", ours(version=2), "newer version"),
+    ("points", ours(frames=[]), "reshape"),
+    ("points", ours(frames=[1] * FRAMES), "numbers do not increase"),
+    ("points", ours(hands=[{"side": "Left", "keypoints_2d": []}]), "must be left or right"),
+    ("points", ours(hands=[]), "none of its frames has a hand"),
+    ("points", ours(hands=3), "not iterable"),
+    ("points", ours(hands=[{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]), "inhomogeneous|reshape"),
+    ("points", ours(frames=[1], hands=[{"side": "left", "keypoints_3d": [[[1e300] * 3] * 21]}]), "beyond"),
+    ("points", ours(fps=0), "fps must be"),
+    ("points", ours(width=-3), "width must be"),
+    ("points", ours(intrinsics={"fx": "wide"}), "fx must be"),
 ]  # fmt: skip
 
 
