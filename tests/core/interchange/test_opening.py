@@ -182,15 +182,12 @@ def test_the_pictures_size_is_told_or_its_keypoints_are_refused(tmp_path: Path) 
     assert apart(take, range(24)) < 1e-6
 
 
-@pytest.mark.parametrize("by_the_file", [True, False])
-def test_points_of_a_smaller_copy(points: Path, by_the_file: bool) -> None:
+def test_points_of_a_smaller_copy(points: Path) -> None:
     """They are brought to the pictures' size."""
     size = TRUTH.width // 2, TRUTH.height // 2
     hand = {"side": SIDE, "keypoints_2d": (PIXELS / 2.0).tolist()}
-    told = {"width": size[0], "height": size[1]} if by_the_file else {"width": None, "height": None}
-    changed(points, hands=[hand], intrinsics=None, **told)
-    options = {} if by_the_file else {"picture_size": size}
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=points, frames="3-4", **options)
+    changed(points, hands=[hand], intrinsics=None, width=size[0], height=size[1])
+    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=points, frames="3-4")
     assert apart(take, range(2, 4)) < 0.01
 
 
@@ -264,12 +261,6 @@ def test_frames_without_the_hand_are_told_from_a_mistake(points: Path, kind: str
     changed(points, hands=[{"side": SIDE, kind: [[p, *[None] * 20] for p in hand[kind][0][:1]] * 24}])
     with pytest.raises((InputError, NoHandFoundError), match="6 points"):
         capture(points, frames="1-3")
-
-
-def test_more_hands_in_a_frame_than_are_read(points: Path) -> None:
-    changed(points, hands=[{"side": SIDE, "keypoints_2d": PIXELS.tolist()}] * 4001)
-    with pytest.raises(InputError, match="there are 4001 hands in frame"):
-        read_recording(points, CaptureOptions())
 
 
 def test_questions_of_pictures_are_refused(points: Path) -> None:
