@@ -614,6 +614,7 @@ def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any
         (np.full((FRAMES, 21, 3), np.nan), "none of its frames has a hand"),
         (np.full((FRAMES, 21, 3), 7.0), "its palms are 0 long"),
         (np.array([{}], dtype=object), "no array"),
+        (np.full((FRAMES, 21, 3), 1e300), "beyond"),
         (files.in_room("left")[:4], "different numbers of frames"),
     ],
 )
