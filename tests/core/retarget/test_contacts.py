@@ -193,18 +193,15 @@ def test_slices_do_not_show(monkeypatch):
 
 def test_mirrored_hand():
     built, names = Built(), tuple(f"b{joint}" for joint in range(NUM_JOINTS))
-    add_hand(
-        *(built, "right", dict(enumerate(names)), np.random.default_rng(6)), bend=0.3, stretch=0.25, tips=True
-    )
+    how = {"bend": 0.3, "stretch": 0.25, "tips": True}
+    add_hand(built, "right", dict(enumerate(names)), np.random.default_rng(6), **how)
     bones, own, tips, turns = built.bones(), source("right"), skins("right"), pinching("right", "ring")
-    mirrored = replace(bones, heads=bones.heads @ MIRROR_X, tails=bones.tails @ MIRROR_X)
+    other = replace(bones, heads=bones.heads @ MIRROR_X, tails=bones.tails @ MIRROR_X)
     found = []
-    for its, hand, skin, does in (
-        (bones, own, tips, turns),
-        (mirrored, own.mirrored(), tips.mirrored(), mirrored_turns(turns)),
-    ):
-        target = target_hand(its, HandMap(hand.side, names), hand)
-        kept = run_to_completion(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
+    for hand in ((bones, own, tips, turns), (other, own.mirrored(), tips.mirrored(), mirrored_turns(turns))):
+        its, captured, skin, does = hand
+        target = target_hand(its, HandMap(captured.side, names), captured)
+        kept = run_to_completion(keeping_contacts(target, captured, skin, does, np.arange(len(does)) / FPS))
         found.append((target.points(kept.standing)[1], kept.apart))
     np.testing.assert_allclose(found[1][0], found[0][0] @ MIRROR_X, atol=1e-9)
     np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-9)
