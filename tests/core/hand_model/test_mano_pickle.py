@@ -97,6 +97,7 @@ def test_web_pages_and_programs(tmp_path: Path) -> None:
     path = tmp_path / "MANO_RIGHT.pkl"
     for data, said in (
         (b"<!DOCTYPE html><html>please log in</html>", "copy it again"),
+        (pickle.dumps([1.0]), "holds no hand model"),
         (b"cposix\nsystem\n(Vtrue\ntR.", "do not trust it"),
     ):
         path.write_bytes(data)

@@ -175,7 +175,8 @@ def test_keypoints_of_pictures_of_another_size(tmp_path: Path, points: Path) -> 
     take = capture(pictures, keypoints=path, picture_size=(3 * TRUTH.width, 3 * TRUTH.height))
     assert apart(take, range(24)) < 1e-6
     hand = {"side": SIDE, "keypoints_2d": (PIXELS / 2.0).tolist()}
-    changed(points, hands=[hand], intrinsics=None, width=TRUTH.width // 2, height=TRUTH.height // 2)
+    camera = {name: value / 2.0 for name, value in vars(TRUTH.intrinsics).items()}
+    changed(points, hands=[hand], intrinsics=camera, width=TRUTH.width // 2, height=TRUTH.height // 2)
     assert apart(capture(pictures, keypoints=points, frames="3-4"), range(2, 4)) < 0.01
 
 
