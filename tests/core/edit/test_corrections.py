@@ -57,8 +57,10 @@ def test_changed_segments():
 def test_correction_between():
     before, after = np.random.default_rng(2).normal(size=(2, 50, 4))
     before[0] *= 3.0  # keys need not be of unit length
-    found = quat_to_rotmat(before) @ rotvec_to_rotmat(correction_between(before, after))
+    turns = correction_between(before, after)
+    found = quat_to_rotmat(before) @ rotvec_to_rotmat(turns)
     np.testing.assert_allclose(found, quat_to_rotmat(after), atol=1e-9)
+    assert np.linalg.norm(turns, axis=-1).max() <= np.pi
 
 
 def test_a_change_and_back_is_nothing():
