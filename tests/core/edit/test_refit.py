@@ -76,6 +76,7 @@ def test_handles_are_the_solvers_points(side: Side) -> None:
         ({TIP: (-15.0, 20.0)}, [6, 7], 5.0, OTHERS, 1.0),
         ({TIP: (0.0, 0.0)}, [], 0.0, range(21), 0.5),
         ({5: (-12.0, 12.0)}, KNUCKLES, 3.0, [0], 10.0),
+        ({9: (-10.0, 8.0)}, KNUCKLES, 3.0, [0], 8.0),
         ({17: (-12.0, 12.0)}, KNUCKLES, 3.0, [0], 10.0),
         ({0: (12.0, -9.0)}, KNUCKLES, 2.0, TIP_KEYPOINTS, 4.0),
         ({TIP: (-8.0, 6.0), 4: (6.0, 4.0), 17: (4.0, -4.0), 20: (5.0, 9.0)}, [8, 4, 20], 4.0, [0], 10.0),
@@ -84,19 +85,14 @@ def test_handles_are_the_solvers_points(side: Side) -> None:
 def test_what_comes_along(
     by: Mapping[int, Sequence[float]], along: list[int], least: float, rest: Sequence[int], most: float
 ) -> None:
-    """A fingertip takes its finger along, a knuckle the palm, and a wrist leaves the fingertips."""
+    """A fingertip takes its finger along, a knuckle the palm on which all fingers ride, and a wrist leaves
+    the fingertips."""
     hand = drag(photo(), by)
     found = refit_each(hand)
     assert missed(hand, found).max() < 1.0
     assert moved(hand, found)[along].min(initial=np.inf) > least
     assert moved(hand, found)[list(rest)].mean() < most
-
-
-def test_fingers_ride_on_a_dragged_knuckle() -> None:
-    hand = drag(photo(), {9: (-10.0, 8.0)})
-    found = refit_each(hand)
-    assert moved(hand, found)[KNUCKLES].min() > 3.0
-    assert np.median(turned(hand, found)) < 5.0
+    assert len(by) > 1 or np.median(turned(hand, found)) < 6.0
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -149,35 +145,18 @@ def test_poses_and_detections_may_be_missing() -> None:
     assert not refit_range(nothing).present.any()
 
 
-def test_frames_are_each_by_itself() -> None:
-    true = true_hands("right", 5, seed=4)
-    hand = to_refine(true, detections_of("right", rows_of(true), noise=2.0))
-    for row in (0, 1, 3):
-        hand = drag(hand, {TIP: (6.0, 6.0)}, row)
-    together = joints_of(refit_each(hand))
-    for row in range(5):
-        at = slice(row, row + 1)
-        seen = replace(hand.detections.select(at), frame=np.array([0]))
-        pose = (each[at] for each in hand.pose)
-        alone = refit_each(posed(hand, *pose, detections=seen, pins=hand.pins[at]))
-        np.testing.assert_allclose(joints_of(alone)[0], together[row], atol=2e-4)
-
-
-@pytest.mark.parametrize("tip", TIP_KEYPOINTS)
-def test_outward_drag_keeps_distance(tip: int) -> None:
-    """Nearer, it would look larger and reach the pin."""
-    hand = drag(photo(), {tip: 12.0 * outwards(shown(photo())[0], tip)})
-    assert abs((joints_of(refit_each(hand)) - joints_of(hand))[0, 0, 2]) < 0.004  # metres
-
-
 def outwards(points: np.ndarray, tip: int) -> np.ndarray:
     """(2,) the direction in the picture from a finger's first point to its tip."""
     along = points[tip] - points[tip - 3]
     return along / np.linalg.norm(along)
 
 
-def test_palm_pins_change_the_distance() -> None:
-    """Wrist and knuckles drawn apart: that hand is nearer."""
+def test_what_changes_the_distance() -> None:
+    """A fingertip that is drawn outwards does not, though nearer it would reach its pin. Where wrist and
+    knuckles are drawn apart, that hand is nearer."""
+    for tip in TIP_KEYPOINTS:
+        hand = drag(photo(), {tip: 12.0 * outwards(shown(photo())[0], tip)})
+        assert abs((joints_of(refit_each(hand)) - joints_of(hand))[0, 0, 2]) < 0.004  # metres
     palm = shown(photo())[0, PALM]
     hand = drag(photo(), dict(zip(PALM, 0.1 * (palm - palm.mean(axis=0)), strict=True)))
     found = refit_each(hand)
