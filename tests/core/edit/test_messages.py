@@ -103,13 +103,11 @@ def touching(keypoint: int, other: float) -> np.ndarray:
     ("field", "value", "named"),
     [
         ("transl", np.zeros((2, 3)), "transl has shape"),
-        ("fps", 1e200, "fps must be a finite number from 0.001 to 1e"),
         ("pins", np.tile([np.nan, 3.0], (1, 21, 1)), "pins must have x and y"),
         ("pins", np.zeros((0, 21, 2)), "pins has shape"),
         ("detections", replace(photo().detections, frame=np.array([1])), "detections: at most one"),
-        ("touches", np.full((2, 21), np.nan), "touches has shape"),
         *(
-            ("touches", touching(8, other), "touches: keypoint 8 must name a smaller one")
+            ("touches", np.where(np.arange(21) == 8, other, np.nan)[None], "touches: keypoint 8 must name")
             for other in (9.0, 8.0, 7.0, 1.5, -1.0, np.inf)
         ),
     ],
@@ -127,22 +125,13 @@ def test_points_that_cannot_touch(one: int, other: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"),
-    [
-        ({"side": None}, "side"),
-        ({"keypoints": None}, "keypoints"),
-        ({"intrinsics": None}, "intrinsics"),
-        ({"keypoints": pack(np.zeros((1, 21)))}, "keypoints"),
-        ({"world": pack(np.zeros((3, 21, 3)))}, "world"),
-        ({"betas": [0.0] * 10}, "betas"),
-        ({"side": "both"}, "side"),
-        ({"added": 1}, "added must be true or false"),
-    ],
+    ("field", "value"),
+    [("side", None), ("keypoints", None), ("world", pack(np.zeros((3, 21, 3)))), ("added", 1)],
 )
-def test_bad_messages_are_named(changes: dict[str, Any], named: str) -> None:
-    message = to_message(photo()) | changes
-    with pytest.raises(HandfitError, match=named):
-        from_message({name: value for name, value in message.items() if value is not None})
+def test_bad_messages_are_named(field: str, value: Any) -> None:
+    message = to_message(photo()) | {field: value}
+    with pytest.raises(HandfitError, match=field):
+        from_message({name: kept for name, kept in message.items() if kept is not None})
 
 
 @pytest.mark.parametrize(
@@ -156,10 +145,8 @@ def test_bad_requests_are_named(message: dict[str, Any], named: str) -> None:
         result_from_message(message)
 
 
-@pytest.mark.parametrize(
-    ("name", "array"), [("transl", np.zeros((2, 3))), ("hand_pose", np.full((1, 45), np.inf))]
-)
-def test_bad_answers_are_named(name: str, array: np.ndarray) -> None:
+def test_bad_answers_are_named() -> None:
     done = answer({"mode": "draft", "hand": to_message(photo())}, never)
-    with pytest.raises(ProtocolError, match=name):
-        result_from_message({"result": {**done["result"], name: pack(array)}})
+    wrong = {**done["result"], "transl": pack(np.zeros((2, 3)))}
+    with pytest.raises(ProtocolError, match="transl"):
+        result_from_message({"result": wrong})

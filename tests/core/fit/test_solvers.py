@@ -17,7 +17,7 @@ from handfit_core.fit.solution import Solution, Status
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.terms import Limits
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import SIDES, Side
+from handfit_core.skeleton import Side
 from tests.core.fit.differences import close, random
 from tests.core.fit.hands import (
     MIRROR,
@@ -42,20 +42,10 @@ def relaxed(problem: Problem) -> State:
     )
 
 
-@pytest.mark.parametrize("side", SIDES)
-def test_relaxed_start(side: Side) -> None:
-    """A few degrees and centimetres off, as it knows no perspective."""
-    chain = chain_of(side)
-    truth = replace(make_state(6, chain, spread=0.0), betas=np.zeros((6, 10)))
-    points = chain.points(truth)
-    start = relaxed(problem_of(chain, observe(points)))
-    turn = (start.root.swapaxes(-1, -2) @ truth.root).trace(axis1=1, axis2=2)
-    assert np.arccos(((turn - 1) / 2).clip(-1, 1)).max() < np.radians(12)
-    assert np.linalg.norm(start.wrist - truth.wrist, axis=1).max() < 0.06
-    assert np.abs(start.depth_zero - points[..., 2].mean(axis=1)).max() < 0.06
-    # Also where a detector has put all landmarks on one pixel.
-    spot = relaxed(problem_of(chain, observe(np.tile([0.0, 0.0, 0.5], (1, 21, 1)))))
-    assert all(np.isfinite(rows).all() for _, rows in spot._rows())
+def test_start_of_a_single_spot() -> None:
+    """A detector has put all landmarks on one pixel."""
+    start = relaxed(problem_of(chain_of(), observe(np.tile([0.0, 0.0, 0.5], (1, 21, 1)))))
+    assert all(np.isfinite(rows).all() for _, rows in start._rows())
 
 
 def problem_for(side: Side, spread: float, count: int = 8, noise: float = 0.0) -> tuple[Problem, State]:
