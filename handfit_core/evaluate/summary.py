@@ -14,8 +14,16 @@ import pandas as pd
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate import ProtocolName
-from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
+from handfit_core.evaluate.metrics import (
+    PCK_THRESHOLDS_MM,
+    acceleration_error,
+    auc,
+    bone_length_variation,
+    jitter_spectrum,
+    labelled_points,
+    mean_of_labelled,
+    pck_curve,
+)
 from handfit_core.evaluate.scores import Comparison, Scores
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
