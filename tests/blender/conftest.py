@@ -14,8 +14,9 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 import blender_manient  # noqa: E402
-from blender_manient.common import preferences  # noqa: E402
-from blender_manient.common.blender_versions import channels, first_slot  # noqa: E402
+from blender_manient import preferences  # noqa: E402
+from blender_manient.blender_versions import channels, first_slot  # noqa: E402
+from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
 from blender_manient.scene.build import build_take  # noqa: E402
 from handfit_core.geometry.camera import Intrinsics  # noqa: E402
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
@@ -248,11 +249,21 @@ def action_curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
 
 def joint_heads(armature, side: Side) -> np.ndarray:
     """(16, 3) world positions of the bones' heads, at the scene's current frame."""
-    from blender_manient.rigs.captured_hand import bone_names
-
     armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    heads = [armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)]
-    return np.array(heads)
+    return np.array([armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)])
+
+
+def shown_bones(armature, frame: int | None = None):
+    """The pose bones as they are shown, on a frame or now."""
+    if frame is not None:
+        bpy.context.scene.frame_set(int(frame))
+    return armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
+
+
+def blocks() -> dict[str, list[str]]:
+    """Names of all data-blocks of the file, by kind."""
+    kinds = "objects collections armatures meshes actions cameras images lights materials scenes shape_keys"
+    return {kind: sorted(getattr(bpy.data, kind).keys()) for kind in kinds.split()}
 
 
 @pytest.hookimpl(trylast=True)

@@ -9,14 +9,7 @@ from blender_manient.scene.build import build_take, building
 from blender_manient.scene.keys import CURVES
 from handfit_core.errors import BuildInterrupted
 
-from .conftest import action_curves
-
-KINDS = "objects collections armatures meshes actions cameras images materials scenes".split()
-
-
-def blocks() -> dict[str, list[str]]:
-    """All data-blocks of the file, by kind."""
-    return {kind: sorted(block.name for block in getattr(bpy.data, kind)) for kind in KINDS}
+from .conftest import action_curves, blocks
 
 
 def halfway(steps, part: float = 0.5) -> None:

@@ -26,7 +26,7 @@ from handfit_core.take import Take
 from tests.conftest import ROOT
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of
-from .conftest import READY, action_curves
+from .conftest import READY, action_curves, shown_bones
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -194,11 +194,6 @@ def opened(path: Path) -> bpy.types.Object:
     return bpy.data.objects["Hero"]
 
 
-def shown(armature: bpy.types.Object, frame: int):
-    bpy.context.scene.frame_set(frame)
-    return armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
-
-
 def bends(fingers: list) -> np.ndarray:
     """(5, 2) degrees between the segments of fingers, (5, 4, 3) points; they know neither sides nor palms."""
     along = np.diff(np.array(fingers), axis=1)
@@ -207,7 +202,7 @@ def bends(fingers: list) -> np.ndarray:
 
 
 def bends_of(armature: bpy.types.Object, side: Side, frame: int) -> np.ndarray:
-    bones = shown(armature, frame)
+    bones = shown_bones(armature, frame)
     chains = [[bones[joint_name(joint, side)] for joint in chain] for chain in FINGER_JOINTS.values()]
     return bends([[*(bone.head for bone in chain), chain[-1].tail] for chain in chains])
 
@@ -266,7 +261,7 @@ def test_contacts_are_kept_unless_it_is_told_otherwise(make_take, hero, tmp_path
         (entry,) = report(tmp_path)
         told = any("fingertips that touch do not meet" in warning for warning in entry["warnings"])
         assert told == (entry["character"]["hands"][0]["tips_apart"] > MAX_TOUCH_ERROR)
-        bones = shown(opened(tmp_path / "out" / "pinch" / "pinch.blend"), 8)
+        bones = shown_bones(opened(tmp_path / "out" / "pinch" / "pinch.blend"), 8)
         ends = [bones[joint_name(FINGER_JOINTS[finger][2], "right")].tail for finger in ("thumb", "index")]
         gaps[options] = (ends[0] - ends[1]).length
     _, tips = (motion := motion_of(take, take.hands[0])).source.points(motion.turns[:1])
@@ -364,7 +359,7 @@ def test_where_the_keys_go(clip, hero, tmp_path, into):
     armature = opened(tmp_path / "out" / "clip" / "clip.blend")
     data, wrist = armature.animation_data, joint_name(0, "left")
     rest = armature.data.bones[wrist].matrix_local.to_3x3()
-    turned = [rest.inverted() @ shown(armature, frame)[wrist].matrix.to_3x3() for frame in (6, 17)]
+    turned = [rest.inverted() @ shown_bones(armature, frame)[wrist].matrix.to_3x3() for frame in (6, 17)]
     assert turned[0].to_quaternion().angle < 1e-3 < turned[1].to_quaternion().angle
     expected = {"new": (1, False), "strip": (1, True), "action": (0, True)}
     assert (len(data.nla_tracks), data.action.name == before) == expected[into]

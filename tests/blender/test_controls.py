@@ -17,7 +17,7 @@ from blender_manient.scene.store import hand_of
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, other_side
 
-from .conftest import FRAMES, action_curves, joint_heads
+from .conftest import FRAMES, action_curves, blocks, joint_heads, shown_bones
 from .fbx_file import read_fbx
 from .importing import imported, read_back
 
@@ -47,8 +47,8 @@ def control(armature, role) -> bpy.types.PoseBone:
 def shown(armature) -> np.ndarray:
     """(16, 4, 4) the bones as they are shown now, in the armature's space."""
     bpy.context.view_layer.update()
-    evaluated = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    return np.array([evaluated.pose.bones[name].matrix for name in rig_of(armature).bones])
+    bones = shown_bones(armature)
+    return np.array([bones[name].matrix for name in rig_of(armature).bones])
 
 
 def sampled_pose(armature, frames=FRAMES) -> np.ndarray:
@@ -84,10 +84,7 @@ def everything(armature) -> dict:
         ],
         "drivers": len(armature.animation_data.drivers),
         "curves": [(c.data_path, c.array_index) for c in action_curves(armature.animation_data.action)],
-        "data": [
-            sorted(getattr(bpy.data, kind).keys())
-            for kind in ("objects", "meshes", "actions", "armatures", "scenes", "collections")
-        ],
+        "data": blocks(),
     }
 
 

@@ -29,7 +29,7 @@ from handfit_core.skeleton import FINGER_JOINTS, SIDES
 from handfit_core.take import Take
 from tests.drawn import drawn
 
-from .conftest import UNSEEN, built_model, evaluated_vertices, joint_heads, world, write_png
+from .conftest import UNSEEN, blocks, built_model, evaluated_vertices, joint_heads, world, write_png
 from .fbx_file import read_fbx
 from .importing import imported, joint_error, read_back, vertex_error
 
@@ -58,11 +58,9 @@ def write(path: Path, **options) -> Path:
 def snapshot() -> list:
     """Everything that an export must leave as it was."""
     return [
-        sorted((o.name, o.data.name if o.data else "") for o in bpy.data.objects),
-        *(sorted(blocks.keys()) for blocks in (bpy.data.actions, bpy.data.meshes, bpy.data.armatures)),
-        (len(bpy.data.scenes), bpy.context.scene.frame_current, bpy.context.mode),
-        [[list(row) for row in o.matrix_world] for o in bpy.data.objects],
-        bpy.context.view_layer.objects.active.name,
+        blocks(),
+        [(o.name, o.data and o.data.name, [list(row) for row in o.matrix_world]) for o in bpy.data.objects],
+        (bpy.context.scene.frame_current, bpy.context.mode, bpy.context.view_layer.objects.active.name),
     ]
 
 

@@ -19,8 +19,8 @@ from blender_manient.session import followers, hand_adjusting, live_link
 from tests.drawn import drawn
 
 from .characters import build_armature, hand_specs, joint_name, map_of
-from .conftest import action_curves
-from .test_onto_character import angles, directions
+from .conftest import action_curves, shown_bones
+from .looking import directions, directions_apart
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -80,8 +80,8 @@ def values(target):
 
 
 def alike(hand, target, frame):
-    error = angles(directions(target, NAMES, frame), directions(hand.armature, bone_names("right"), frame))
-    return error.max() < 0.1
+    shown = directions(target, NAMES, frame), directions(hand.armature, bone_names("right"), frame)
+    return directions_apart(*shown) < 0.1
 
 
 def test_switched_on_it_shows_this_frame_before_it_keys_all(hand, monkeypatch):
@@ -180,12 +180,7 @@ def target(hand, request):
 
 def matrices(target, frames=(3, 6, 12)) -> np.ndarray:
     """(N, 4, 4) how the hand is shown."""
-    found = []
-    for frame in frames:
-        bpy.context.scene.frame_set(frame)
-        shown = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones[NAMES[0]]
-        found.append(np.array(shown.matrix))
-    return np.array(found)
+    return np.array([shown_bones(target, frame)[NAMES[0]].matrix for frame in frames])
 
 
 def places(target, frames=(3, 6, 12)) -> np.ndarray:
