@@ -130,21 +130,6 @@ def test_changes_since_are_kept_when_all_keys_come_back(armature):
     assert (kept.use_fake_user, kept.get(DENSE)) == (True, None)
 
 
-def test_actions_that_others_use_stay(armature):
-    before = contents(armature)
-    simplify()
-    other = armature.copy()
-    bpy.context.collection.objects.link(other)
-    simplify(Bounds(5.0, 9.0))
-    shared = other.animation_data.action
-    assert shared != armature.animation_data.action
-    assert kept_action(other) == kept_action(armature)
-    restore(armature)
-    assert other.animation_data.action == shared
-    restore(other)
-    assert contents(other) == contents(armature) == before
-
-
 def test_only_the_chosen_fingers_lose_keys(armature):
     """What follows the hand gets all of its motion."""
     counts, quats = [contents(armature)], poses(armature, FRAMES)
@@ -360,23 +345,6 @@ def test_a_layer_is_added_and_merged_or_taken_away(armature, simplified):
     assert armature.animation_data.action == motion
     assert apart(evaluated(armature, frames, names), shown) < (0.6 if simplified else 0.05)
     assert name not in bpy.data.actions
-
-
-def test_a_layer_with_keys_on_everything_is_merged_without_what_changes_nothing(armature):
-    bone = armature.pose.bones[bone_names("right")[2]]
-    paths = set(contents(armature))
-    add_layer(armature)
-    for frame, bend in ((20, 0.0), (40, 0.4), (60, 0.0)):
-        bpy.context.scene.frame_set(frame)
-        turn = rotvec_to_quat(np.array([bend, 0.0, 0.0]))
-        bone.rotation_quaternion = quat_multiply(np.array(bone.rotation_quaternion), turn)
-        for path in ("location", "rotation_quaternion", "scale"):
-            bone.keyframe_insert(path, frame=frame)
-    frames = np.array([20.0, 33.0, 40.0, 52.0])
-    shown = evaluated(armature, frames, [bone.name])
-    end_layer(armature, merge=True)
-    assert set(contents(armature)) == paths
-    assert apart(evaluated(armature, frames, [bone.name]), shown) < 0.05
 
 
 @pytest.mark.parametrize(
