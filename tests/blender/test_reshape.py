@@ -13,7 +13,6 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import reshape
 from blender_manient.scene.actions import push_down
 from blender_manient.scene.build import build_take
-from blender_manient.scene.corrections import clear_corrections
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.store import hand_of
@@ -26,7 +25,6 @@ from tests.drawn import drawn
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 from .looking import curves_of
-from .test_corrections import correct
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -210,17 +208,6 @@ def test_a_strip_follows_and_a_pose_without_keys_stays(made, built, armature, mo
     armature.manient.betas = BETAS
     bpy.context.view_layer.update()
     assert shape_error(made, built.hands, BETAS, [3]) < 1e-4
-
-
-def test_corrections_can_still_be_taken_out(armature):
-    captured, start = read_pose_keys(rig_of(armature)), np.array(armature.manient.betas)
-    correct(armature, frame=5, spread=3.0)
-    armature.manient.betas = BETAS
-    clear_corrections(armature)
-    armature.manient.betas = start
-    restored = read_pose_keys(rig_of(armature))
-    np.testing.assert_allclose(restored.quats, captured.quats, atol=1e-4)
-    np.testing.assert_allclose(restored.locations, captured.locations, atol=1e-5)
 
 
 def test_a_changed_mesh_and_other_objects_are_left_alone(built):
