@@ -13,6 +13,7 @@ from blender_manient.blender_versions import action_slot, assign_action, channel
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
+from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.editable import why_not_keyable
@@ -130,7 +131,7 @@ def test_changes_since_are_kept_when_all_keys_come_back(armature):
     assert (kept.use_fake_user, kept.get(DENSE)) == (True, None)
 
 
-def test_only_the_chosen_fingers_lose_keys(armature):
+def test_only_the_chosen_fingers_lose_keys(armature, make_take):
     """What follows the hand gets all of its motion."""
     counts, quats = [contents(armature)], poses(armature, FRAMES)
     for finger, bounds in (("thumb", (2.0, 3.0)), ("index", (6.0, 9.0))):
@@ -142,9 +143,11 @@ def test_only_the_chosen_fingers_lose_keys(armature):
         assert all(counts[-1][path] == counts[-2][path] for path in counts[0] if path not in fewer)
     motion = run_to_completion(reading_motion(hand_of(armature)))
     np.testing.assert_array_equal(motion.frames, FRAMES)
-    other = mirror_hand(hand_of(armature))
-    turned = rig_of(armature).rest.turned_to(rig_of(other).rest, poses(armature, FRAMES))
-    assert apart(poses(other, FRAMES), turned) < 0.5
+    same = build_take(make_take(sides=("right",), frame_numbers=FRAMES, seed=5).take).hands[0].armature
+    apply_hand(same, armature, "ANIMATION", 1.0)
+    for other in (same, mirror_hand(hand_of(armature))):
+        turned = rig_of(armature).rest.turned_to(rig_of(other).rest, poses(armature, FRAMES))
+        assert apart(poses(other, FRAMES), turned) < 0.5
     restore(armature)
     assert contents(armature) == counts[0]
     np.testing.assert_array_equal(poses(armature, FRAMES), quats)
@@ -345,6 +348,22 @@ def test_a_layer_is_added_and_merged_or_taken_away(armature, simplified):
     assert armature.animation_data.action == motion
     assert apart(evaluated(armature, frames, names), shown) < (0.6 if simplified else 0.05)
     assert name not in bpy.data.actions
+
+
+def test_a_layer_with_keys_on_everything_is_merged_without_what_changes_nothing(armature):
+    bone, paths = armature.pose.bones[bone_names("right")[2]], set(contents(armature))
+    add_layer(armature)
+    for frame, bend in ((20, 0.0), (40, 0.4), (60, 0.0)):
+        bpy.context.scene.frame_set(frame)
+        turn = rotvec_to_quat(np.array([bend, 0.0, 0.0]))
+        bone.rotation_quaternion = quat_multiply(np.array(bone.rotation_quaternion), turn)
+        for path in ("location", "rotation_quaternion", "scale"):
+            bone.keyframe_insert(path, frame=frame)
+    frames = np.array([20.0, 33.0, 40.0, 52.0])
+    shown = evaluated(armature, frames, [bone.name])
+    end_layer(armature, merge=True)
+    assert set(contents(armature)) == paths
+    assert apart(evaluated(armature, frames, [bone.name]), shown) < 0.05
 
 
 @pytest.mark.parametrize(
