@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 from dataclasses import dataclass
@@ -256,16 +257,11 @@ def joint_heads(armature, side: Side) -> np.ndarray:
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    session.config.stash[_SESSION] = session
+    """End before bpy does: as a module it crashes (4.2) or hangs (4.5) there once files were exported."""
+    atexit.register(_end, session)
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """bpy 4.2 as a module crashes while Python ends, once glTF was exported, also without the add-on."""
-    session = config.stash.get(_SESSION, None)
-    if session is not None and bpy.app.version < (4, 3):
-        config.get_terminal_writer().flush()
-        os._exit(int(session.exitstatus))
-
-
-_SESSION = pytest.StashKey[pytest.Session]()
+def _end(session: pytest.Session) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(int(session.exitstatus))

@@ -25,19 +25,26 @@ def rest_of(shaped, side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_from_bones_inverts_to_bones(side):
+def test_to_bones_and_back(side):
+    """Also with other signs of quaternions, and with another origin."""
     shaped = load_model(OPEN_HAND, side).shaped(np.linspace(-1.5, 1.5, 10))
     rest = rest_of(shaped, side)
+    moved = replace(rest, origin=np.array([0.1, 0.5, -0.2]))
     orient, pose, transl = random_pose()
     quats, locations = rest.to_bones(shaped, orient, pose, transl)
-    found = rest.from_bones(shaped, quats, locations)
-    np.testing.assert_allclose(rotvec_to_rotmat(found[0]), rotvec_to_rotmat(orient), atol=1e-12)
-    np.testing.assert_allclose(
-        rotvec_to_rotmat(found[1].reshape(-1, 3)), rotvec_to_rotmat(pose.reshape(-1, 3)), atol=1e-12
-    )
-    np.testing.assert_allclose(found[2], transl, atol=1e-12)
-    # q and -q are one rotation.
-    np.testing.assert_allclose(rest.from_bones(shaped, -quats, locations)[1], found[1], atol=1e-12)
+    other_quats, other_locations = moved.to_bones(shaped, orient, pose, transl)
+    np.testing.assert_array_equal(other_quats, quats)
+    np.testing.assert_allclose(rest.moved_to(moved, locations), other_locations, atol=1e-12)
+    off = (locations - other_locations) @ rest.frames[0].T
+    np.testing.assert_allclose(off, np.tile(moved.origin - rest.origin, (20, 1)), atol=1e-12)
+    for found in (
+        rest.from_bones(shaped, -quats, locations),
+        moved.from_bones(shaped, quats, other_locations),
+    ):
+        for ours, given in zip(found[:2], (orient, pose), strict=True):
+            turns = (rotvec_to_rotmat(each.reshape(-1, 3)) for each in (ours, given))
+            np.testing.assert_allclose(*turns, atol=1e-12)
+        np.testing.assert_allclose(found[2], transl, atol=1e-12)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -69,20 +76,6 @@ def test_mirrored_bones(side, plane):
         quat_to_rotmat(source.turned_to(target, quats)), quat_to_rotmat(expected), atol=1e-12
     )
     np.testing.assert_allclose(source.moved_to(target, locations, plane), places, atol=1e-12)
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_other_origin(side):
-    shaped = load_model(OPEN_HAND, side).shaped()
-    rest = rest_of(shaped, side)
-    moved = replace(rest, origin=np.array([0.1, 0.5, -0.2]))
-    pose = random_pose()
-    quats, locations = rest.to_bones(shaped, *pose)
-    other_quats, other_locations = moved.to_bones(shaped, *pose)
-    np.testing.assert_array_equal(other_quats, quats)
-    np.testing.assert_allclose((locations - other_locations) @ rest.frames[0].T, moved.origin + 0 * locations)
-    np.testing.assert_allclose(rest.moved_to(moved, locations), other_locations, atol=1e-12)
-    np.testing.assert_allclose(moved.from_bones(shaped, quats, other_locations)[2], pose[2], atol=1e-12)
 
 
 @pytest.mark.parametrize("side", SIDES)

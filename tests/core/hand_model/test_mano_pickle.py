@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import HandModelError
-from handfit_core.hand_model import load_model, mano_pickle
+from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import LIMITS
 from handfit_core.hand_model.mano_pickle import load_mano_pickle
 from scripts.build_open_hand import save_mano_pickle
@@ -65,30 +65,16 @@ def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
-def test_reads_every_protocol(tmp_path: Path, protocol: int) -> None:
-    arrays = imitation_arrays()
-    # Fortran order and other number types occur in converted files.
-    stored = dict(arrays, posedirs=np.asfortranarray(arrays["posedirs"]), f=arrays["f"].astype(">i4"))
-    path = tmp_path / "converted.pkl"
-    path.write_bytes(pickle.dumps(stored, protocol=protocol))
-    assert_same_arrays(load_mano_pickle(path), arrays)
-
-
-@pytest.mark.parametrize("protocol", [0, 2, 4])
-def test_reads_modern_sparse_matrices(tmp_path: Path, protocol: int) -> None:
+def test_reads_converted_files(tmp_path: Path, protocol: int) -> None:
+    """In every protocol, with Fortran's order, other numbers, SciPy's matrices, and -1 above the root."""
     sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
-    arrays = imitation_arrays()
-    for kind in (sparse.csc_matrix, sparse.csr_matrix, sparse.csc_array):
-        path = tmp_path / "converted.pkl"
-        path.write_bytes(pickle.dumps(dict(arrays, J_regressor=kind(arrays["J_regressor"])), protocol))
+    arrays, path = imitation_arrays(), tmp_path / "converted.pkl"
+    stored = dict(arrays, posedirs=np.asfortranarray(arrays["posedirs"]), f=arrays["f"].astype(">i4"))
+    stored["kintree_table"] = arrays["kintree_table"].astype(np.int64)
+    stored["kintree_table"][0, 0] = -1
+    for kind in (np.asarray, sparse.csc_matrix, sparse.csr_matrix, sparse.csc_array):
+        path.write_bytes(pickle.dumps(stored | {"J_regressor": kind(arrays["J_regressor"])}, protocol))
         assert_same_arrays(load_mano_pickle(path), arrays)
-
-
-def test_root_parent_minus_one(tmp_path: Path) -> None:
-    arrays = imitation_arrays()
-    arrays["kintree_table"] = arrays["kintree_table"].astype(np.int64)
-    arrays["kintree_table"][0, 0] = -1
-    assert load_mano_pickle(write_mano_pickle(tmp_path / "a.pkl", arrays)).side == "right"
 
 
 # The left model's fault
@@ -104,11 +90,7 @@ def test_the_released_left_fault_is_undone(tmp_path: Path, seed: int, left_fault
     np.testing.assert_array_equal(model.shapedirs, sound)
 
 
-def test_open_hand_has_no_left_fault() -> None:
-    model = load_model(None, "left")
-    assert not mano_pickle._has_left_fault(model.v_template, model.shapedirs)
-    faulty = model.shapedirs * np.array([-1.0, 1.0, 1.0])[:, None]
-    assert mano_pickle._has_left_fault(model.v_template, faulty)
+# Files that are refused
 
 
 @pytest.mark.parametrize(
@@ -116,14 +98,9 @@ def test_open_hand_has_no_left_fault() -> None:
     [
         b"cchumpy\nos.system\n(Vx\ntR.",
         b"c_codecs\nencode\n(I1\nVlatin1\ntR.",
-        b"ccopy_reg\n_reconstructor\n(]c__builtin__\nobject\nNtR.",
         b"cnumpy\nndarray\n(dVevil\nI1\nsb.",
-        b"cnumpy\ndtype\n(N(dV__setstate__\nI1\nstb.",
         b"c__builtin__\nset\n(L99999999999999L\ntR.",
-        b"(dVitems\nI1\ns}Vitems\nI1\nsb.",
         b"\x80\x02\xff.",
-        b"\x80\x63.",
-        b"PK\x03\x04" + bytes(100),
         b"<!DOCTYPE html><html>please log in</html>",
     ],
 )
@@ -137,7 +114,7 @@ def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
 def test_damaged_files(tmp_path: Path) -> None:
     whole = write_mano_pickle(tmp_path / "whole.pkl", imitation_arrays()).read_bytes()
     path = tmp_path / "MANO_RIGHT.pkl"
-    for end in [*range(1, 200, 7), *np.linspace(200, len(whole) - 1, 60).astype(int)]:
+    for end in [*range(1, 200, 7), *np.linspace(200, len(whole) - 1, 20).astype(int)]:
         path.write_bytes(whole[:end])
         assert "copy it again" in message_of(path)
     with path.open("wb") as stream:
@@ -151,26 +128,19 @@ def test_damaged_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("v_template", np.zeros((778, 2)), "778x2"),
         ("v_template", np.zeros((700, 3)), "700x3"),
         ("v_template", np.full((778, 3), np.nan), "not finite"),
         ("shapedirs", np.zeros((778, 3, 4)), "4 shape directions"),
-        ("shapedirs", np.full((778, 3, 10), np.inf), "not finite"),
         ("posedirs", np.zeros((778, 3, 207)), "posedirs has shape (778, 3, 207), expected (778, 3, 135)"),
-        ("posedirs", np.full((778, 3, 135), np.nan), "posedirs is not finite"),
         ("weights", np.zeros((778, 24)), "weights has shape (778, 24)"),
         ("weights", np.zeros((778, 16)), "sum to 1"),
         ("J_regressor", np.zeros((24, 778)), "24x778"),
         ("f", np.zeros((5, 3)), "expected whole numbers"),
         ("f", np.full((5, 3), 778, dtype=np.uint32), "do not exist"),
-        ("kintree_table", np.zeros((2, 24), dtype=np.uint32), "kintree_table"),
         ("kintree_table", np.zeros((2, 16), dtype=np.uint32), "kintree_table"),
         ("hands_mean", np.zeros(44), "hands_mean has shape (44,)"),
-        ("hands_components", np.zeros((6, 45)), "hands_components has shape (6, 45)"),
         ("weights", np.array([[None]]), "weights is not an array of numbers"),
-        ("weights", np.array(["text"]), "weights is not an array of numbers"),
         ("weights", [[1.0]], "weights is not an array"),
-        ("v_template", None, "v_template is not an array"),
         *((key, MISSING, f"lacks {key}") for key in (*MODEL_ARRAYS.values(), "kintree_table")),
     ],
 )
@@ -190,22 +160,22 @@ def test_wrong_arrays_are_named(tmp_path: Path, key: str, value: Any, says: str)
         {"_shape": (16, -778)},
         {"_shape": (24, 778)},
         {"_shape": None},
-        {"indices": np.full(200, 16, dtype=np.int32)},
+        {"indices": 16},
+        {"indices": -1},
+        {"indices": 0.0},
         {"indices": np.full(3, 0, dtype=np.int32)},
-        {"indices": np.full(200, -1, dtype=np.int32)},
-        {"indices": np.zeros(200)},
         {"indptr": np.zeros(779, dtype=np.int32)},
         {"indptr": np.arange(779, dtype=np.int32)[::-1]},
         {"indptr": np.array([0, 2**62] * 390, dtype=np.int64)[:779]},
         {"data": np.zeros((2, 2))},
     ],
-    ids=lambda change: "-".join(map(str, change)),
+    ids=str,
 )
 def test_damaged_sparse_regressors(tmp_path: Path, change: dict[str, Any], monkeypatch) -> None:
     arrays = imitation_arrays()
-    fields = dict(csc_fields(arrays["J_regressor"]))
-    length = len(fields["data"])
-    change = {k: np.resize(v, length) if k == "indices" and len(v) == 200 else v for k, v in change.items()}
+    fields = csc_fields(arrays["J_regressor"])
+    if isinstance(change.get("indices"), int | float):
+        change = {"indices": np.full(len(fields["data"]), change["indices"])}
     monkeypatch.setattr("tests.imitation_mano.csc_fields", lambda _dense: fields | change)
     assert "J_regressor" in message_of(write_mano_pickle(tmp_path / "hand.pkl", arrays))
 
@@ -251,13 +221,8 @@ def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> N
 
     model = imitation_model(side) if which == "imitation" else load_model(None, side)
     path = save_mano_pickle(model, tmp_path / f"MANO_{side.upper()}.pkl")
-    theirs = smplx.MANO(
-        model_path=str(path),
-        is_rhand=side == "right",
-        use_pca=False,
-        flat_hand_mean=True,
-        dtype=torch.float64,
-    )
+    kind = {"use_pca": False, "flat_hand_mean": True, "dtype": torch.float64}
+    theirs = smplx.MANO(model_path=str(path), is_rhand=side == "right", **kind)
     generator = torch.Generator().manual_seed(0)
     betas, global_orient, hand_pose, transl = (
         torch.randn(3, n, generator=generator, dtype=torch.float64) * 0.5 for n in (10, 3, 45, 3)

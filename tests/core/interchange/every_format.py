@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import json
-import pickle
 from pathlib import Path
 
 import numpy as np
 
-from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
-from tests.core.interchange import (
-    point_files,
-    test_dyn_hamr,
-    test_hamer,
-    test_hand_tracking,
-    test_hawor,
-    test_sam3d_body,
-    test_smplx,
-)
+from tests.core.interchange import point_files, test_hand_tracking, test_sam3d_body
+from tests.core.interchange.mano_files import laid_out, layouts
 from tests.told import told
 
 
@@ -80,23 +71,13 @@ def other_files(folder: Path) -> dict[str, list[Path]]:
         ("hand-tracking", "named.json", test_hand_tracking.frames()),
         ("leap", "websocket.json", point_files.websocket()),
         ("leap", "leapc.json", point_files.leapc()),
-        ("wilor-mini", "mini.json", test_hamer.listed([test_hamer.mini(row) for row in range(2)])),
     ):
-        (folder / name).write_text(json.dumps(content))
-        found.setdefault(kind, []).append(folder / name)
-    mini = folder / "mini.pkl"
-    mini.write_bytes(pickle.dumps([test_hamer.mini(row) for row in range(2)]))
-    found["wilor-mini"].append(mini)
+        found.setdefault(kind, []).append(point_files.saved(folder / name, content))
     people = folder / "people"
     people.mkdir()
     for number in range(2):
         np.savez(people / f"img_subj{number:02}.npz", **test_sam3d_body.person(number - 0.5))
     found["sam3d-body"] = [people, people / "img_subj00.npz"]
-    found["hamer"] = [
-        test_hamer.in_files(folder / f"hamer{number}", kind) for number, kind in enumerate(test_hamer.KINDS)
-    ]
-    np.savez(folder / "world_space_res.npz", **test_hawor.five())
-    found["hawor"] = [test_hawor.clip(folder / "hawor"), folder / "world_space_res.npz"]
-    found["dyn-hamr"] = [test_dyn_hamr.results(folder / "a_world_results.npz")]
-    found["smplx"] += [test_smplx.amass(folder / f"amass{n}.npz", n, UP_AXES["z"]) for n in (52, 55)]
+    for number, (kind, contents) in enumerate(layouts().values()):
+        found.setdefault(kind, []).append(laid_out(folder / f"mano{number}", contents))
     return found

@@ -1,23 +1,29 @@
-"""Keypoints beside the pictures that they were found in, of every kind of input."""
+"""What other programs found, beside the pictures that it was found in and alone."""
 
 from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError, NoHandFoundError
-from handfit_core.interchange.opening import beside, read_recording
+from handfit_core.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
+from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
 from handfit_core.interchange.recording import Recording
+from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
+from handfit_core.skeleton import other_side
 from handfit_core.take import Take
+from handfit_core.tasks.inputs import expand
+from handfit_core.worker.answering import probe
 from tests.conftest import ROOT
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
@@ -51,18 +57,6 @@ def apart(take: Take, rows: range) -> float:
     """Pixels by which the take's keypoints differ from those of the sample's frames."""
     assert take.hands[0].side == SIDE
     return float(np.abs(take.hands[0].keypoints_2d - PIXELS[list(rows)]).max())
-
-
-def test_a_sequence_from_1_and_keypoints_from_0(tmp_path: Path) -> None:
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=openpose(tmp_path / "op", range(24)))
-    assert take.frame_numbers.tolist() == list(range(1, 25))
-    assert apart(take, range(24)) < 1e-6
-
-
-def test_a_sequence_whose_numbers_the_keypoints_have(tmp_path: Path) -> None:
-    path = openpose(tmp_path / "op", range(2, 6), first=3)
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path, frames="3-6")
-    assert apart(take, range(2, 6)) < 1e-6
 
 
 def numbered(path: Path, first: int, count: int = COUNT) -> Path:
@@ -120,31 +114,27 @@ def test_keypoints_that_may_count_from_0_are_doubted(tmp_path: Path) -> None:
     assert samples(laid_beside(shot, path)) == {3: 2, 4: 3}
 
 
-def test_a_sequence_from_1001_and_keypoints_that_are_counted(tmp_path: Path) -> None:
-    pictures = numbered(tmp_path / "pictures", 1001)
-    take = capture(pictures, keypoints=openpose(tmp_path / "op", range(COUNT)))
-    assert take.frame_numbers.tolist() == list(range(1001, 1001 + COUNT))
-    assert apart(take, range(COUNT)) < 1e-6
-
-
-@pytest.mark.parametrize("first", [0, 1])
-def test_a_video_and_keypoints_from_0_or_1(tmp_path: Path, video: Path, first: int) -> None:
-    take = capture(video, keypoints=openpose(tmp_path / "op", range(COUNT), first))
-    assert (take.fps, take.source.kind) == (30.0, "video")
-    assert apart(take, range(COUNT)) < 1e-6
-
-
-def test_a_part_of_a_video_has_its_own_frames_keypoints(tmp_path: Path, video: Path) -> None:
-    """OpenPose counts from 0: frame 3 of the video is its number 2."""
-    take = capture(video, keypoints=openpose(tmp_path / "op", range(COUNT)), frames="3-4")
-    assert take.frame_numbers.tolist() == [3, 4]
-    assert apart(take, range(2, 4)) < 1e-6
-
-
-def test_a_photo_and_a_file_of_any_number(tmp_path: Path) -> None:
-    keypoints = openpose(tmp_path / "op", range(7, 8), first=12) / "clip_000000000012_keypoints.json"
-    take = capture(SAMPLE / "hand.0008.jpg", keypoints=keypoints)
-    assert apart(take, range(7, 8)) < 1e-6
+def test_captures_beside_pictures(tmp_path: Path, video: Path) -> None:
+    """Without a landmark model: nobody looks at the pictures. OpenPose counts from 0, and a photo's file may
+    have any number."""
+    every, sequence = openpose(tmp_path / "op", range(24)), str(SAMPLE / "hand.%04d.jpg")
+    shot, five = numbered(tmp_path / "shot", 1001), openpose(tmp_path / "five", range(COUNT))
+    from_1 = openpose(tmp_path / "from_1", range(COUNT), 1)
+    photo = openpose(tmp_path / "photo", range(7, 8), first=12) / "clip_000000000012_keypoints.json"
+    for pictures, keypoints, frames, numbers, first in (
+        (sequence, every, None, range(1, 25), 0),
+        (sequence, every, "3-6", range(3, 7), 2),
+        (shot, five, None, range(1001, 1001 + COUNT), 0),
+        (video, five, None, range(1, 1 + COUNT), 0),
+        (video, from_1, None, range(1, 1 + COUNT), 0),
+        (video, five, "3-4", range(3, 5), 2),
+        (SAMPLE / "hand.0008.jpg", photo, None, range(1, 2), 7),
+    ):
+        take = capture(pictures, keypoints=keypoints, frames=frames, landmark_model="none")
+        assert take.frame_numbers.tolist() == list(numbers)
+        assert (take.width, take.height) == (TRUTH.width, TRUTH.height)
+        assert apart(take, range(first, first + len(numbers))) < 1e-6
+        assert take.source.kind == ("video" if pictures is video else take.source.kind)
 
 
 def test_frames_that_the_keypoints_lack_have_no_hand(tmp_path: Path) -> None:
@@ -156,34 +146,31 @@ def test_frames_that_the_keypoints_lack_have_no_hand(tmp_path: Path) -> None:
     assert np.flatnonzero(take.hands[0].detected).tolist() == [0, 1, 2, 3, 6, 7, 8]
 
 
-def test_missing_points_do_not_pull_the_hand(tmp_path: Path) -> None:
-    path = openpose(tmp_path / "op", range(24))
+def index_tip(path: Path, change: Callable[[np.ndarray], Sequence[float]]) -> Path:
+    """The folder with other x, y and confidence of the index finger's tip, from each hand (21, 3)."""
     for file in path.iterdir():
         content = json.loads(file.read_text())
-        content["people"][0][f"hand_{SIDE}_keypoints_2d"][8 * 3 : 9 * 3] = [0.0, 0.0, 0.0]
+        hand = np.array(content["people"][0][f"hand_{SIDE}_keypoints_2d"]).reshape(21, 3)
+        hand[8] = change(hand)
+        content["people"][0][f"hand_{SIDE}_keypoints_2d"] = hand.ravel().tolist()
         file.write_text(json.dumps(content))
-    hand = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path).hands[0]
-    fitted = TRUTH.intrinsics.project(hand.joints_3d)
-    size = np.ptp(PIXELS, axis=1).max(axis=1)
-    off = np.linalg.norm(fitted - PIXELS, axis=-1) / size[:, None]
-    assert np.median(off[:, [5, 6, 7, 9, 12]]) < 0.05
-    # Where the zeros would pull it, half of the picture away.
-    assert np.median(off[:, 8]) < 0.3
+    return path
 
 
-def test_doubtful_points_pull_less(tmp_path: Path) -> None:
-    off = []
-    for sure in (0.9, 0.02):
-        path = openpose(tmp_path / f"op{sure}", range(24))
-        for file in path.iterdir():
-            content = json.loads(file.read_text())
-            hand = np.array(content["people"][0][f"hand_{SIDE}_keypoints_2d"]).reshape(21, 3)
-            hand[8] = [*(hand[8, :2] + 0.4 * np.ptp(hand[:, 0])), sure]
-            content["people"][0][f"hand_{SIDE}_keypoints_2d"] = hand.ravel().tolist()
-            file.write_text(json.dumps(content))
-        fitted = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path).hands[0].joints_3d
-        off.append(np.linalg.norm(TRUTH.intrinsics.project(fitted)[:, 8] - PIXELS[:, 8], axis=-1).mean())
-    assert off[1] < 0.7 * off[0]
+def test_missing_and_doubtful_points_pull_less(tmp_path: Path) -> None:
+    """A missing point stands at 0, 0, and would pull the hand half of the picture away."""
+    size, off = np.ptp(PIXELS, axis=1).max(axis=1)[:, None], {}
+    for name, change in (
+        ("missing", lambda _: [0.0, 0.0, 0.0]),
+        ("sure", lambda hand: [*(hand[8, :2] + 0.4 * np.ptp(hand[:, 0])), 0.9]),
+        ("doubtful", lambda hand: [*(hand[8, :2] + 0.4 * np.ptp(hand[:, 0])), 0.02]),
+    ):
+        path = index_tip(openpose(tmp_path / name, range(24)), change)
+        hand = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path).hands[0]
+        off[name] = np.linalg.norm(TRUTH.intrinsics.project(hand.joints_3d) - PIXELS, axis=-1) / size
+    assert np.median(off["missing"][:, [5, 6, 7, 9, 12]]) < 0.05
+    assert np.median(off["missing"][:, 8]) < 0.3
+    assert off["doubtful"][:, 8].mean() < 0.7 * off["sure"][:, 8].mean()
 
 
 def test_the_pictures_size_is_told_or_its_keypoints_are_refused(tmp_path: Path) -> None:
@@ -195,6 +182,18 @@ def test_the_pictures_size_is_told_or_its_keypoints_are_refused(tmp_path: Path) 
     assert apart(take, range(24)) < 1e-6
 
 
+@pytest.mark.parametrize("by_the_file", [True, False])
+def test_points_of_a_smaller_copy(points: Path, by_the_file: bool) -> None:
+    """They are brought to the pictures' size."""
+    size = TRUTH.width // 2, TRUTH.height // 2
+    hand = {"side": SIDE, "keypoints_2d": (PIXELS / 2.0).tolist()}
+    told = {"width": size[0], "height": size[1]} if by_the_file else {"width": None, "height": None}
+    changed(points, hands=[hand], intrinsics=None, **told)
+    options = {} if by_the_file else {"picture_size": size}
+    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=points, frames="3-4", **options)
+    assert apart(take, range(2, 4)) < 0.01
+
+
 def test_keypoints_of_another_clip_are_refused(tmp_path: Path, video: Path) -> None:
     with pytest.raises(InputError, match=r"its frames are 500 to 504, and the pictures' are 1 to 5"):
         capture(video, keypoints=openpose(tmp_path / "op", range(COUNT), first=500))
@@ -204,3 +203,95 @@ def test_the_other_side_is_not_there(tmp_path: Path, video: Path) -> None:
     other = "left" if SIDE == "right" else "right"
     with pytest.raises(NoHandFoundError):
         capture(video, hands=other, keypoints=openpose(tmp_path / "op", range(COUNT)))
+
+
+# Recordings alone
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    path = tmp_path / "hand.points.json"
+    writer_for(path).write(TRUTH, path)
+    return path
+
+
+def changed(path: Path, **values: Any) -> Path:
+    """The file with other values, or without those that are None."""
+    content = json.loads(path.read_text(encoding="utf-8")) | values
+    path.write_text(json.dumps({name: value for name, value in content.items() if value is not None}))
+    return path
+
+
+def test_points_become_hands_again(points: Path) -> None:
+    take = capture(points, frames="5-12")
+    assert (take.source.kind, take.frame_numbers.tolist()) == ("data", list(range(5, 13)))
+    (hand,) = take.hands
+    assert (hand.side, hand.refinable) == (SIDE, True)
+    off = np.degrees(hand.hand_pose - TRUTH.hands[0].hand_pose[4:12])
+    assert np.linalg.norm(off, axis=1).max() < 10.0 * np.sqrt(45)
+
+
+def test_a_size_and_a_rate_that_the_file_does_not_tell(points: Path) -> None:
+    hand = {"side": SIDE, "keypoints_2d": PIXELS.tolist()}
+    changed(points, hands=[hand], width=None, height=None, intrinsics=None, fps=None)
+    for fps, rate, assumed in ((50.0, 50.0, 0), (None, 24.0, 1)):
+        media = open_input(points, CaptureOptions(picture_size=(640, 480), fps=fps))
+        assert isinstance(media, RecordedMedia)
+        assert (media.width, media.height, media.fps) == (640, 480, rate)
+        assert len(media.recording.assumed) == assumed
+    with pytest.raises(PictureSizeError, match="--picture-size"):
+        open_input(points, CaptureOptions())
+    asked = probe({"input": [str(points)]})
+    assert [asked[name] for name in ("kind", "width", "height", "frames")] == ["data", 0, 0, 24]
+
+
+def test_frames_beyond_blenders_are_counted(points: Path) -> None:
+    changed(points, frames=[20260101000000 + n for n in range(24)])
+    assert capture(points, frames="2-3").frame_numbers.tolist() == [2, 3]
+
+
+@pytest.mark.parametrize("kind", ["keypoints_2d", "keypoints_3d"])
+def test_frames_without_the_hand_are_told_from_a_mistake(points: Path, kind: str) -> None:
+    """Alone, and beside pictures; and a hand that is in no wanted frame is none of the take."""
+    hand = json.loads(points.read_text(encoding="utf-8"))["hands"][0]
+    rows = [row if i < 5 else None for i, row in enumerate(hand[kind])]
+    changed(points, hands=[{"side": SIDE, kind: rows}])
+    for source, more in ((points, {}), (str(SAMPLE / "hand.%04d.jpg"), {"keypoints": points})):
+        with pytest.raises(NoHandFoundError, match="is in frames 6 to 10; choose other frames"):
+            capture(source, frames="6-10", **more)
+    changed(points, hands=[{"side": SIDE, kind: rows}, {"side": other_side(SIDE), kind: hand[kind]}])
+    assert [h.side for h in capture(points, frames="6-10").hands] == [other_side(SIDE)]
+    changed(points, hands=[{"side": SIDE, kind: [[p, *[None] * 20] for p in hand[kind][0][:1]] * 24}])
+    with pytest.raises((InputError, NoHandFoundError), match="6 points"):
+        capture(points, frames="1-3")
+
+
+def test_more_hands_in_a_frame_than_are_read(points: Path) -> None:
+    changed(points, hands=[{"side": SIDE, "keypoints_2d": PIXELS.tolist()}] * 4001)
+    with pytest.raises(InputError, match="there are 4001 hands in frame"):
+        read_recording(points, CaptureOptions())
+
+
+def test_questions_of_pictures_are_refused(points: Path) -> None:
+    with pytest.raises(OptionError, match="holds no pictures"):
+        capture(points, keypoints=points)
+    with pytest.raises(OptionError, match="holds no pictures, in whose regions"):
+        capture(points, regions=["0,0,9,9"])
+    with pytest.raises(OptionError, match=r"either regions.* or keypoints"):
+        CaptureOptions(keypoints=str(points), regions=((0, 0, 9, 9),))
+
+
+def test_a_take_is_not_captured_again(tmp_path: Path) -> None:
+    path = TRUTH.save(tmp_path / "hand.take.npz")
+    for source, more in ((path, {}), (str(SAMPLE / "hand.0001.jpg"), {"keypoints": path})):
+        with pytest.raises(InputError, match=r"this is a take, which is captured already.*convert"):
+            capture(source, **more)
+
+
+def test_a_batch_takes_such_files_and_tells_takes_from_them(points: Path, tmp_path: Path) -> None:
+    take, other = TRUTH.save(tmp_path / "hand.take.npz"), tmp_path / "other.npz"
+    np.savez(other, poses=np.zeros((3, 165)))
+    folder = openpose(tmp_path / "frames", range(1))
+    assert expand(str(take))[0].take == take
+    for path in (points, other, folder):
+        assert (expand(str(path))[0].take, expand(str(path))[0].source) == (None, (str(path),))

@@ -1,22 +1,27 @@
-"""Small `Scores` for tests: the bundled hand in front of a camera, and whatever the test plants in it."""
+"""Small `Scores` and an `Evaluation`: the bundled hand before a camera, and whatever a test plants."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 
-from handfit_core.evaluate import metrics
-from handfit_core.evaluate.scores import Scores
+from handfit_core.evaluate import ProtocolName, metrics
+from handfit_core.evaluate.scores import Evaluation, Scores
+from handfit_core.evaluate.summary import compare, summarise
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 
-FOCAL = 600.0
-CENTRE = (320.0, 240.0)
+CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0)
+COUNT = 6
+PROBLEMS = {"picture cannot be read": ("Desk/00007",)}
 
 
 @cache
@@ -33,11 +38,6 @@ def make_hands(n: int, seed: int = 0) -> np.ndarray:
     return np.einsum("pj,nij->npi", _relaxed_hand(), turns) + [0, 0, 0.5] + 0.05 * rng.normal(size=(n, 1, 3))
 
 
-def project(points: np.ndarray) -> np.ndarray:
-    """(..., 2) pixels of (..., 3) points."""
-    return FOCAL * points[..., :2] / points[..., 2:] + CENTRE
-
-
 def make_scores(
     n: int = 4, *, noise: float = 0.003, seed: int = 0, min_points: int = 2, **overrides: Any
 ) -> Scores:
@@ -47,16 +47,15 @@ def make_scores(
     NaN; errors follow from points and labels by `evaluate.metrics` unless they are overridden too.
     `min_points` is EPE's: the paper protocol has 1.
     """
-    rng = np.random.default_rng(seed + 1)
     labels = np.asarray(overrides.pop("labels_3d", make_hands(n, seed)), dtype=np.float64)
     n = len(labels)
-    points = overrides.pop("points_3d", None)
-    if points is None:
-        points = labels + noise * rng.normal(size=labels.shape)
+    noisy = labels + noise * np.random.default_rng(seed + 1).normal(size=labels.shape)
+    points = overrides.pop("points_3d", noisy)
     detected = np.asarray(overrides.pop("detected", np.ones(n, dtype=bool)))
     points = np.where(detected[:, None, None], points, np.nan)
-    labels_2d = overrides.pop("labels_2d", project(labels))
-    points_2d = np.where(detected[:, None, None], overrides.pop("points_2d", project(points)), np.nan)
+    labels_2d = overrides.pop("labels_2d", CAMERA.project(labels))
+    points_2d = overrides.pop("points_2d", CAMERA.project(points))
+    points_2d = np.where(detected[:, None, None], points_2d, np.nan)
     hands: dict[str, Any] = {
         "sample": [f"{i:05}" for i in range(n)],
         "hand": np.zeros(n, dtype=int),
@@ -90,6 +89,66 @@ def make_scores(
     return Scores(**{**fields, **overrides})
 
 
+def with_errors(per_hand: Sequence[float] | np.ndarray, **overrides: Any) -> Scores:
+    """Scores whose PA error is (N,) mm on every point of hand n."""
+    labels = np.repeat(make_hands(1), len(per_hand), axis=0)
+    return make_scores(
+        pa_error=np.tile(np.array(per_hand)[:, None], 21), **{"labels_3d": labels, **overrides}
+    )
+
+
 def with_hands(scores: Scores, **columns: Any) -> Scores:
     """Scores whose table `hands` has other columns."""
     return replace(scores, hands=scores.hands.assign(**columns))
+
+
+def write_picture(path: Path) -> Path:
+    """A flat picture of the size that the camera sees."""
+    done, data = cv2.imencode(".png", np.full((480, 640, 3), 200, dtype=np.uint8))
+    assert done
+    path.write_bytes(data.tobytes())
+    return path
+
+
+def make_evaluation(
+    folder: Path,
+    *,
+    dataset: str = "A set",
+    kind: str = "folder",
+    protocol: ProtocolName = "strict",
+    missed: Iterable[int] = (1,),
+    problems: Mapping[str, tuple[str, ...]] = PROBLEMS,
+    names: Sequence[str] | None = None,
+) -> Evaluation:
+    """A baseline that is exactly right, `good` (1 mm of noise per axis), and `poor` (8 mm), on six stills."""
+    detected = ~np.isin(np.arange(COUNT), list(missed))
+    shared = {
+        "min_points": 1 if protocol == "paper" else 2,
+        "picture": (write_picture(folder / "picture.png"),) * COUNT,
+        "sample": tuple(names or (f"Desk/{i:05}" for i in range(COUNT))),
+        "view": ("palm", "palm", "back", "back", "edge", "unknown"),
+        "tags": tuple({"pose": "fist" if i % 2 else "open", "frame": str(i)} for i in range(COUNT)),
+    }
+    truth = {"method": "null-truth", "title": "the truth", "is_baseline": True}
+    scores = (
+        make_scores(COUNT, points_3d=make_hands(COUNT), **truth, **shared),
+        *(
+            make_scores(COUNT, noise=noise, method=name, title=name, detected=detected, **shared)
+            for name, noise in (("good", 0.001), ("poor", 0.008))
+        ),
+    )
+    return Evaluation(
+        dataset=dataset,
+        kind=kind,
+        root=folder,
+        protocol=protocol,
+        scores=scores,
+        summaries=pd.DataFrame({s.method: summarise(s, protocol) for s in scores}).T,
+        comparisons=(compare(scores[2], scores[1], "epe"),),
+        pictures=COUNT,
+        labelled_hands=COUNT,
+        extra_hands=1,
+        problems=problems,
+        notes=("A note.",),
+        setup={"machine": "a test's"},
+    )

@@ -1,0 +1,249 @@
+"""Hands that are known (known_hands.py) in the files of programs that keep MANO's parameters."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.hand_model.axes import MIRROR_X
+from handfit_core.interchange.skeletons import UP_AXES
+from handfit_core.skeleton import SIDES, Side
+from tests.core.interchange.known_hands import FRAMES, HANDS, TURN, matrices, wrist_of
+
+FOCAL = 5000.0 / 256.0 * 1280.0
+NUMBERS = range(1, FRAMES + 1)
+
+
+def written(path: Path, content: Any) -> Path:
+    """A file of the kind that its ending says; None among the arrays of an .npz is left out."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix == ".npz":
+        np.savez(path, **{name: value for name, value in content.items() if value is not None})
+    elif path.suffix == ".json":
+        path.write_text(json.dumps(content, default=lambda array: array.tolist()), encoding="utf-8")
+    elif path.suffix == ".npy":
+        np.save(path, content, allow_pickle=True)
+    else:
+        path.write_bytes(pickle.dumps(content))
+    return path
+
+
+def laid_out(folder: Path, contents: Mapping[str, Any]) -> Path:
+    """The folder with files of these contents, or the only file."""
+    paths = [written(folder / name, content) for name, content in contents.items()]
+    return folder if len(paths) > 1 else paths[0]
+
+
+# HaMeR and WiLoR
+
+
+def network(frame: int) -> dict[str, Any]:
+    """What HaMeR's network gives for both hands of one picture, and what its demo works out of it."""
+    rows = []
+    for side, hand in HANDS.items():
+        orient, pose = hand.mirrored if side == "left" else (hand.global_orient, hand.hand_pose)
+        rows.append((matrices(orient)[frame], matrices(pose)[frame], hand.betas, hand.transl[frame]))
+    orient, pose, betas, transl = (np.stack(column) for column in zip(*rows, strict=True))
+    return {
+        "pred_mano_params": {"global_orient": orient, "hand_pose": pose, "betas": betas},
+        "pred_cam_t_full": transl,
+        "right": np.array([0.0, 1.0]),
+        "pred_cam_t": np.full((2, 3), 9.0),
+    }
+
+
+def at_row(values: dict[str, Any], row: int | slice) -> dict[str, Any]:
+    """One hand of a picture."""
+    return {k: at_row(v, row) if isinstance(v, dict) else v[row] for k, v in values.items()}
+
+
+def _flat(values: dict[str, Any]) -> dict[str, Any]:
+    return {**values["pred_mano_params"], **{k: v for k, v in values.items() if k != "pred_mano_params"}}
+
+
+def rows_of_hands() -> dict[str, Any]:
+    """All hands of a clip in one array each, with their frames."""
+    frames = [_flat(network(n - 1)) for n in NUMBERS]
+    joined = {key: np.concatenate([each[key] for each in frames]) for key in frames[0]}
+    return joined | {"frame": np.repeat(NUMBERS, 2)}
+
+
+def mini(frame: int) -> list[dict[str, Any]]:
+    """What WiLoR-mini's pipeline gives for one picture."""
+    return [
+        {
+            "hand_bbox": [0.0, 0.0, 10.0, 10.0],
+            "is_right": float(side == "right"),
+            "wilor_preds": {
+                "global_orient": hand.global_orient[frame].reshape(1, 1, 3),
+                "hand_pose": hand.hand_pose[frame].reshape(1, 15, 3),
+                "betas": hand.betas.reshape(1, 10),
+                "pred_cam_t_full": hand.transl[frame].reshape(1, 3),
+                "scaled_focal_length": FOCAL,
+                "pred_keypoints_2d": np.zeros((1, 21, 2)),
+            },
+        }
+        for side, hand in HANDS.items()
+    ]
+
+
+# HaWoR
+
+
+def hawor(**changes: Any) -> dict[str, Any]:
+    """The files that HaWoR makes of a clip: the right hand in one piece, the left one in two."""
+    files = {}
+    for index, side, first, last in (
+        (0, "left", 0, 2),
+        (0, "left", 4, FRAMES - 1),
+        (1, "right", 0, FRAMES - 1),
+    ):
+        hand, rows = HANDS[side], slice(first, last + 1)
+        files[f"cam_space/{index}/{first}_{last}.json"] = {
+            "init_root_orient": hand.matrices[None, rows, 0],
+            "init_hand_pose": hand.matrices[None, rows, 1:],
+            "init_trans": hand.transl[None, rows],
+            "init_betas": np.tile(hand.betas, (1, last - first + 1, 1)),
+            **changes,
+        }
+    return files
+
+
+def hawor_world(before: str = "") -> dict[str, np.ndarray]:
+    """world_space_res by names, left hand first; the left one is not there in the last frame."""
+    valid = np.ones((2, FRAMES))
+    valid[0, -1] = 0.0
+    rows = [
+        (hand.transl, hand.global_orient, hand.hand_pose, np.tile(hand.betas, (FRAMES, 1)))
+        for hand in HANDS.values()
+    ]
+    arrays = [*map(np.stack, zip(*rows, strict=True)), valid]
+    return dict(
+        zip((before + n for n in ("trans", "rot", "hand_pose", "betas", "valid")), arrays, strict=True)
+    )
+
+
+# Dyn-HaMR
+
+
+def cameras() -> tuple[np.ndarray, np.ndarray]:
+    """World to camera, of each frame: (T, 3, 3), (T, 3)."""
+    rng = np.random.default_rng(7)
+    return rotvec_to_rotmat(rng.uniform(-1.0, 1.0, (FRAMES, 3))), rng.uniform(-1.0, 1.0, (FRAMES, 3))
+
+
+def dyn_hamr(model: Path | None = None, **changes: Any) -> dict[str, Any]:
+    """world_results of `HANDS`, which are in the camera's frame: the way back is written out."""
+    turned, moved = cameras()
+    back = np.swapaxes(turned, -1, -2)
+    tracks = []
+    for side, hand in HANDS.items():
+        wrist = wrist_of(side, model, hand.betas if model else None)
+        orient = rotmat_to_rotvec(back @ rotvec_to_rotmat(hand.global_orient))
+        place = (back @ (hand.transl + wrist - moved)[..., None])[..., 0] - wrist
+        pose = hand.hand_pose
+        if side == "left":
+            orient, pose, place = orient * TURN, pose * np.tile(TURN, 15), place @ MIRROR_X
+        tracks.append((place, orient, pose, hand.betas))
+    names = ("trans", "root_orient", "pose_body", "betas")
+    arrays = {
+        **{name: np.stack(each) for name, each in zip(names, zip(*tracks, strict=True), strict=True)},
+        "is_right": np.repeat([[0.0], [1.0]], FRAMES, axis=1),
+        "cam_R": np.stack([turned, turned]),
+        "cam_t": np.stack([moved, moved]),
+        "intrins": np.array([1400.0, 1400.0, 640.0, 360.0]),
+    }
+    return arrays | changes
+
+
+# Bodies of SMPL+H and SMPL-X
+
+CHAINS: dict[Side, list[str]] = {
+    side: "spine1 spine2 spine3".split()
+    + [f"{side}_{part}" for part in ("collar", "shoulder", "elbow", "wrist")]
+    for side in SIDES
+}
+JOINTS = (
+    "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot "
+    "right_foot neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow "
+    "left_wrist right_wrist"
+).split()
+"""Of a body, as smplx's joint_names.py has them"""
+
+
+def body(turn: np.ndarray) -> np.ndarray:
+    """(T, 66) of a body that stands upright in the world that `turn` brings before the camera, and whose
+    wrists are turned as `HANDS`: the wrist's own rotation makes up for the random joints before it."""
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(-0.3, 0.3, (FRAMES, 22, 3))
+    upright = turn.T @ UP_AXES["y"]  # SMPL's rest is y-up
+    poses[:, 0] = rotmat_to_rotvec(upright @ rotvec_to_rotmat(rng.uniform(-0.2, 0.2, (FRAMES, 3))))
+    for side, names in CHAINS.items():
+        before = rotvec_to_rotmat(poses[:, 0])
+        for name in names[:-1]:
+            before = before @ rotvec_to_rotmat(poses[:, JOINTS.index(name)])
+        wanted = turn.T @ rotvec_to_rotmat(HANDS[side].global_orient)
+        poses[:, JOINTS.index(names[-1])] = rotmat_to_rotvec(np.swapaxes(before, -1, -2) @ wanted)
+    return poses.reshape(FRAMES, 66)
+
+
+def amass(joints: int, turn: np.ndarray, **changes: Any) -> dict[str, Any]:
+    """An animation as AMASS has it: of 52 joints (SMPL+H) or 55 (SMPL-X)."""
+    between = np.zeros((FRAMES, 3 * (joints - 52)))
+    hands = [hand.hand_pose for hand in HANDS.values()]
+    arrays = {
+        "poses": np.concatenate([body(turn), between, *hands], axis=1),
+        "trans": np.zeros((FRAMES, 3)),
+        "betas": np.zeros(16),
+        "gender": np.array("female"),
+        "mocap_frame_rate" if joints == 55 else "mocap_framerate": np.array(120.0),
+    }
+    return arrays | changes
+
+
+def in_parts() -> dict[str, Any]:
+    """As AMASS' SMPL-X files have poses, too."""
+    whole, fingers = body(UP_AXES["z"]), np.concatenate([hand.hand_pose for hand in HANDS.values()], axis=1)
+    poses = {"root_orient": whole[:, :3], "pose_body": whole[:, 3:], "pose_hand": fingers}
+    return {**poses, "trans": np.zeros((FRAMES, 3)), "mocap_frame_rate": 60}
+
+
+def keywords(rows: slice, turn: np.ndarray) -> dict[str, np.ndarray]:
+    """A body by smplx's names."""
+    whole = body(turn)[rows]
+    poses = {f"{side}_hand_pose": hand.hand_pose[rows] for side, hand in HANDS.items()}
+    still = np.zeros((len(whole), 3))
+    start = {"global_orient": whole[:, :3], "body_pose": whole[:, 3:]}
+    return {**start, **poses, "jaw_pose": still, "transl": still, "betas": np.ones((1, 10))}
+
+
+def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
+    """The reader of each layout, and the files that have `HANDS` so."""
+    pictures, minis = {n: network(n - 1) for n in NUMBERS}, {n: mini(n - 1) for n in NUMBERS}
+    hands = {f"{n:06}_{row}.npz": at_row(v, row) for n, v in pictures.items() for row in (0, 1)}
+    return {
+        "HaMeR, a file a picture": ("hamer", {f"f_{n:05}.npz": _flat(v) for n, v in pictures.items()}),
+        "HaMeR, a file a hand": ("hamer", hands),
+        "HaMeR, by picture": ("hamer", {"a.json": {f"img_{n:04}.jpg": v for n, v in pictures.items()}}),
+        "HaMeR, by frame": ("hamer", {"a.pkl": pictures}),
+        "HaMeR, npy of a dictionary": ("hamer", {"a.npy": {f"{n:05}": v for n, v in pictures.items()}}),
+        "HaMeR, rows with frames": ("hamer", {"a.npz": rows_of_hands()}),
+        "WiLoR-mini, JSON": ("wilor-mini", {"a.json": [*minis.values()]}),
+        "WiLoR-mini, pickle": ("wilor-mini", {"a.pkl": [*minis.values()]}),
+        "WiLoR-mini, a file a picture": ("wilor-mini", {f"{n:03}.json": v for n, v in minis.items()}),
+        "HaWoR, a clip": ("hawor", hawor()),
+        "HaWoR, its world": ("hawor", {"world_space_res.npz": hawor_world()}),
+        "HaWoR, its world as pred_": ("hawor", {"world_space_res.npz": hawor_world("pred_")}),
+        "HaWoR, its world in a list": ("hawor", {"world_space_res.pkl": [*hawor_world().values()]}),
+        "Dyn-HaMR": ("dyn-hamr", {"a_000300_world_results.npz": dyn_hamr()}),
+        "AMASS, SMPL+H": ("smplx", {"a.npz": amass(52, UP_AXES["z"])}),
+        "AMASS, SMPL-X": ("smplx", {"a.npz": amass(55, UP_AXES["z"])}),
+        "AMASS, in parts": ("smplx", {"a.npz": in_parts()}),
+        "ARCTIC": ("smplx-keywords", {"a.smplx.npy": keywords(slice(None), UP_AXES["z"])}),
+    }
