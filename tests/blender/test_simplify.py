@@ -234,7 +234,8 @@ def finish_preview() -> None:
 def test_the_preview_says_what_the_operator_does_and_follows_the_sliders(armature):
     settings = bpy.context.scene.manient
     found = []
-    for settings.keys_degrees, settings.keys_pixels in ((2.0, 3.0), (4.0, 9.0)):
+    for degrees, pixels in ((2.0, 3.0), (4.0, 9.0)):
+        settings.keys_degrees, settings.keys_pixels = degrees, pixels
         assert key_preview.preview(bpy.context) is None
         finish_preview()
         found.append(key_preview.preview(bpy.context))
@@ -293,17 +294,12 @@ def test_the_preview_is_found_for_the_hand_that_the_panel_shows(armature):
 def key_change(armature, bone: str, frame: float, turn) -> None:
     """Key a rotation in the layer, as an artist does who keys what the bone shows."""
     data = armature.animation_data
-    curves = channels(data.action, action_slot(assigned(armature)), make=True).fcurves
+    assign_action(armature, data.action)
+    curves = channels(data.action, action_slot(data), make=True).fcurves
     path = f'pose.bones["{bone}"].rotation_quaternion'
     for i, value in enumerate(rotvec_to_quat(np.array(turn))):
         curve = curves.find(path, index=i) or curves.new(path, index=i)
         curve.keyframe_points.insert(frame, value)
-
-
-def assigned(armature):
-    """The animation data, with a slot in its action."""
-    assign_action(armature, armature.animation_data.action)
-    return armature.animation_data
 
 
 def change(armature, turn=(0.4, 0.2, 0.0)) -> None:
