@@ -397,22 +397,6 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
     drag(armature)
 
 
-def test_in_pose_mode_with_another_rotation_mode(armature):
-    """Bones that the artist switched to Euler angles are corrected too."""
-    bone = armature.pose.bones[bone_names(armature.manient.side)[2]]
-    keys = all_keys(armature)
-    bone.rotation_mode = "XYZ"
-    write_pose_keys(rig_of(armature), keys)
-    before = landmarks(armature)
-    bpy.ops.object.mode_set(mode="POSE")
-    place = drag(armature)
-    assert np.linalg.norm(landmarks(armature)[TIP] - place) < 1.0
-    assert bpy.context.mode == "POSE"
-    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
-    np.testing.assert_allclose(landmarks(armature), before, atol=0.01)
-    bpy.ops.object.mode_set(mode="OBJECT")
-
-
 def mode_without_a_window(armature) -> KeypointMode:
     """The mode's state as it is once it has begun, but for what it draws."""
     mode = KeypointMode.__new__(KeypointMode)
