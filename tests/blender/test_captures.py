@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import source_info
 from blender_manient.rigs import rig_of
 from blender_manient.scene import captures, store
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.matching import Footage, clear_view, scene_sentence, why_kept
+from blender_manient.session import source_info
 from handfit_core.media.source import Source
 
 from .characters import build_armature, hand_specs, map_of
