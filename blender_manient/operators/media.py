@@ -14,15 +14,16 @@ from handfit_core.errors import HandfitError, InputError
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 from handfit_core.take import Take
 
-from .. import jobs, preferences, screen, source_info
-from ..cache import cache_folder
-from ..properties import MATCHING, POSE_CORRECTIVES
+from ..common import preferences, screen
+from ..common.section import sentence
 from ..scene.build import build_take
 from ..scene.captures import comes_in_front
 from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..scene.plate import rows_of
 from ..scene.preview import write_png
-from ..section import sentence
+from ..session import jobs, source_info
+from ..session.cache import cache_folder
+from ..session.properties import MATCHING, POSE_CORRECTIVES
 from .base import ManientOperator, SceneOperator
 from .capture import new_job
 

@@ -6,14 +6,14 @@ import bpy
 
 from handfit_core.options import OPTIONS
 
-from .. import jobs, shared_worker, source_info
-from ..modes import find_hands as find_mode
+from ..common.section import Section, fitted, sentence, split
+from ..common.wording import counted
 from ..operators import add_hand
+from ..operators.modes import find_hands as find_mode
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
-from ..section import Section, fitted, sentence, split
-from ..steady import is_pressable
-from ..wording import counted
+from ..session import jobs, shared_worker, source_info
+from .steady import is_pressable
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 

@@ -10,7 +10,8 @@ from handfit_core.errors import HandfitError, HandModelError
 from handfit_core.retarget.hand_map import PALM_FINGERS
 from handfit_core.skeleton import FINGERS, SIDES, Side, other_side
 
-from .. import hand_adjusting, live_link
+from ..common.section import Section, fitted, sentence, split
+from ..common.wording import capitalised, counted
 from ..rigs import troubles
 from ..scene.characters import (
     active_character,
@@ -23,8 +24,7 @@ from ..scene.characters import (
     why_not_reachable,
 )
 from ..scene.onto_character import why_not_turned
-from ..section import Section, fitted, sentence, split
-from ..wording import capitalised, counted
+from ..session import hand_adjusting, live_link
 
 _SURE, _LIKELY = 0.75, 0.45
 """How sure a hand must be recognised for these words"""

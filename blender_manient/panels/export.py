@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import bpy
 
+from ..common.section import Section, fitted, sentence, split
 from ..exporters import EXPORTERS
 from ..operators.export import format_buttons
 from ..scene.characters import active_character, why_not_written
 from ..scene.store import active_hand, hand_of
-from ..section import Section, fitted, sentence, split
 
 
 class MANIENT_PT_export(Section, bpy.types.Panel):

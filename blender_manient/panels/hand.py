@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import preferences
+from ..common import preferences
+from ..common.section import Section, sentence, split
 from ..operators import housekeeping
-from ..section import Section, sentence, split
 
 
 class MANIENT_PT_hand(Section, bpy.types.Panel):

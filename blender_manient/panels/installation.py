@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import shared_worker
-from ..preferences import ADDON
-from ..section import Section, sentence
+from ..common.preferences import ADDON
+from ..common.section import Section, sentence
+from ..session import shared_worker
 
 
 class MANIENT_PT_installation(Section, bpy.types.Panel):

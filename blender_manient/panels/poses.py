@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
+from ..common.section import Section, sentence, split
 from ..scene.poses import posed_by
-from ..section import Section, sentence, split
 
 
 class MANIENT_PT_poses(Section, bpy.types.Panel):

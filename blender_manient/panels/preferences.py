@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from .. import cache, plugins, preferences, shared_worker
+from ..common import plugins, preferences
+from ..common.section import sentence, split
+from ..common.wording import capitalised
 from ..operators import check_installation, housekeeping
-from ..section import sentence, split
-from ..wording import capitalised
+from ..session import cache, shared_worker
 
 
 class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import bpy
 
-from .. import preferences
+from ..common import preferences
+from ..common.section import Section, sentence
+from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
-from ..refiner import why_not_refinable, why_not_smoothable
 from ..scene import corrections
 from ..scene.store import CapturedHand, active_hand
-from ..section import Section, sentence
-from ..steady import is_pressable
-from ..wording import capitalised, counted
+from ..session.refiner import why_not_refinable, why_not_smoothable
+from .steady import is_pressable
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):

@@ -6,14 +6,14 @@ import bpy
 
 from handfit_core.fit_quality import NOT_KNOWN
 
+from ..common.section import Section, fitted, sentence
+from ..common.wording import capitalised, counted
 from ..scene import captures, corrections
 from ..scene.confidence import errors_of, is_marked
 from ..scene.plate import missing_picture
 from ..scene.retime import other_rate
 from ..scene.store import CapturedHand, captured_hands, hand_of
 from ..scene.timing import frame_rate
-from ..section import Section, fitted, sentence
-from ..wording import capitalised, counted
 
 _ROWS = 5
 """of the list that are seen at once"""

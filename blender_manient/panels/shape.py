@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
+from ..common.section import Section, sentence
 from ..scene import reshape
 from ..scene.store import active_hand
-from ..section import Section, sentence
 
 
 class MANIENT_PT_shape(Section, bpy.types.Panel):

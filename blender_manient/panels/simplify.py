@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import bpy
 
-from .. import key_preview
+from ..common.section import Section, sentence, split
 from ..operators.keys import armature_of
 from ..scene.actions import strip_below
 from ..scene.editable import why_not_keyable
 from ..scene.simplify import PARTS, Thinned, kept_action
 from ..scene.store import active_hand
-from ..section import Section, sentence, split
+from ..session import key_preview
 
 
 class MANIENT_PT_keys(Section, bpy.types.Panel):

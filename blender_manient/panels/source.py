@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import source_info
+from ..common.section import Section, sentence, split
 from ..operators.media import MANIENT_MT_sources
-from ..section import Section, sentence, split
+from ..session import source_info
 
 _KINDS = {
     "photo": ("Photo", "IMAGE_DATA"),

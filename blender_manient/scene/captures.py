@@ -320,9 +320,8 @@ def _choose(scene: bpy.types.Scene, index: int) -> None:
         show(scene, chosen)
 
 
-def register() -> None:
-    """Add what the list of captures needs, and keeps nowhere: the active one's place among collections."""
-    bpy.types.Scene.manient_capture = bpy.props.IntProperty(
+PROPERTIES = {
+    (bpy.types.Scene, "manient_capture"): lambda: bpy.props.IntProperty(
         name="Active Capture",
         description="The capture whose picture and camera are shown, among all collections of the file. "
         "Click one to show it",
@@ -330,8 +329,5 @@ def register() -> None:
         set=_choose,
         options={"HIDDEN"},
     )
-
-
-def unregister() -> None:
-    """Take it away again."""
-    del bpy.types.Scene.manient_capture
+}
+"""The place of the active capture among all collections, which is kept nowhere; for the list of captures"""

@@ -18,8 +18,8 @@ from handfit_core.errors import OptionError
 from handfit_core.retiming import check_rate
 from handfit_core.take import Take
 
-from ..blender_versions import has_strips
-from ..wording import capitalised
+from ..common.blender_versions import has_strips
+from ..common.wording import capitalised
 from .store import has_properties
 from .timing import frame_rate, has_rate, is_retimed, nearest_rate
 

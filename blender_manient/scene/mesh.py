@@ -13,7 +13,7 @@ import numpy as np
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.nails import nail_polygons
 
-from ..blender_versions import use_nodes
+from ..common.blender_versions import use_nodes
 from ..rigs.rig import Rig
 
 _LEAST_WEIGHT = 1e-6

@@ -17,7 +17,7 @@ from handfit_core.media.size_limit import check_for_blender, common_limit, is_pi
 from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
-from .. import preferences
+from ..common import preferences
 from .timing import Timing
 
 _MOST_TURNED = 16e6

@@ -23,10 +23,10 @@ from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 
-from ..blender_versions import action_slot, channels, property_group, used_actions
+from ..common.blender_versions import action_slot, channels, property_group, used_actions
+from ..common.wording import with_note
 from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
-from ..wording import with_note
 from . import corrections
 from .actions import curves_in, same_slot, strip_below, use_action
 from .characters import active_character, table_of

@@ -97,7 +97,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         if args.progress != "none":
             report.progress(Progress(stage, done, total))
 
-    evaluation = evaluate(dataset, options, folder, progress)
+    evaluation = evaluate(dataset, options, progress)
     files = write_report(folder, evaluation)
     report.evaluated(
         {

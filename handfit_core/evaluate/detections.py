@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
@@ -24,9 +23,8 @@ from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.opening import open_detector, settings_of
 from handfit_core.detection import detect_frames
 from handfit_core.errors import InputError
-from handfit_core.evaluate.kept import code_digest, memory_at, versions
+from handfit_core.evaluate.kept import code_digest, kept, versions
 from handfit_core.evaluate.labels import Entry, Unit
-from handfit_core.files import cache_dir
 from handfit_core.media.pictures import read_picture
 from handfit_core.media.source import Frame, Media, Source
 from handfit_core.options import CaptureOptions
@@ -54,7 +52,7 @@ class UnitDetections:
 class UnitDetector:
     """Finds the hands of units. Use as a context manager."""
 
-    def __init__(self, options: CaptureOptions, folder: Path | None = None) -> None:
+    def __init__(self, options: CaptureOptions) -> None:
         self._options = options
         self.fingerprint = DETECTORS.get(options.detector).fingerprint(settings_of(options))
         self._made_with = (
@@ -62,8 +60,7 @@ class UnitDetector:
             *(options.plain_detection, options.quality, versions("opencv-python-headless")),
             code_digest(detect, media, NETWORK_FILE),
         )
-        memory = memory_at(folder or cache_dir() / "detections")
-        self._find: Any = memory.cache(_find, ignore=["unit", "detector", "on_picture"])
+        self._find = kept(_find, "detections", ignore=("unit", "detector", "on_picture"))
         self._stills: Detector | None = None
 
     def __enter__(self) -> UnitDetector:

@@ -2,42 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import joblib
 
-from handfit_core import fit, geometry, paper, skeleton, solvers
+import handfit_core
+from handfit_core import fit, geometry, hand_model, paper, skeleton, solvers
 from handfit_core.arrays import arrays_of
 from handfit_core.detect import correction
 from handfit_core.detect.correction import network
 from handfit_core.evaluate import ProtocolName, methods
-from handfit_core.evaluate.kept import code_digest, memory_at, versions
+from handfit_core.evaluate.kept import code_digest, kept, versions
 from handfit_core.evaluate.methods import TrackResult, get_method
 from handfit_core.evaluate.rows import TrackInView
 from handfit_core.fit import doubt
-from handfit_core.hand_model import HandModel, anatomy, chain, data, landmarks, load_model, surface
+from handfit_core.hand_model import HandModel, anatomy, load_model
 
 Task = tuple[str, TrackInView]
 """A method's name and what it is run on"""
 
 
 def fit_all(
-    tasks: Sequence[Task],
-    folder: Path,
-    protocol: ProtocolName,
-    model: str | None = None,
-    jobs: int = 1,
+    tasks: Sequence[Task], protocol: ProtocolName, model: str | None = None, jobs: int = 1
 ) -> Iterator[TrackResult]:
-    """Each task's result in turn: read from the folder where it is kept there, else made and kept.
+    """Each task's result in turn: read from the cache where it is kept there, else made and kept.
 
     A hand model is the bundled one or a file of someone's, as `load_model` takes it.
     """
-    made_with = (protocol, versions("numpy", "scipy", "torch"), _code())
-    kept = joblib.delayed(memory_at(folder).cache(_fit, ignore=["task", "protocol", "model"]))
-    calls = (kept((made_with, _key(task, model)), task, protocol, model) for task in tasks)
+    layer = Path(handfit_core.__file__).parent / "layer.py"  # which needs torch to be imported
+    learnt = (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
+    code = code_digest(
+        fit, paper, solvers, correction, geometry, skeleton, methods, hand_model, layer, *learnt
+    )
+    made_with = (protocol, versions("numpy", "scipy", "torch"), code)
+    run = joblib.delayed(kept(_fit, "fits", ignore=("task", "protocol", "model")))
+    calls = (run((made_with, _key(task, model)), task, protocol, model) for task in tasks)
     # More threads than cores mostly wait for each other, and processes whose parent was killed shall end.
     with joblib.parallel_config("loky", inner_max_num_threads=1, idle_worker_timeout=20):
         results: Any = joblib.Parallel(jobs, return_as="generator")(calls)
@@ -52,20 +54,11 @@ def _fit(key: object, task: Task, protocol: ProtocolName, model: str | None) -> 
 _model = cache(load_model)
 
 
-def _key(task: Task, model: str | None) -> str:
+def _key(task: Task, model: str | None) -> object:
     """What a task's result depends on besides the code. Models count by their content, and by what fits use
     besides: a prior's relaxed pose, and the name, which limits go by."""
     name, (track, intrinsics) = task
     hand: HandModel = _model(model, track.side)
-    arrays: Mapping[str, bytes] = {key: a.tobytes() for key, a in arrays_of(track.detections).items()}
+    arrays = {key: array.tobytes() for key, array in arrays_of(track.detections).items()}
     of_model = (hand.name, hand.digest, hand.hands_mean.tobytes())
-    return joblib.hash((name, track.side, track.fps, track.frame_count, intrinsics, of_model, arrays)) or ""
-
-
-@cache
-def _code() -> str:
-    """Of all that turns a track into a result. How models are read is not in it: their content counts."""
-    layer = Path(skeleton.__file__).parent / "layer.py"  # which needs torch to be imported
-    learnt = (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
-    of_models = (anatomy, chain, data, landmarks, surface, layer)
-    return code_digest(fit, paper, solvers, correction, geometry, skeleton, methods, *of_models, *learnt)
+    return joblib.hash((name, track.side, track.fps, track.frame_count, intrinsics, of_model, arrays))

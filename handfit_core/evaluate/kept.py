@@ -1,13 +1,22 @@
-"""Results that are kept between runs, under a key of everything that they depend on."""
+"""Results that are kept in the user's cache between runs, under a key of everything that they depend on."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from joblib import Memory
+
+from handfit_core.files import cache_dir
+
+
+def kept(function: Callable[..., Any], folder: str, ignore: Sequence[str]) -> Any:
+    """The function with its results kept in that folder of the cache, by its arguments but the ignored."""
+    return Memory(cache_dir() / folder, verbose=0).cache(function, ignore=list(ignore))
 
 
 def code_digest(*sources: ModuleType | Path) -> str:
@@ -30,8 +39,3 @@ def versions(*packages: str) -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def memory_at(folder: Path) -> Memory:
-    """Keeps results of functions in a folder."""
-    return Memory(folder, verbose=0)

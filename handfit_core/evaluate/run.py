@@ -7,7 +7,6 @@ import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, count
-from pathlib import Path
 
 import pandas as pd
 
@@ -62,10 +61,9 @@ ReportProgress = Callable[[str, int, int], None]
 """(stage, done, total); stages are `detect`, `fit` and `score`"""
 
 
-def evaluate(
-    dataset: Dataset, options: EvaluationOptions, folder: Path, progress: ReportProgress
-) -> Evaluation:
-    """Evaluate methods on a data set; `folder` keeps fits, so that a second run goes on where one ended.
+def evaluate(dataset: Dataset, options: EvaluationOptions, progress: ReportProgress) -> Evaluation:
+    """Evaluate methods on a data set. Detections and fits are kept in the cache, so that a second run goes on
+    where one ended.
 
     For the paper's protocol on EgoDexter and Dexter+Object, open the set with `published_frame=True`.
 
@@ -89,7 +87,7 @@ def evaluate(
 
     sides: set[Side] = {view.track.side for view in rows.tracks}
     models: Models = {side: load_model(options.model, side) for side in sides}
-    results = _fitted(rows, names, folder / "fits", options, progress)
+    results = _fitted(rows, names, options, progress)
     judged = [
         *((*baseline, True) for baseline in baselines(rows, protocol, options.model)),
         *((name, method_title(name), results_of_rows(rows, results[name]), False) for name in names),
@@ -177,14 +175,14 @@ def _detected_rows(
 
 
 def _fitted(
-    rows: Rows, names: Sequence[str], folder: Path, options: EvaluationOptions, progress: ReportProgress
+    rows: Rows, names: Sequence[str], options: EvaluationOptions, progress: ReportProgress
 ) -> dict[str, list[TrackResult]]:
     """Every method's results, of all tracks."""
     # Track by track and not method by method: neighbours in time saw the machine in the same mood.
     tasks = [(name, view) for view in rows.tracks for name in names]
     done = list(accumulate(len(view.track.detections) for _, view in tasks))
     results: dict[str, list[TrackResult]] = {name: [] for name in names}
-    made = fit_all(tasks, folder, options.protocol, options.model, options.jobs)
+    made = fit_all(tasks, options.protocol, options.model, options.jobs)
     for (name, _), result, reached in zip(tasks, made, done, strict=True):
         results[name].append(result)
         progress("fit", reached, done[-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 import blender_manient  # noqa: E402
 from blender_manient import preferences  # noqa: E402
 from blender_manient.blender_versions import channels, first_slot  # noqa: E402
+from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
 from blender_manient.scene.build import build_take  # noqa: E402
 from handfit_core.geometry.camera import Intrinsics  # noqa: E402
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
@@ -247,25 +249,30 @@ def action_curves(action: bpy.types.Action) -> list[bpy.types.FCurve]:
 
 def joint_heads(armature, side: Side) -> np.ndarray:
     """(16, 3) world positions of the bones' heads, at the scene's current frame."""
-    from blender_manient.rigs.captured_hand import bone_names
-
     armature = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    heads = [armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)]
-    return np.array(heads)
+    return np.array([armature.matrix_world @ armature.pose.bones[name].head for name in bone_names(side)])
+
+
+def shown_bones(armature, frame: int | None = None):
+    """The pose bones as they are shown, on a frame or now."""
+    if frame is not None:
+        bpy.context.scene.frame_set(int(frame))
+    return armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones
+
+
+def blocks() -> dict[str, list[str]]:
+    """Names of all data-blocks of the file, by kind."""
+    kinds = "objects collections armatures meshes actions cameras images lights materials scenes shape_keys"
+    return {kind: sorted(getattr(bpy.data, kind).keys()) for kind in kinds.split()}
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    session.config.stash[_SESSION] = session
+    """End before bpy does: as a module it crashes (4.2) or hangs (4.5) there once files were exported."""
+    atexit.register(_end, session)
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_unconfigure(config: pytest.Config) -> None:
-    """bpy 4.2 as a module crashes while Python ends, once glTF was exported, also without the add-on."""
-    session = config.stash.get(_SESSION, None)
-    if session is not None and bpy.app.version < (4, 3):
-        config.get_terminal_writer().flush()
-        os._exit(int(session.exitstatus))
-
-
-_SESSION = pytest.StashKey[pytest.Session]()
+def _end(session: pytest.Session) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(int(session.exitstatus))

@@ -1,4 +1,4 @@
-"""Bones coloured by how well they meet the picture, frame by frame, and their own colours given back."""
+"""How well hands meet the picture: bones coloured by it, the error over time, and doubtful frames marked."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene import confidence, corrections, store
+from blender_manient.scene import confidence, corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.confidence import (
     UNSEEN_COLOR,
     bone_errors,
-    doubtful_ranges,
     errors_of,
     is_marked,
     mark_doubtful,
-    next_doubtful,
 )
 from blender_manient.scene.keys import pose_at
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
-from handfit_core.fit_quality import EXPECTED
+from blender_manient.session import error_graph
+from handfit_core.fit_quality import EXPECTED, IN_PICTURE
 from handfit_core.skeleton import FINGERS
 
 from .conftest import FRAMES, UNSEEN
@@ -35,10 +34,9 @@ pytestmark = pytest.mark.usefixtures("registered")
 BAD_FRAME, INDEX_TIP = 8, 8
 GOOD, FAIR, POOR = 0.02, 0.05, 0.10
 ROW = int(np.flatnonzero(FRAMES == BAD_FRAME)[0])
-
-
-def colors_of(errors):
-    return confidence.colors_of(errors, (GOOD, FAIR, POOR))
+GREEN, YELLOW, RED, GREY = confidence.colors_of(
+    np.array([0.5 * GOOD, FAIR, 2 * POOR, np.nan]), (GOOD, FAIR, POOR)
+)
 
 
 def off_at_the_index(take):
@@ -84,35 +82,27 @@ def test_errors_are_parts_of_the_hand(make_take):
 
 
 def test_colors_run_from_green_over_yellow_to_red():
-    green, yellow, red, unseen = colors_of(np.array([0.5 * GOOD, FAIR, 2 * POOR, np.nan]))
-    assert green[1] > 2 * green[0]
-    assert min(yellow[:2]) > 3 * yellow[2]
-    assert red[0] > 4 * red[1]
-    assert tuple(unseen) == UNSEEN_COLOR
+    """As the panel's words do."""
+    assert GREEN[1] > 2 * GREEN[0]
+    assert min(YELLOW[:2]) > 3 * YELLOW[2]
+    assert RED[0] > 4 * RED[1]
+    assert tuple(GREY) == UNSEEN_COLOR
+    for scale in (IN_PICTURE, EXPECTED):
+        steps = np.array([0.9 * scale.good_below, scale.fair_below, 2 * scale.fair_below])
+        np.testing.assert_allclose(confidence.colors_of(steps, scale.levels), [GREEN, YELLOW, RED])
 
 
-def test_colors_follow_the_frame(armature):
+def test_colors_are_there_at_once_and_follow_the_frame(armature):
     scene = bpy.context.scene
-    armature.manient.show_confidence = True
-    scene.frame_set(3)
-    green, _, red, grey = colors_of(np.array([0.0, FAIR, 1.0, np.nan]))
-    assert len(shown(armature)) == 16
-    assert all(is_close(c, green) for c in shown(armature).values())
     scene.frame_set(BAD_FRAME)
-    colors = shown(armature)
-    assert is_close(colors.pop("index_distal.R"), red)
-    assert all(is_close(c, green) for c in colors.values())
-    scene.frame_set(int(FRAMES[UNSEEN]))
-    assert all(is_close(c, grey) for c in shown(armature).values())
-    scene.frame_set(900)
-    assert all(is_close(c, grey) for c in shown(armature).values())
-
-
-def test_colors_are_there_at_once(armature):
-    bpy.context.scene.frame_set(BAD_FRAME)
     armature.manient.show_confidence = True
-    red = colors_of(np.array([1.0]))[0]
-    assert is_close(shown(armature)["index_distal.R"], red)
+    colors = shown(armature)
+    assert is_close(colors.pop("index_distal.R"), RED)
+    assert len(colors) == 15
+    assert all(is_close(c, GREEN) for c in colors.values())
+    for frame, color in ((3, GREEN), (FRAMES[UNSEEN], GREY), (900, GREY)):
+        scene.frame_set(int(frame))
+        assert all(is_close(c, color) for c in shown(armature).values())
 
 
 def test_own_colors_come_back(armature):
@@ -131,106 +121,52 @@ def test_own_colors_come_back(armature):
     bpy.context.scene.frame_set(3)
     assert shown(armature).keys() == {"thumb_distal.R"}
     assert armature.manient.own_colors == ""
-
-
-@pytest.mark.parametrize(
-    "text", ["no json", "[1]", '{"wrist.R": 3}', '{"wrist.R": ["A", 1, 2, 3]}', "[" * 100_000]
-)
-def test_colors_that_somebody_else_wrote(armature, text):
-    """A .blend comes from anybody: what cannot be given back is left."""
-    armature.manient.show_confidence = True
-    armature.manient.own_colors = text
-    armature.manient.show_confidence = False
-    assert armature.manient.own_colors == ""
-
-
-def test_linked_duplicates_have_colors_of_their_own(armature):
-    """They share the bones' data, but colours are the object's."""
-    armature.pose.bones["wrist.R"].color.palette = "THEME03"
-    bpy.context.view_layer.objects.active = armature
-    armature.select_set(True)
-    bpy.ops.object.duplicate(linked=True)
-    copy = bpy.context.view_layer.objects.active
-    assert copy.data == armature.data
-    copy.pose.bones["wrist.R"].color.palette = "THEME05"
-    for hand in (armature, copy):
-        hand.manient.show_confidence = True
-    bpy.context.scene.frame_set(BAD_FRAME)
-    assert len(shown(armature)) == len(shown(copy)) == 16
-    armature.manient.show_confidence = False
-    assert shown(armature, evaluated=False) == {}
-    assert len(shown(copy)) == 16
-    assert handlers() == 1
-    copy.manient.show_confidence = False
-    assert shown(copy, evaluated=False) == {}
-    assert armature.pose.bones["wrist.R"].color.palette == "THEME03"
-    assert copy.pose.bones["wrist.R"].color.palette == "THEME05"
+    bpy.ops.object.armature_add()
+    bpy.context.object.manient.show_confidence = True  # which is no captured hand
+    assert shown(bpy.context.object, evaluated=False) == {}
 
 
 def handlers() -> int:
-    return sum(h is confidence._on_frame for h in bpy.app.handlers.frame_change_pre)
-
-
-def test_the_frame_is_followed_only_while_some_hand_shows(make_take):
-    hands = build_take(make_take().take).hands
-    assert handlers() == 0
-    hands[0].armature.manient.show_confidence = True
-    hands[1].armature.manient.show_confidence = True
-    assert handlers() == 1
-    hands[0].armature.manient.show_confidence = False
-    assert handlers() == 1
-    hands[1].armature.manient.show_confidence = False
-    assert handlers() == 0
+    return int(confidence._following)
 
 
 def test_saved_and_opened_again_it_goes_on(armature, tmp_path):
-    armature.manient.show_confidence = True
-    name = armature.name
-    path = tmp_path / "shown.blend"
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    armature.manient.show_confidence = armature.manient.show_error = True
+    name, path = armature.name, str(tmp_path / "shown.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert handlers() == 0
-    bpy.ops.wm.open_mainfile(filepath=str(path))
+    assert (handlers(), len(error_graph._handles)) == (0, 0)
+    bpy.ops.wm.open_mainfile(filepath=path)
     assert handlers() == 1
+    assert set(error_graph._handles) == set(error_graph._SPACES.values())
     bpy.context.scene.frame_set(BAD_FRAME)
     armature = bpy.data.objects[name]
-    assert is_close(shown(armature)["index_distal.R"], colors_of(np.array([1.0]))[0])
-    armature.manient.show_confidence = False
+    assert is_close(shown(armature)["index_distal.R"], RED)
+    armature.manient.show_confidence = armature.manient.show_error = False
     assert shown(armature, evaluated=False) == {}
+    assert not error_graph._handles
 
 
-def test_undo_and_redo(armature):
+def test_undo_redo_and_the_end_of_the_add_on(armature):
     name = armature.name
     bpy.ops.ed.undo_push(message="built")
-    armature.manient.show_confidence = True
+    armature.manient.show_confidence = armature.manient.show_error = True
     bpy.ops.ed.undo_push(message="shown")
     bpy.context.scene.frame_set(BAD_FRAME)
     bpy.ops.ed.undo()
     assert shown(bpy.data.objects[name], evaluated=False) == {}
-    assert handlers() == 0
+    assert (handlers(), len(error_graph._handles)) == (0, 0)
     bpy.ops.ed.redo()
     assert handlers() == 1
+    assert error_graph._handles
     bpy.context.scene.frame_set(BAD_FRAME)
-    assert is_close(shown(bpy.data.objects[name])["index_distal.R"], colors_of(np.array([1.0]))[0])
-
-
-def test_switching_the_add_on_off_gives_colors_back(armature):
-    armature.manient.show_confidence = True
-    name = armature.name
+    assert is_close(shown(bpy.data.objects[name])["index_distal.R"], RED)
     blender_manient.unregister()
     try:
         assert shown(bpy.data.objects[name], evaluated=False) == {}
         assert handlers() == 0
     finally:
         blender_manient.register()
-
-
-def test_other_objects_are_left_alone():
-    bpy.ops.object.armature_add()
-    rig = bpy.context.object
-    rig.manient.show_confidence = True
-    assert handlers() == 0
-    assert shown(rig, evaluated=False) == {}
 
 
 FINGERS_OFF = np.array([0.002, 0.014, 0.005, 0.005, 0.005])
@@ -306,7 +242,7 @@ def with_flags(take):
 @pytest.fixture
 def hand(make_take):
     built = build_take(with_flags(make_take().take))
-    return store.hand_of(built.hands[1].armature)
+    return hand_of(built.hands[1].armature)
 
 
 def markers() -> list[tuple[int, str]]:
@@ -323,14 +259,10 @@ OURS = [
 ]
 
 
-def test_a_take_that_nobody_judged_has_none(make_take):
-    built = build_take(make_take().take)
-    assert doubtful_ranges(store.hand_of(built.hands[0].armature)) == []
-
-
-def test_markers_come_once_and_go(hand):
+def test_markers_come_once_replace_stale_ones_and_go(hand):
     scene = bpy.context.scene
     scene.timeline_markers.new("Cut", frame=8)
+    scene.timeline_markers.new("Doubtful R", frame=5)
     for _ in range(2):
         assert mark_doubtful(scene, hand, True) == len(OURS)
         assert markers() == sorted([*OURS, (8, "Cut")])
@@ -340,55 +272,23 @@ def test_markers_come_once_and_go(hand):
     assert not is_marked(scene, hand)
 
 
-def test_stale_markers_are_replaced(hand):
-    scene = bpy.context.scene
-    scene.timeline_markers.new("Doubtful R", frame=5)
-    mark_doubtful(scene, hand, True)
-    assert markers() == OURS
-
-
-def test_the_other_hand_keeps_its_markers(hand, make_take):
-    scene = bpy.context.scene
-    other = store.hand_of(next(o for o in store.captured_hands(scene) if o.manient.side == "left"))
-    mark_doubtful(scene, hand, True)
-    mark_doubtful(scene, other, True)
-    assert len(markers()) == 2 * len(OURS)
-    mark_doubtful(scene, other, False)
-    assert markers() == OURS
-
-
-def test_another_capture_of_the_same_side_keeps_its_markers(hand, make_take):
+def test_another_captures_hand_keeps_its_markers(hand, make_take):
     scene = bpy.context.scene
     scene.frame_set(103)
-    later = build_take(with_flags(make_take(seed=4).take), match_scene=False)
-    mark_doubtful(scene, hand, True)
-    mark_doubtful(scene, store.hand_of(later.hands[1].armature), True)
+    later = hand_of(build_take(with_flags(make_take(seed=4).take), match_scene=False).hands[1].armature)
+    for each in (hand, later):
+        mark_doubtful(scene, each, True)
     assert markers() == sorted([*OURS, *((frame + 100, name) for frame, name in OURS)])
-    mark_doubtful(scene, store.hand_of(later.hands[1].armature), False)
+    mark_doubtful(scene, later, False)
     assert markers() == OURS
-
-
-@pytest.mark.parametrize(
-    ("frame", "direction", "expected"),
-    [
-        (1, "NEXT", 3),
-        (3, "NEXT", 8),
-        (8, "NEXT", 17),
-        (17, "NEXT", None),
-        (18, "PREVIOUS", 17),
-        (17, "PREVIOUS", 8),
-        (8, "PREVIOUS", 3),
-        (3, "PREVIOUS", None),
-    ],
-)
-def test_next_doubtful(hand, frame, direction, expected):
-    assert next_doubtful(hand, frame, direction) == expected
 
 
 def test_operators(hand):
     scene = bpy.context.scene
     name = hand.armature.name
     bpy.context.view_layer.objects.active = None
+    with pytest.raises(RuntimeError, match="No captured hand: select"):
+        bpy.ops.manient.mark_doubtful()
     assert bpy.ops.manient.mark_doubtful(hand=name) == {"FINISHED"}
     assert markers() == OURS
     assert bpy.ops.manient.mark_doubtful(hand=name) == {"FINISHED"}
@@ -404,7 +304,28 @@ def test_operators(hand):
     assert scene.frame_current == 8
 
 
-@pytest.mark.parametrize("operator", ["mark_doubtful", "jump_doubtful"])
-def test_operators_without_a_hand_say_so(operator):
-    with pytest.raises(RuntimeError, match="No captured hand: select"):
-        getattr(bpy.ops.manient, operator)()
+MOST = IN_PICTURE.levels[-1]
+
+
+def test_its_words_name_the_error_here_and_the_largest(armature):
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.manient.mirror_hand()
+    assert error_graph.shown_hands(bpy.context.scene) == []
+    for obj in bpy.context.scene.objects:
+        obj.manient.show_error = True
+    (hand,) = error_graph.shown_hands(bpy.context.scene)
+    assert hand.armature == armature, "nothing was measured on the mirrored hand"
+    errors = errors_of(hand)
+    said = error_graph.label(hand, errors, float(FRAMES[2]))
+    here, most = errors.frames[2], np.nanmax(errors.frames)
+    assert f"error {100 * here:.1f} % of the hand here, {100 * most:.1f} % of the hand at most" in said
+    assert "here" not in error_graph.label(hand, errors, float(FRAMES[UNSEEN]))
+
+
+def test_lines_lie_over_their_frames_and_leave_gaps_open():
+    frames = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
+    errors = np.array([0.0, MOST / 2, np.nan, MOST / 4, 2 * MOST])
+    lines, values = error_graph.segments(frames, errors, (-10.0, 90.0), (1000.0, 80.0), 2 * MOST)
+    np.testing.assert_allclose(lines, [[[100, 0], [200, 20]], [[400, 10], [500, 80]]])
+    np.testing.assert_allclose(values, [[0.0, MOST / 2], [MOST / 4, 2 * MOST]])
+    assert len(error_graph.segments(frames, errors, (50.0, 90.0), (1000.0, 80.0), MOST)[0]) == 0

@@ -2,43 +2,32 @@
 
 from __future__ import annotations
 
+import os
+from types import SimpleNamespace
+
 import bpy
+import cv2
 import numpy as np
 import pytest
+from mathutils import Euler, Matrix, Vector
 
 from blender_manient.scene.build import build_take
 from blender_manient.scene.plate import load_plate, rows_of
-from blender_manient.scene.preview import render_plate
+from blender_manient.scene.preview import preview_rows, render_plate, render_preview, spread_frames
 from blender_manient.scene.timing import timing_in
+from blender_manient.session import source_info
+from handfit_core.geometry.picture_map import mapped, picture_to_region
 from handfit_core.media.source import Source
+from tests.bombs import clip, with_claimed_size
+from tests.child import peak_megabytes
+from tests.listener import listening
+from tests.playlists import names, playlists
 
-from .conftest import HEIGHT, OFF_CENTRE, WIDTH, write_png
+from .conftest import FRAMES, HEIGHT, OFF_CENTRE, UNSEEN, WIDTH, write_png
 
 
 def background(built):
     return built.camera.data.background_images[0]
-
-
-def test_photo_is_shown_behind(make_take, picture):
-    built = build_take(make_take().take)
-    assert built.warnings == ()
-    assert built.camera.data.show_background_images
-    assert background(built).image.filepath == str(picture)
-
-
-def test_picture_can_be_left_out(make_take):
-    built = build_take(make_take().take, picture=False)
-    assert not built.camera.data.background_images
-    assert not bpy.data.images
-
-
-def test_missing_picture_is_a_warning(make_take, tmp_path):
-    gone = str(tmp_path / "gone.png")
-    built = build_take(make_take(source=Source("photo", (gone,))).take)
-    assert len(built.warnings) == 1
-    assert gone in built.warnings[0]
-    assert len(built.hands) == 2
-    assert not built.camera.data.background_images
 
 
 def test_hands_of_another_program_have_no_picture_and_the_time_of_a_video(make_take, tmp_path):
@@ -48,11 +37,6 @@ def test_hands_of_another_program_have_no_picture_and_the_time_of_a_video(make_t
     assert not built.camera.data.background_images
     bpy.context.scene.render.fps, bpy.context.scene.render.fps_base = 24, 1.0
     assert timing_in(bpy.context.scene, take).scale == 2.0
-
-
-def test_picture_of_another_size_is_a_warning(make_take):
-    built = build_take(make_take(width=200, height=100).take)
-    assert "160 x 120" in built.warnings[0]
 
 
 # How a camera stores an upright picture under each EXIF orientation, written out independently.
@@ -89,52 +73,229 @@ def grey(path, value: float):
     return write_png(path, rows)
 
 
-def test_sequence_shows_the_file_of_the_frames_number(make_take, tmp_path):
-    """Rendered, so that Blender's own arithmetic is what is tested."""
-    numbers = np.array([8, 9, 11, 12])
-    for number in range(5, 16):  # more files on disk than were captured
-        grey(tmp_path / f"shot_v2.{number:04d}.png", number / 255 * 10)
-    files = tuple(str(tmp_path / f"shot_v2.{n:04d}.png") for n in numbers)
-    made = make_take(source=Source("sequence", files), frame_numbers=numbers)
-    built = build_take(made.take)
-    assert built.warnings == ()
-    assert built.collection.name == "shot_v2"
-    user = background(built).image_user
-    assert (user.frame_start, user.frame_offset, user.frame_duration) == (8, 7, 5)
-    plate, _ = load_plate(made.take)
-    for number in numbers:
-        rows = render_plate(plate, made.take, int(number), 1.0)
-        assert np.median(rows[..., 0]) * 255 == pytest.approx(number * 10, abs=1)
-
-
-def test_numberless_pictures_warn(make_take, tmp_path):
-    files = tuple(str(grey(tmp_path / f"{name}.png", 0.5)) for name in ("left", "right"))
-    built = build_take(make_take(source=Source("sequence", files), frame_numbers=np.array([1, 2])).take)
-    assert "not one numbered sequence" in built.warnings[0]
-
-
-def test_movie_shows_the_frame(make_take, tmp_path):
-    cv2 = pytest.importorskip("cv2")
-    path = tmp_path / "clip.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (WIDTH, HEIGHT))
-    for number in range(1, 21):
-        writer.write(np.full((HEIGHT, WIDTH, 3), number * 10, dtype=np.uint8))
-    writer.release()
-    numbers = np.array([3, 4, 7])
-    made = make_take(source=Source("video", (str(path),)), frame_numbers=numbers)
-    built = build_take(made.take)
-    assert built.warnings == ()
-    user = background(built).image_user
-    assert (user.frame_start, user.frame_offset, user.frame_duration) == (1, 0, 20)
-    plate, _ = load_plate(made.take)
-    for number in numbers:
-        rows = render_plate(plate, made.take, int(number), 1.0)
-        assert np.median(rows[..., 0]) * 255 == pytest.approx(number * 10, abs=3)
-
-
 def test_plate_is_rendered_unchanged(make_take):
     """Pixel by pixel, through the off-centre, anamorphic camera."""
     made = make_take(intrinsics=OFF_CENTRE)
     plate, _ = load_plate(made.take)
     rows = render_plate(plate, made.take, 1, 1.0)
     assert np.abs(rows - rows_of(plate.image))[..., :3].max() <= 1.01 / 255
+
+
+def movie(path):
+    """A clip of which frame n is as grey as 10 n."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30.0, (WIDTH, HEIGHT))
+    for number in range(1, 21):
+        writer.write(np.full((HEIGHT, WIDTH, 3), number * 10, dtype=np.uint8))
+    writer.release()
+    return Source("video", (str(path),))
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers", "offsets"),
+    [("sequence", [8, 9, 11, 12], (8, 7, 5)), ("video", [3, 4, 7], (1, 0, 20))],
+)
+def test_a_clip_shows_the_picture_of_the_frames_number(make_take, tmp_path, kind, numbers, offsets):
+    """Rendered, so that Blender's own arithmetic is tested. More files lie there than were captured."""
+    if kind == "video":
+        source = movie(tmp_path / "shot_v2.avi")
+    else:
+        for number in range(5, 16):
+            grey(tmp_path / f"shot_v2.{number:04d}.png", number / 255 * 10)
+        source = Source("sequence", tuple(str(tmp_path / f"shot_v2.{n:04d}.png") for n in numbers))
+    take = make_take(source=source, frame_numbers=np.array(numbers)).take
+    built = build_take(take)
+    assert built.warnings == ()
+    assert built.collection.name == "shot_v2"
+    user = background(built).image_user
+    assert (user.frame_start, user.frame_offset, user.frame_duration) == offsets
+    plate, _ = load_plate(take)
+    for number in numbers:
+        rows = render_plate(plate, take, number, 1.0)
+        assert np.median(rows[..., 0]) * 255 == pytest.approx(number * 10, abs=3)
+
+
+def test_a_picture_can_be_left_out_or_missing(make_take, tmp_path):
+    assert not build_take(make_take().take, picture=False).camera.data.background_images
+    assert not bpy.data.images
+    gone = str(tmp_path / "gone.png")
+    files = tuple(str(grey(tmp_path / f"{name}.png", 0.5)) for name in ("left", "right"))
+    numberless = {"source": Source("sequence", files), "frame_numbers": np.array([1, 2])}
+    for fields, said in (
+        ({"source": Source("photo", (gone,))}, gone),
+        ({"width": 200, "height": 100}, "160 x 120"),
+        (numberless, "not one numbered sequence"),
+    ):
+        built = build_take(make_take(**fields).take)
+        assert len(built.warnings) == 1
+        assert said in built.warnings[0]
+        assert len(built.hands) == 2
+
+
+# Previews: the picture on the left, the hands where the model is on the right
+
+
+def test_hands_cover_exactly_where_the_model_projects(make_take):
+    made = make_take()
+    built = build_take(made.take)
+    row, frame = made.seen[2]
+    both = preview_rows(built, made.take, frame)
+    assert both.shape == (HEIGHT, 2 * WIDTH, 3)
+    left, right = both[:, :WIDTH], both[:, WIDTH:]
+    assert np.abs(left[..., 0] - np.linspace(0, 1, WIDTH)).max() < 0.01, "the picture comes out as it went in"
+    covered = np.abs(left - right).max(axis=-1) > 0.02
+    pixels = np.concatenate([OFF_CENTRE.project(vertices[row]) for vertices in made.vertices.values()])
+    inside = (pixels > 1).all(-1) & (pixels < [WIDTH - 1, HEIGHT - 1]).all(-1)
+    columns, rows = np.floor(pixels[inside]).astype(int).T
+    assert covered[rows, columns].mean() > 0.9
+    # Between neighbouring vertices there is skin; far from all of them there is none.
+    assert not covered[: max(0, rows.min() - 2)].any()
+    assert not covered[:, columns.max() + 3 :].any()
+    unseen = preview_rows(built, made.take, int(FRAMES[UNSEEN]))
+    np.testing.assert_allclose(unseen[:, :WIDTH], unseen[:, WIDTH:], atol=1e-6)
+
+
+def test_preview_leaves_the_file_as_it_was(make_take, tmp_path):
+    """Large pictures are made smaller."""
+    take = make_take(width=4800, height=2400, sides=("left",)).take
+    built = build_take(take)
+    bpy.context.scene.frame_set(5)
+
+    def contents() -> dict[str, list[str]]:
+        kinds = "scenes objects meshes materials lights cameras images worlds collections".split()
+        return {k: [x.name for x in getattr(bpy.data, k) if x.name != "Render Result"] for k in kinds}
+
+    before = contents()
+    path = render_preview(built, take, 3, tmp_path / "new folder" / "preview.png")
+    assert contents() == before
+    assert bpy.context.scene.frame_current == 5
+    assert tuple(bpy.data.images.load(str(path)).size) == (2400, 600)
+
+
+def test_frames_are_spread(make_take):
+    take = make_take().take
+    assert spread_frames(take, 3) == [3, 12, 18]
+    assert spread_frames(take, 1) == [3]
+    assert len(spread_frames(take, 100)) == len(FRAMES) - 1
+
+
+# Handles lie where Blender draws the picture
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_picture_fills_a_region_of_its_size(make_take, moved):
+    made, render = make_take(sides=("right",)), bpy.context.scene.render
+    camera = build_take(made.take).camera
+    if moved:
+        place = Matrix.LocRotScale(Vector((0.3, -2.0, 1.1)), Euler((0.4, -0.2, 2.1)), Vector((2.0, 2.0, 2.0)))
+        camera.matrix_world = place @ camera.matrix_world
+    bpy.context.view_layer.update()
+    # What RegionView3D.perspective_matrix is in a region that shows just the picture.
+    projection = camera.calc_matrix_camera(
+        bpy.context.evaluated_depsgraph_get(),
+        x=render.resolution_x,
+        y=render.resolution_y,
+        scale_x=render.pixel_aspect_x,
+        scale_y=render.pixel_aspect_y,
+    )
+    perspective = np.array(projection @ camera.matrix_world.normalized().inverted())
+    place = np.array(camera.matrix_world)
+    matrix = picture_to_region(made.take.intrinsics, place, perspective, (WIDTH, HEIGHT))
+    pixels = np.array([[0.0, 0.0], [WIDTH, 0.0], [WIDTH, HEIGHT], [31.0, 47.5]])
+    expected = np.stack([pixels[:, 0], HEIGHT - pixels[:, 1]], axis=-1)
+    np.testing.assert_allclose(mapped(matrix, pixels), expected, atol=0.02)
+    np.testing.assert_allclose(mapped(np.linalg.inv(matrix), expected), pixels, atol=0.02)
+
+
+# A take may name any file: what Blender is given as the picture behind the hands is looked at first.
+
+
+def test_a_name_is_no_address(make_take, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    content = clip(tmp_path / "clip.mp4")
+    with listening(tmp_path) as (port, connections):
+        for name in names(port):
+            (tmp_path / name).write_bytes(content)
+            for kind in ("video", "photo"):
+                built = build_take(make_take(source=Source(kind, (name,)), width=64, height=48).take)
+                image = built.camera.data.background_images[0].image
+                assert image.filepath == str(tmp_path / name)
+                assert tuple(image.size) == (64, 48)
+            assert source_info.resolve(name, as_sequence=False).files == (str(tmp_path / name),)
+        assert connections() == 0
+
+
+@pytest.mark.parametrize("kind", ["video", "photo", "sequence"])
+def test_a_playlist_is_no_picture(make_take, tmp_path, kind):
+    path = tmp_path / "list.0001.mp4"
+    with listening(tmp_path) as (port, connections):
+        for content in playlists(f"http://127.0.0.1:{port}/clip.mp4").values():
+            path.write_bytes(content)
+            built = build_take(make_take(source=Source(kind, (str(path),))).take)
+            assert len(built.warnings) == 1
+            assert "cannot read" in built.warnings[0]
+            assert not built.camera.data.background_images
+        assert connections() == 0
+    assert not bpy.data.images
+
+
+def test_a_picture_that_claims_too_much_is_not_loaded(make_take, tmp_path):
+    path = tmp_path / "large.jpg"
+    path.write_bytes(with_claimed_size(".jpg", 32000, 32000))
+    take = make_take(source=Source("photo", (str(path),))).take
+    built = build_take(take)
+    assert "claims 32000 x 32000 pixels (1024 megapixels)" in built.warnings[0]
+    assert not bpy.data.images
+    path.write_bytes(cv2.imencode(".jpg", np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8))[1].tobytes())
+    assert build_take(take, max_megapixels=1.0).warnings == ()
+    assert "no more than 0.01 are read" in build_take(take, max_megapixels=0.01).warnings[0]
+
+
+@pytest.mark.parametrize(("name", "side", "kind"), [("a.jpg", 7900, np.uint8), ("a.png", 4600, np.uint16)])
+def test_a_large_turned_photo_stays_below_a_gigabyte(make_take, tmp_path, name, side, kind):
+    path, saved = tmp_path / name, tmp_path / "a.npz"
+    path.write_bytes(cv2.imencode(path.suffix, np.zeros((side, side, 3), dtype=kind))[1].tobytes())
+    make_take(source=Source("photo", (str(path),), 6), width=side, height=side).take.save(saved)
+    code = """
+        import sys
+        import bpy
+        from blender_manient.scene.build import build_take
+        from handfit_core.take import Take
+        built = build_take(Take.load(sys.argv[1]))
+        assert built.warnings == (), built.warnings
+        width, height = built.camera.data.background_images[0].image.size
+        assert 15.9e6 < width * height <= 16e6, (width, height)
+        """
+    assert peak_megabytes(code, saved, limit=64 << 30) < 1000
+
+
+def test_every_picture_that_blender_would_show_is_looked_at(make_take, tmp_path):
+    """Also those between the captured ones, which no take names; a pipe is not opened."""
+    files = [tmp_path / f"shot.{number:04}.png" for number in range(1, 6)]
+    for file in files:
+        grey(file, 0.0)
+    captured = Source("sequence", tuple(str(files[row]) for row in (0, 1, 3)))
+    take = make_take(source=captured, frame_numbers=np.array([1, 2, 4])).take
+    large = with_claimed_size(".png", 16000, 15000)
+    assert build_take(take).warnings == ()
+    files[4].write_bytes(large)
+    assert build_take(take).warnings == ()  # behind the last
+    files[2].write_bytes(large)
+    assert "shot.0003.png: claims 16000 x 15000" in build_take(take).warnings[0]
+    if hasattr(os, "mkfifo"):
+        files[1].unlink()
+        os.mkfifo(files[1])
+        assert "there is no such file" in build_take(take).warnings[0]
+
+
+def test_no_thumbnail_and_no_drop_of_what_may_not_be_read(tmp_path):
+    clip(tmp_path / "hidden.mp4")
+    listed = playlists(str(tmp_path / "hidden.mp4"))["hls"]
+    contents = {"good.png": with_claimed_size(".png", 80, 48), "list.mp4": listed}
+    contents["large.png"] = with_claimed_size(".png", 16000, 15000)
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+        settings = SimpleNamespace(source=str(tmp_path / name), as_sequence=False)
+        assert source_info.of(settings).can_be_shown == (name == "good.png")
+    for name in ("list.mp4", "hidden.mp4"):
+        footage = source_info.dropped_footage(SimpleNamespace(camera="SOLVE"), tmp_path / name)
+        assert (footage is None) == (name == "list.mp4")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
 import json
+import mmap
+import re
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from functools import lru_cache, partial
 from pathlib import Path
@@ -49,8 +52,12 @@ def split_of(root: Path, split: str | None, places: Mapping[str, str], layout: s
 
 def read_json(path: Path) -> Any:
     """What a JSON file holds; NaN is allowed. Raises DatasetError, OSError."""
+    return _parsed(path, path.read_bytes().removeprefix(codecs.BOM_UTF8))
+
+
+def _parsed(path: Path, text: bytes) -> Any:
     try:
-        return json.loads(path.read_text(encoding="utf-8-sig"))
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0][:100]
         raise DatasetError(f"{path}: damaged, not readable as JSON ({reason}); copy it again") from error
@@ -113,28 +120,38 @@ def hand_label(
 
 
 def mesh_of(path: Path, index: int, axes: np.ndarray | float = 1.0) -> MeshLabel | None:
-    """The mesh of that number in a JSON list of meshes, times `axes`; None where there is no such file, which
-    is read when the first mesh is asked for."""
+    """The mesh of that number in a JSON list of meshes, times `axes`; None where there is no such file. A
+    file can have gigabytes, so no more than one mesh is in memory."""
 
     def vertices() -> np.ndarray:
-        meshes = _meshes(path)
-        if isinstance(meshes, DatasetError):
-            raise meshes
-        mesh = meshes[index]
-        if mesh is None:
+        places = _mesh_places(path)
+        if index >= len(places):
+            raise DatasetError(f"{path}: damaged or cut off before mesh {index}; copy it again")
+        place = places[index]
+        if place is None:
             raise DatasetError(f"{path}: mesh {index} is null")
-        return mesh.reshape(-1, 3).astype(np.float64) * axes
+        with path.open("rb") as stream:
+            stream.seek(place[0])
+            mesh = _parsed(path, stream.read(place[1] - place[0]))
+        return numbers(f"{path}: mesh {index}", mesh, (len(mesh), 3)) * axes
 
     return MeshLabel(vertices) if path.is_file() else None
 
 
 @lru_cache(maxsize=1)
-def _meshes(path: Path) -> list[np.ndarray | None] | DatasetError:
-    """In single precision, as thousands of meshes stay in memory. A damaged file is not read again."""
-    try:
-        return [None if mesh is None else np.array(mesh, np.float32) for mesh in read_json(path)]
-    except DatasetError as error:
-        return error
+def _mesh_places(path: Path) -> list[tuple[int, int] | None]:
+    """Where each mesh begins and ends, in bytes, as far as the file is whole; None where a null stands."""
+    places: list[tuple[int, int] | None] = []
+    if not path.stat().st_size:
+        return places
+    end = 1  # behind the bracket of the whole list
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as text:
+        for last in re.finditer(rb"\]\s*+\]", text):
+            first = text.find(b"[", end)
+            places += [None] * text[end:first].count(b"null")
+            places.append((first, end := last.end()))
+        places += [None] * text[end:].count(b"null")
+    return places
 
 
 def number_of(picture: Path) -> int | None:

@@ -1,30 +1,27 @@
-"""The report of an evaluation: tables, plots and picture sheets in a folder, with a page that shows them."""
+"""The report of an evaluation: tables, plots and picture sheets in a folder, with a page that shows them. A
+line here draws and writes what was scored, and scores nothing."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-from importlib import resources
 from pathlib import Path
 
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
+from handfit_core.evaluate.report import tables
 from handfit_core.evaluate.report.plots import write_plots
 from handfit_core.evaluate.report.sheets import Sheet, write_sheets
 from handfit_core.evaluate.report.tables import (
     best_method,
-    comparison_tables,
     count,
     error_metric,
-    experiments_table,
     group_table,
     main_table,
     methods_of,
     metrics_shown,
     numbers_of,
-    others_table,
-    published_note,
     text_of,
 )
 from handfit_core.evaluate.scores import Evaluation
@@ -33,7 +30,7 @@ from handfit_core.files import written_whole
 
 REPORT_FILES = (
     *("index.html", "table.md", "table.csv", "per_hand.csv", "comparisons.csv", "by_tag.md", "problems.csv"),
-    *("setup.json", "pck.svg", "pck_pa.svg", "per_joint.svg", "per_view.svg"),
+    *("setup.json", "pck.svg", "pck_pa.svg", "per_joint.svg"),
     *("worst.jpg", "best.jpg", "missed.jpg"),
 )
 """Every name that a report may use. Those that one does not need are removed, so that none is from before"""
@@ -117,28 +114,13 @@ def _page(
     evaluation: Evaluation, numbers: list[str], plots: dict[str, tuple[str, str]], sheets: list[Sheet]
 ) -> str:
     """One HTML file beside its pictures, that opens offline."""
-    template = resources.files("handfit_core.evaluate.report").joinpath("page.html.j2")
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    # Examples of each kind of problem on the page; `problems.csv` has them all
-    return environment.from_string(template.read_text(encoding="utf-8")).render(
-        sheets=sheets,
-        evaluation=evaluation,
-        headline=headline(evaluation),
-        count=count,
-        problems=sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1])),
-        examples=10,
-        main=main_table(evaluation),
-        published=experiments_table(evaluation),
-        others=others_table(evaluation),
-        published_note=published_note(evaluation),
-        comparisons=comparison_tables(evaluation),
-        groups=group_table(evaluation),
-        metric=error_metric(evaluation),
-        plots=plots,
-        files=numbers,
-    )
+    by_number = sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1]))
+    environment.globals |= {**vars(tables), "headline": headline}
+    page = environment.from_string(Path(__file__).with_name("page.html.j2").read_text(encoding="utf-8"))
+    return page.render(evaluation=evaluation, problems=by_number, plots=plots, sheets=sheets, files=numbers)
 
 
 __all__ = ["REPORT_FILES", "write_report"]

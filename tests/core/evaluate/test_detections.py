@@ -17,7 +17,7 @@ from handfit_core.skeleton import SIDES
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 
 
-pytestmark = pytest.mark.usefixtures("landmark_model")
+pytestmark = pytest.mark.usefixtures("landmark_model", "cache")
 
 
 def entries(*pictures: Path) -> tuple[Entry, ...]:
@@ -28,10 +28,10 @@ def still(picture: Path) -> Unit:
     return Unit(entries(picture), is_clip=False)
 
 
-def detect(unit: Unit, folder: Path, options: CaptureOptions | None = None) -> tuple[UnitDetections, int]:
+def detect(unit: Unit, options: CaptureOptions | None = None) -> tuple[UnitDetections, int]:
     """And how often the caller was told of a picture."""
     told: list[None] = []
-    with UnitDetector(options or CaptureOptions(), folder) as detector:
+    with UnitDetector(options or CaptureOptions()) as detector:
         return detector.detect(unit, lambda: told.append(None)), len(told)
 
 
@@ -48,44 +48,32 @@ def assert_same(a: UnitDetections, b: UnitDetections) -> None:
     np.testing.assert_array_equal(a.milliseconds, b.milliseconds)
 
 
-def test_a_second_run_reads_what_the_first_found(tmp_path: Path) -> None:
+def test_a_second_run_reads_what_the_first_found() -> None:
     unit = Unit(entries(*(SAMPLE / f"hand.{i:04}.jpg" for i in (1, 2, 3))), is_clip=True)
-    fresh, told = detect(unit, tmp_path)
+    fresh, told = detect(unit)
     assert told == 3
     assert fresh.hands.frame.tolist() == [0, 1, 2]
     assert fresh.hands.side[0] == SIDES.index("right")
     assert fresh.sizes.tolist() == [[640, 480]] * 3
     assert (fresh.milliseconds > 0).all()
-    again, told = detect(unit, tmp_path)
+    again, told = detect(unit)
     assert told == 3
     # Times never repeat: equal ones were read.
     assert_same(fresh, again)
 
 
-def test_content_counts_and_not_the_name(tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    first = tmp_path / "first.jpg"
-    shutil.copy(SAMPLE / "hand.0001.jpg", first)
-    found, _ = detect(still(first), cache)
-    moved = tmp_path / "moved.jpg"
-    first.rename(moved)
-    assert_same(found, detect(still(moved), cache)[0])
-    assert len(kept(cache)) == 1
-    shutil.copy(SAMPLE / "hand.0009.jpg", moved)
-    other, _ = detect(still(moved), cache)
-    assert len(kept(cache)) == 2
-    assert not np.array_equal(other.hands.keypoints, found.hands.keypoints)
-
-
-def test_settings_and_clips_have_results_of_their_own(tmp_path: Path) -> None:
+def test_content_settings_and_clips_have_results_of_their_own(tmp_path: Path, cache: Path) -> None:
     picture = SAMPLE / "hand.0001.jpg"
-    detect(still(picture), tmp_path)
-    detect(still(picture), tmp_path, CaptureOptions(threshold=0.7))
-    detect(still(picture), tmp_path, CaptureOptions(max_hands=1))
-    detect(replace(still(picture), is_clip=True), tmp_path)
-    detect(still(picture), tmp_path, CaptureOptions(plain_detection=True))
-    detect(still(picture), tmp_path, CaptureOptions(quality="draft"))
-    assert len(kept(tmp_path)) == 6
+    found, _ = detect(still(picture))
+    shutil.copy(picture, tmp_path / "moved.jpg")
+    assert_same(found, detect(still(tmp_path / "moved.jpg"))[0])
+    assert len(kept(cache)) == 1
+    detect(still(SAMPLE / "hand.0009.jpg"))
+    detect(still(picture), CaptureOptions(max_hands=1))
+    detect(replace(still(picture), is_clip=True))
+    detect(still(picture), CaptureOptions(plain_detection=True))
+    detect(still(picture), CaptureOptions(quality="draft"))
+    assert len(kept(cache)) == 6
 
 
 def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
@@ -93,7 +81,7 @@ def test_unreadable_pictures_are_known_as_such(tmp_path: Path) -> None:
     broken.write_bytes(b"no picture")
     unit = Unit(entries(SAMPLE / "hand.0001.jpg", broken, tmp_path / "gone.jpg"), is_clip=True)
     for _ in range(2):
-        found, told = detect(unit, tmp_path / "cache")
+        found, told = detect(unit)
         assert found.readable.tolist() == [True, False, False]
         assert found.hands.frame.tolist() == [0]
         assert told == 3
@@ -105,5 +93,5 @@ def test_pictures_are_taken_as_stored_like_their_labels(tmp_path: Path) -> None:
     turned = tmp_path / "turned.jpg"
     turned.write_bytes(plain[:2] + b"\xff\xe1" + (len(tag) + 2).to_bytes(2, "big") + tag + plain[2:])
     assert read_picture(turned)[1] == 6  # a viewer turns it
-    found, _ = detect(still(turned), tmp_path / "cache")
+    found, _ = detect(still(turned))
     assert found.sizes.tolist() == [[640, 480]]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import DatasetError, OptionError
+from handfit_core.errors import DatasetError
 from handfit_core.evaluate.datasets import open_dataset
 from tests.core.evaluate.dataset_files import K, hand, labels_of, pixels, reason, touch, write_json
 
@@ -100,32 +100,16 @@ def test_damaged_meshes_harm_no_joints(tmp_path: Path) -> None:
     root = write_split(tmp_path / "damaged", "evaluation", 1, [0])
     (root / "evaluation_verts.json").write_text("[[1, 2")
     ((label, _),) = map(labels_of, open_dataset(root).entries)
-    for _ in range(2):  # the second time from memory
-        with pytest.raises(DatasetError, match=r"evaluation_verts\.json: damaged"):
-            label.mesh.vertices()
+    with pytest.raises(DatasetError, match=r"evaluation_verts\.json: damaged"):
+        label.mesh.vertices()
 
 
-@pytest.mark.parametrize("name", ["K", "xyz"])
-@pytest.mark.parametrize("damage", ["[[1, 2", "", "no json", "[" * 100_000])
-def test_damaged_files_are_named(tmp_path: Path, damage: str, name: str) -> None:
-    root = write_split(tmp_path, "evaluation", 2, [0, 1])
-    (root / f"evaluation_{name}.json").write_text(damage)
-    with pytest.raises(DatasetError, match=rf"evaluation_{name}\.json: damaged") as caught:
+@pytest.mark.parametrize("damage", ["[[1, 2", "", "[" * 100_000])
+def test_damaged_files_are_named(tmp_path: Path, damage: str) -> None:
+    root = write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
+    with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
+        open_dataset(root)
+    (root / "evaluation_K.json").write_text(damage)
+    with pytest.raises(DatasetError, match=r"evaluation_K\.json: damaged") as caught:
         open_dataset(root)
     assert "\n" not in str(caught.value)
-
-
-def test_labels_and_cameras_of_different_number(tmp_path: Path) -> None:
-    write_split(tmp_path, "evaluation", 2, [0, 1], xyz=[hand(0).tolist()] * 3)
-    with pytest.raises(DatasetError, match=r"3 labels, but 2 cameras in evaluation_K\.json"):
-        open_dataset(tmp_path)
-
-
-def test_other_missing_things(tmp_path: Path) -> None:
-    write_split(tmp_path, "training", 1, [])
-    with pytest.raises(DatasetError, match=r"training/rgb is missing"):
-        open_dataset(tmp_path)
-    with pytest.raises(DatasetError, match=r"evaluation_xyz\.json is missing"):
-        open_dataset(tmp_path, split="evaluation")
-    with pytest.raises(OptionError, match=r"'test' does not exist here; choose from evaluation, training"):
-        open_dataset(tmp_path, split="test")

@@ -36,8 +36,6 @@ def meta(points: np.ndarray | None, **changes: Any) -> dict[str, Any]:
         "handJoints3D": None if points is None else opengl(points),
         "camMat": np.array(K),
         "handPose": np.zeros(48, dtype=np.float32),
-        "handBeta": np.zeros(10),
-        "handTrans": np.zeros(3),
         "objName": "004_sugar_box",
         "objLabel": np.int64(3),
         "objRot": np.zeros((3, 1)),
@@ -86,16 +84,6 @@ def test_the_list_decides_and_what_it_misses_is_reported(tmp_path: Path) -> None
     ]
 
 
-def test_without_a_list_every_frame_counts(tmp_path: Path) -> None:
-    for name in ("SM1/0000", "SM1/0001", "SM1/0002"):
-        write_frame(tmp_path, "train", name, meta(hand()))
-    (tmp_path / "train" / "SM1" / "meta" / "0001.pkl").unlink()
-    (tmp_path / "train" / "SM1" / "rgb" / "0002.png").unlink()
-    dataset = open_dataset(tmp_path)
-    assert [e.name for e in dataset.entries] == ["SM1/0000"]
-    assert [p.kind for p in dataset.problems] == ["picture without a label", "picture missing"]
-
-
 def test_a_frame_without_joints_is_a_missing_label(tmp_path: Path) -> None:
     write_frame(tmp_path, "train", "SM1/0000", meta(None))
     write_frame(tmp_path, "train", "SM1/0001", meta(hand(), camMat=None))
@@ -139,15 +127,10 @@ def test_evaluation_of_another_length_is_no_label(tmp_path: Path) -> None:
     ("content", "says"),
     [
         (b"cos\nsystem\n(Vtouch here\ntR.", "refused: the file asks to run os.system"),
-        (b"cbuiltins\neval\n(V1\ntR.", "refused: the file asks to run builtins.eval"),
         (b"half a pick", "not a pickle, or a damaged"),
-        (b"", "not a pickle, or a damaged"),
         (b"].", "holds no labels"),
         (b"}.", "damaged (KeyError: 'handJoints3D')"),
         (meta(np.zeros((16, 3))), "0000.pkl: joints has shape (16, 3), expected (21, 3)"),
-        (meta(hand(), handJoints3D="text"), "0000.pkl: joints: could not convert"),
-        (meta(hand(), camMat=np.zeros((3, 3))), "camera intrinsics need positive"),
-        (meta(hand(), camMat=np.zeros((4, 4))), "0000.pkl: K has shape (4, 4)"),
     ],
 )
 def test_damaged_labels_are_told_only_when_read(tmp_path: Path, content: Any, says: str) -> None:

@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection
 from handfit_core.errors import OptionError
 from handfit_core.evaluate.methods import (
     fused_landmarks,
@@ -25,18 +24,6 @@ def test_groups_open_in_place_and_nothing_is_run_twice() -> None:
     assert method_names(["paper"]) == [f"paper-{letter}" for letter in "abcdefgh"]
     with pytest.raises(OptionError, match=r"no solver 'paper-z'.*fused.*paper-a"):
         method_names(["paper-z"])
-
-
-def test_fused_depth_is_the_mean_of_both_sets_and_the_picture_stays() -> None:
-    points = joints()
-    detection = seen(points)
-    flattened = HandDetection("right", 0.9, detection.keypoints * [1, 1, 0.5], detection.world)
-    fused = fused_landmarks(flattened.keypoints, flattened.world)
-    np.testing.assert_array_equal(fused[:, :2], flattened.keypoints[:, :2])
-    np.testing.assert_allclose(
-        fused[:, 2],
-        (flattened.keypoints[:, 2] + world_landmarks(flattened.keypoints, flattened.world)[:, 2]) / 2,
-    )
 
 
 def test_raw_landmarks_in_metres_have_the_world_landmarks_size_and_stand_where_the_hand_is() -> None:
@@ -77,3 +64,12 @@ def test_the_papers_protocol_takes_the_papers_own_picture_points() -> None:
     fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints)
     fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
     np.testing.assert_allclose(result.picture_points[0], fit.in_picture(fitted))
+
+
+def test_fused_depth_is_the_mean_of_both_sets_and_the_picture_stays() -> None:
+    detection = seen(joints())
+    keypoints = detection.keypoints * [1, 1, 0.5]
+    fused = fused_landmarks(keypoints, detection.world)
+    np.testing.assert_array_equal(fused[:, :2], keypoints[:, :2])
+    both = keypoints[:, 2] + world_landmarks(keypoints, detection.world)[:, 2]
+    np.testing.assert_allclose(fused[:, 2], both / 2)

@@ -29,6 +29,7 @@ def test_a_folder_that_fits_nothing_is_told_every_layout(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("kind", "file"),
     [
+        ("freihand", "evaluation_xyz.json"),
         ("freihand", "training/rgb/00000000.jpg"),
         ("freihand", "training_K.json"),
         ("ho3d", "train/ABF10/rgb/0000.png"),
@@ -54,12 +55,6 @@ def test_a_part_of_a_layout_is_enough_to_name_what_is_missing(tmp_path: Path, ki
         assert "is missing; expected" in messages[0]
 
 
-@pytest.mark.parametrize("kind", READERS.names())
-def test_an_empty_folder_of_a_named_kind(tmp_path: Path, kind: str) -> None:
-    with pytest.raises(DatasetError, match="is missing; expected"):
-        open_dataset(tmp_path, kind)
-
-
 def test_options_that_do_not_exist(tmp_path: Path) -> None:
     write_json(tmp_path / "index.json", [])
     with pytest.raises(OptionError, match="there is no data set kind 'stb'; choose one of plain, rhd"):
@@ -69,10 +64,15 @@ def test_options_that_do_not_exist(tmp_path: Path) -> None:
     with pytest.raises(OptionError, match="a plain data set has one set of labels"):
         open_dataset(tmp_path, labels="cleaned")
     assert open_dataset(str(tmp_path)).entries == []
+    touch(tmp_path / "training" / "rgb" / "0.jpg", tmp_path / "training_xyz.json")
+    with pytest.raises(OptionError, match=r"'test' does not exist here; choose from evaluation, training"):
+        open_dataset(tmp_path, "freihand", split="test")
+    with pytest.raises(DatasetError, match="there is no such folder"):
+        open_dataset(tmp_path / "index.json")
 
 
 @pytest.mark.parametrize("kind", [None, "toy"])
-def test_what_fails_in_a_reader_of_others_names_it(
+def test_what_fails_in_a_plug_in_names_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str | None
 ) -> None:
     reader = Reader("", lambda _: 1 / 0, lambda _: 1 / 0)  # recognises, read
@@ -80,11 +80,3 @@ def test_what_fails_in_a_reader_of_others_names_it(
     monkeypatch.setitem(READERS._parts, "toy", reader)
     with pytest.raises(PlugInError, match=r"^the data set kind toy of toys failed \(ZeroDivisionError"):
         open_dataset(tmp_path, kind)
-
-
-def test_no_folder(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="there is no such folder"):
-        open_dataset(tmp_path / "nowhere")
-    touch(tmp_path / "file.zip")
-    with pytest.raises(DatasetError, match="there is no such folder"):
-        open_dataset(tmp_path / "file.zip")

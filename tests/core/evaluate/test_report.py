@@ -1,4 +1,4 @@
-"""The report as a folder: complete, linked, escaped, its numbers those of the evaluation."""
+"""The report as a folder: complete, linked, escaped, its numbers and its hands those of the evaluation."""
 
 from __future__ import annotations
 
@@ -9,15 +9,14 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
-from handfit_core.evaluate.report import REPORT_FILES, write_report
+from handfit_core.evaluate.report import REPORT_FILES, plots, sheets, write_report
 from handfit_core.evaluate.report.tables import (
-    EXPERIMENTS,
-    MISSING,
-    OTHERS_AUC,
-    Table,
     comparison_tables,
     experiments_table,
     group_table,
@@ -27,9 +26,16 @@ from handfit_core.evaluate.report.tables import (
     verdict,
 )
 from handfit_core.evaluate.scores import Comparison, Evaluation
-from handfit_core.evaluate.summary import METRICS
-from tests.core.evaluate.factory import make_scores, with_hands
-from tests.core.evaluate.reports import COUNT, make_evaluation
+from handfit_core.evaluate.summary import pck
+from handfit_core.skeleton import TIP_KEYPOINTS
+from tests.core.evaluate.made import (
+    COUNT,
+    make_evaluation,
+    make_scores,
+    with_errors,
+    write_picture,
+)
+from tests.golden import Golden
 
 
 class Page(HTMLParser):
@@ -58,36 +64,36 @@ class Page(HTMLParser):
         self.text += data
 
 
+def page_of(evaluation: Evaluation) -> Page:
+    write_report(evaluation.root / "report", evaluation)
+    return Page(evaluation.root / "report")
+
+
 def read_csv(path: Path) -> list[dict[str, str]]:
     with open(path, newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
 
-def column(table: Table, title: str) -> list[tuple[str, bool]]:
-    (index,) = [i for i, (name, _) in enumerate(table.titles()) if name.startswith(title)]
-    return [row[index] for row in table.rows()]
-
-
-def test_a_whole_report_is_linked_and_opens_offline(tmp_path: Path) -> None:
-    folder = tmp_path / "report"
-    files = write_report(folder, make_evaluation(tmp_path, kind="egodexter"))
-    assert files[0] == folder / "index.html"
+def test_whole_report_is_linked_and_opens_offline(tmp_path: Path) -> None:
+    evaluation = make_evaluation(tmp_path, kind="egodexter")
+    files = write_report(tmp_path / "report", evaluation)
+    assert files[0].name == "index.html"
     assert {f.name for f in files} == set(REPORT_FILES)
-    assert set(files) == set(folder.iterdir())
-    assert all(f.stat().st_size > 0 for f in files)
-    page = Page(folder)
+    assert set(files) == set((tmp_path / "report").iterdir())
+    page = Page(tmp_path / "report")
     assert page.links == set(REPORT_FILES) - {"index.html"}
     assert not page.seen & {"script", "link"}
-    assert not {"url(", "@import"} & set((folder / "index.html").read_text().split())
+    assert not {"url(", "@import"} & set(files[0].read_text().split())
+    # The same numbers give the same files.
+    for file in write_report(tmp_path / "again", evaluation):
+        assert file.read_bytes() == (tmp_path / "report" / file.name).read_bytes()
 
 
 def test_names_are_escaped(tmp_path: Path) -> None:
     evil = "<script>alert('x&y')</script>"
-    evaluation = make_evaluation(
-        tmp_path, dataset=evil, problems={evil: (evil,)}, names=[f"{evil}{i}" for i in range(6)]
-    )
-    write_report(tmp_path / "report", evaluation)
-    page = Page(tmp_path / "report")
+    names = [f"{evil}{i}" for i in range(6)]
+    evaluation = make_evaluation(tmp_path, dataset=evil, problems={evil: (evil,)}, names=names)
+    page = page_of(evaluation)
     assert "script" not in page.seen
     assert f"{evil}5" in page.text  # its name under a sheet
     assert page.text.count(evil) >= 6
@@ -98,20 +104,17 @@ def test_names_are_escaped(tmp_path: Path) -> None:
 
 def test_problems_are_counted_shown_first_and_listed_whole(tmp_path: Path) -> None:
     problems = {"picture missing": ("one",), "labels cannot be read": tuple(f"Desk/{i}" for i in range(13))}
-    write_report(tmp_path / "report", make_evaluation(tmp_path, problems=problems))
-    text = Page(tmp_path / "report").text
+    text = page_of(make_evaluation(tmp_path, problems=problems)).text
     assert text.index("14 things") < text.index("All methods")
     assert text.index("13 × labels cannot be read") < text.index("1 × picture missing")
     assert "Desk/9" in text
     assert "Desk/10" not in text
     assert "and 3 more" in text
-    listed = read_csv(tmp_path / "report" / "problems.csv")
-    assert [(row["kind"], row["where"]) for row in listed] == [
-        (kind, where) for kind, places in problems.items() for where in places
-    ]
+    listed = [tuple(row.values()) for row in read_csv(tmp_path / "report" / "problems.csv")]
+    assert listed == [(kind, where) for kind, places in problems.items() for where in places]
 
 
-def test_what_an_earlier_report_left_does_not_stay(tmp_path: Path) -> None:
+def test_files_of_an_earlier_report_go_and_others_stay(tmp_path: Path) -> None:
     folder = tmp_path / "report"
     write_report(folder, make_evaluation(tmp_path, missed=(1,), kind="egodexter"))
     (folder / "my-notes.txt").write_text("mine")
@@ -122,44 +125,36 @@ def test_what_an_earlier_report_left_does_not_stay(tmp_path: Path) -> None:
 
 def test_headline_and_setup(tmp_path: Path) -> None:
     evaluation = make_evaluation(tmp_path, missed=(1, 2))
-    write_report(tmp_path / "report", evaluation)
-    text = Page(tmp_path / "report").text
+    text = page_of(evaluation).text
     assert "6 pictures, 6 labelled hands, 66.7 % of them detected." in text
     assert f"Best of 2 methods: good, PA-MPJPE {np.nanmean(evaluation.scores[1].pa_error):.2f} mm." in text
     setup = json.loads((tmp_path / "report" / "setup.json").read_text())
-    assert setup["setup"] == {"machine": "a test's"}
-    assert setup["protocol"] == "strict"
+    assert (setup["setup"], setup["protocol"]) == ({"machine": "a test's"}, "strict")
     assert setup["labelled_hands"] == 6
 
 
 @pytest.mark.parametrize("protocol", ["strict", "paper"])
 def test_nothing_detected_is_a_report_too(tmp_path: Path, protocol) -> None:
-    write_report(tmp_path / "report", make_evaluation(tmp_path, missed=range(6), protocol=protocol))
-    assert "0.0 % of them detected. No method has an error to show." in Page(tmp_path / "report").text
+    text = page_of(make_evaluation(tmp_path, missed=range(6), protocol=protocol)).text
+    assert "0.0 % of them detected. No method has an error to show." in text
     assert (tmp_path / "report" / "missed.jpg").is_file()
     assert not (tmp_path / "report" / "worst.jpg").exists()
 
 
-def test_the_papers_protocol_names_its_alignment_and_has_no_joint_plot(tmp_path: Path) -> None:
-    write_report(tmp_path / "report", make_evaluation(tmp_path, protocol="paper", kind="dexter-object"))
+def test_papers_protocol_names_its_alignment(tmp_path: Path) -> None:
+    text = page_of(make_evaluation(tmp_path, protocol="paper", kind="dexter-object")).text
     assert not (tmp_path / "report" / "per_joint.svg").exists()
-    text = Page(tmp_path / "report").text
     for words in ("true camera and true mean depth given", "No error per joint", "by the same protocol"):
         assert words in text
 
 
-def test_the_same_numbers_give_the_same_files(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path)
-    first = {f.name: f.read_bytes() for f in write_report(tmp_path / "a", evaluation)}
-    assert {f.name: f.read_bytes() for f in write_report(tmp_path / "b", evaluation)} == first
-
-
-def test_the_csv_files_hold_every_number_exactly(tmp_path: Path) -> None:
+def test_csv_files_hold_every_number_exactly(tmp_path: Path) -> None:
     evaluation = make_evaluation(tmp_path, missed=(1, 4))
     write_report(tmp_path, evaluation)
     rows = read_csv(tmp_path / "table.csv")
-    assert [row["method"] for row in rows] == ["null-truth", "good", "poor"]
-    assert [row["is_baseline"] for row in rows] == ["1", "0", "0"]
+    assert [(row["method"], row["is_baseline"]) for row in rows] == [
+        *(("null-truth", "1"), ("good", "0"), ("poor", "0"))
+    ]
     assert {(row["dataset"], row["protocol"]) for row in rows} == {("A set", "strict")}
     for row in rows:
         for key, value in evaluation.summaries.loc[row["method"]].items():
@@ -178,107 +173,196 @@ def test_the_csv_files_hold_every_number_exactly(tmp_path: Path) -> None:
     assert (compared["metric"], compared["first"], compared["second"]) == ("epe", "poor", "good")
 
 
-def test_the_main_table_names_alignments_and_marks_the_best(tmp_path: Path) -> None:
-    table = main_table(make_evaluation(tmp_path))
-    assert [name for name, _ in column(table, "Method")] == ["null-truth (baseline)", "good", "poor"]
-    # The baseline is exactly right, and bold it is not.
-    assert column(table, "PA-MPJPE, mm")[0] == ("0.00", False)
-    for title in ("PA-MPJPE, mm ↓", "AUC 20-50 mm ↑"):
-        assert [bold for _, bold in column(table, title)] == [False, True, False]
-    lines = table.markdown().splitlines()
-    assert len({line.count("|") for line in lines if line.startswith("|")}) == 1
-    number = lines[0].split("PA-MPJPE, mm ↓ [")[1].split("]")[0]
-    assert f"{number}. PA-MPJPE: {METRICS['pa_mpjpe'].alignment}" in lines
-    assert "* null-truth: the truth (knows the truth)" in lines
+# Tables
 
 
-def test_higher_is_bold_where_higher_is_better_and_equals_are_not(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path)
-    planted = {
-        "good": {"handedness": 80.0, "fit_ms": 3.01, "epe": 5.0},
-        "poor": {"handedness": 90.0, "fit_ms": 3.02, "epe": math.nan},
-    }
-    summaries = evaluation.summaries.copy()
-    for name, values in planted.items():
-        summaries.loc[name, list(values)] = list(values.values())
-    table = main_table(replace(evaluation, summaries=summaries))
-    assert [bold for _, bold in column(table, "Side right")] == [False, False, True]
-    assert [bold for _, bold in column(table, "Fit")] == [False, False, False]  # both are shown as 3.0
-    assert column(table, "EPE, mm") == [("0.00", False), ("5.00", False), (MISSING, False)]
+def test_tables(tmp_path: Path, golden: Golden) -> None:
+    """The best of a column are bold, but baselines and what shows as equal; the published numbers beside."""
+    evaluation = make_evaluation(tmp_path, kind="egodexter")
+    truth, good, poor = evaluation.scores
+    columns = ["auc", "handedness", "fit_ms", "epe"]
+    summaries = evaluation.summaries.rename(index={"good": "paper-b"})
+    summaries.loc[["paper-b", "poor"], columns] = [[0.999, 80.0, 3.01, 20.642], [0.9, 90.0, 3.02, math.nan]]
+    (compared,) = evaluation.comparisons
+    unsure = compared._replace(metric="pa_mpjpe", low=-1.0, high=1.0)
+    evaluation = replace(
+        evaluation,
+        scores=(truth, replace(good, method="paper-b"), poor),
+        summaries=summaries,
+        comparisons=(compared, unsure),
+    )
+    makers = (main_table, group_table, experiments_table, others_table)
+    tables = [*(make(evaluation) for make in makers), *(t for _, t in comparison_tables(evaluation))]
+    golden.check("evaluation.md", "\n".join(table.markdown() for table in tables if table), steps=1)
+    assert len([table for table in tables if table]) == 6
+    assert experiments_table(make_evaluation(tmp_path)) is None
 
 
-def test_groups_leave_out_what_is_no_group(tmp_path: Path) -> None:
-    scores = make_evaluation(tmp_path).scores[1]
-    assert list(groups_of(scores)) == ["view", "pose", "frame"]
-    one = with_hands(scores, tags=[{"frame": str(i), "set": "one"} for i in range(COUNT)])
-    assert list(groups_of(one)) == ["view", "frame"]
-    many = make_scores(24, tags=[{"frame": str(i)} for i in range(24)])
+def test_what_is_no_group() -> None:
+    """A tag with one value, or with more than a table holds."""
+    many = make_scores(24, tags=[{"frame": str(i), "set": "one"} for i in range(24)])
     assert groups_of(many).empty
 
 
-def test_group_means_and_rates_are_of_the_group(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path, missed=(1,))
-    table = group_table(evaluation)
-    assert table is not None
-    assert [t for t, _ in table.titles()] == [
-        *("Group", "Value", "Hands", "Detected, %", "good, mm", "poor, mm")
-    ]
-    rows = {(row[0][0], row[1][0]): row[2:] for row in table.rows()}
-    poor = evaluation.scores[2].pa_error
-    fists = np.mean([poor[3].mean(), poor[5].mean()])  # 1 was missed
-    assert [text for text, _ in rows["pose", "fist"][:2]] == ["3", "66.7"]
-    assert rows["pose", "fist"][2][1]
-    assert rows["pose", "fist"][3] == (f"{fists:.2f}", False)
-    assert rows["pose", "open"][1][0] == "100.0"
-    assert [value for group, value in rows if group == "view"] == ["palm", "back", "edge", "unknown"]
-
-
 @pytest.mark.parametrize(
-    ("difference", "low", "high", "hands", "units", "words"),
+    ("difference", "low", "high", "units", "words"),
     [
-        (-0.36, -0.5, -0.2, 194, 194, "a is 0.36 mm better than b (0.20 to 0.50)"),
-        (0.36, 0.2, 0.5, 194, 194, "a is 0.36 mm worse than b (0.20 to 0.50)"),
-        (0.1, -0.1, 0.3, 194, 194, "no difference shown (−0.10 to 0.30)"),
-        (0.36, 0.2, 0.5, 90, 3, "only 3 stills or clips, so the interval is too narrow"),
-        (0.36, math.nan, math.nan, 90, 1, "no interval: only one still or clip"),
-        (math.nan, math.nan, math.nan, 0, 0, "no hand has a result of both"),
+        (-0.36, -0.5, -0.2, 194, "a is 0.36 mm better than b (0.20 to 0.50)"),
+        (0.36, 0.2, 0.5, 194, "a is 0.36 mm worse than b (0.20 to 0.50)"),
+        (0.1, -0.1, 0.3, 194, "no difference shown (−0.10 to 0.30)"),
+        (0.36, 0.2, 0.5, 3, "only 3 stills or clips, so the interval is too narrow"),
+        (0.36, math.nan, math.nan, 1, "no interval: only one still or clip"),
+        (math.nan, math.nan, math.nan, 0, "no hand has a result of both"),
     ],
 )
-def test_verdicts(difference: float, low: float, high: float, hands: int, units: int, words: str) -> None:
-    assert words in verdict(Comparison("pa_mpjpe", "a", "b", difference, low, high, hands, units))
+def test_verdicts(difference: float, low: float, high: float, units: int, words: str) -> None:
+    assert words in verdict(Comparison("pa_mpjpe", "a", "b", difference, low, high, units, units))
 
 
-def test_comparisons_show_interval_and_verdict(tmp_path: Path) -> None:
+# Plots
+
+
+def lines_of(drawn: plots.Drawn | None) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    assert drawn is not None
+    (axes,) = drawn[0].axes
+    return {
+        str(line.get_label()).split(" ")[0]: (np.asarray(line.get_xdata()), np.asarray(line.get_ydata()))
+        for line in axes.lines
+    }
+
+
+def test_pck_curves_count_misses_and_legends_tell_the_auc(tmp_path: Path) -> None:
+    evaluation = make_evaluation(tmp_path, missed=(0, 1, 2))
+    drawn = plots.pck_plot(evaluation)
+    lines = lines_of(drawn)
+    assert list(lines) == ["null-truth", "good", "poor"]
+    assert lines["null-truth"][1].min() == 1.0
+    assert lines["good"][1].max() == 0.5  # half of the hands were missed
+    np.testing.assert_allclose(lines["poor"][1], pck(evaluation.scores[2], "strict"))
+    assert drawn is not None
+    legend = drawn[0].axes[0].get_legend()
+    assert legend is not None
+    assert legend.get_texts()[1].get_text() == f"good ({evaluation.summaries.loc['good', 'auc']:.3f})"
+    x, y = lines_of(plots.pa_pck_plot(evaluation))["poor"]
+    errors = evaluation.scores[2].pa_error
+    assert x[20] == 10.0
+    assert y[20] == pytest.approx(np.sum(errors <= 10.0) / errors.size)  # a miss is no hit: NaN <= 10 is not
+
+
+def test_joint_plot_shows_each_labelled_joint(tmp_path: Path) -> None:
     evaluation = make_evaluation(tmp_path)
-    (unsure,) = [c._replace(metric="pa_mpjpe", low=-1.0, high=1.0) for c in evaluation.comparisons]
-    tables = comparison_tables(replace(evaluation, comparisons=(*evaluation.comparisons, unsure)))
-    assert [metric.key for metric, _ in tables] == ["pa_mpjpe", "epe"]  # the error in front comes first
-    assert tables[0][1].rows()[0][0][0].startswith("poor and good: no difference shown")
-    (((words, _), (difference, _), *_),) = tables[1][1].rows()
-    assert "worse than good" in words
-    assert difference == f"{evaluation.comparisons[0].difference:.2f}"
+    _, shown = lines_of(plots.joint_plot(evaluation))["poor"]
+    # One point after the other, the line interrupted before each finger.
+    assert np.flatnonzero(np.isnan(shown)).tolist() == [1, 6, 11, 16, 21]
+    means = np.nanmean(evaluation.scores[2].pa_error, axis=0)
+    np.testing.assert_allclose(shown[~np.isnan(shown)], means, atol=1e-12)
+    others = np.setdiff1d(np.arange(21), TIP_KEYPOINTS)
+    tips = []
+    for s in evaluation.scores:
+        labels, epe = s.labels_3d.copy(), s.epe.copy()
+        labels[:, others], epe[:, others] = np.nan, np.nan
+        tips.append(replace(s, labels_3d=labels, epe=epe))
+    drawn = plots.joint_plot(replace(evaluation, scores=tuple(tips)))
+    assert drawn is not None
+    ticks = [text.get_text() for text in drawn[0].axes[0].get_xticklabels()]
+    assert ticks == ["thumb 4", "index 4", "middle 4", "ring 4", "little 4"]
+    assert "EPE" in drawn[0].axes[0].get_ylabel()  # five tips alone: similarity would hide too much
 
 
-def published_evaluation(folder: Path) -> Evaluation:
-    evaluation = make_evaluation(folder, kind="egodexter", protocol="paper")
-    ours = replace(evaluation.scores[1], method="paper-b")
-    summaries = evaluation.summaries.copy()
-    summaries.loc["paper-b", ["epe", "auc"]] = 20.642, 0.999
-    return replace(evaluation, scores=(ours, evaluation.scores[2]), summaries=summaries)
+def test_the_users_settings_stay(tmp_path: Path) -> None:
+    with matplotlib.rc_context({"font.size": 7.0}):
+        plots.write_plots(tmp_path, make_evaluation(tmp_path))
+        assert matplotlib.rcParams["font.size"] == 7.0
 
 
-def test_published_numbers_stand_beside_ours(tmp_path: Path) -> None:
-    assert EXPERIMENTS.loc["paper-h"].tolist()[3:] == [42.833, 0.492, 24.574, 0.784]
-    assert [OTHERS_AUC[kind]["Zhou 2020"] for kind in ("dexter-object", "egodexter")] == [0.948, 0.811]
-    evaluation = published_evaluation(tmp_path)
-    table, others = experiments_table(evaluation), others_table(evaluation)
-    assert table is not None
-    assert others is not None
-    a, b = [[text for text, _ in row] for row in table.rows()[:2]]
-    assert a[3:] == ["17.72", MISSING, MISSING, "0.883", MISSING, MISSING]
-    assert b[3:] == ["19.64", "20.64", "1.00", "0.859", "0.999", "0.140"]
-    values = [float(text) for text, _ in column(others, "AUC")]
-    assert values == sorted(values, reverse=True)
-    assert [text for text, bold in column(others, "Method") if bold] == ["paper-b, here", "poor, here"]
-    assert experiments_table(make_evaluation(tmp_path)) is None
-    assert others_table(make_evaluation(tmp_path)) is None
+# Picture sheets
+
+
+def of_errors(folder: Path, errors: list[float], **overrides) -> Evaluation:
+    """An evaluation of one method whose hands have these PA errors in mm."""
+    overrides.setdefault("picture", (write_picture(folder / "p.png"),) * len(errors))
+    return replace(make_evaluation(folder), scores=(with_errors(errors, **overrides),), comparisons=())
+
+
+def names_on(folder: Path, evaluation: Evaluation) -> dict[str, list[str]]:
+    written = sheets.write_sheets(folder, evaluation)
+    assert all((folder / sheet.file).stat().st_size > 1000 for sheet in written)
+    return {sheet.file: [f"{sample} {text}" for sample, _, text in sheet.hands] for sheet in written}
+
+
+def test_worst_best_and_missed(tmp_path: Path) -> None:
+    found = np.array([True, True, False, True, True])
+    names = names_on(tmp_path, of_errors(tmp_path, [5.0, 1.0, np.nan, 3.0, 9.0], detected=found))
+    assert names == {
+        "worst.jpg": ["00004 PA-MPJPE 9.00 mm", "00000 PA-MPJPE 5.00 mm"],
+        "best.jpg": ["00001 PA-MPJPE 1.00 mm", "00003 PA-MPJPE 3.00 mm"],
+        "missed.jpg": ["00002 not detected"],
+    }
+
+
+def test_no_more_than_a_sheet_holds(tmp_path: Path) -> None:
+    detected = np.arange(60) % 2 == 0
+    errors = np.where(detected, np.arange(60.0), np.nan)
+    names = names_on(tmp_path, of_errors(tmp_path, list(errors), detected=detected))
+    numbers = {file: [int(name.split()[0]) for name in all_] for file, all_ in names.items()}
+    assert numbers["worst.jpg"] == list(range(58, 34, -2))
+    assert numbers["best.jpg"] == list(range(0, 24, 2))
+    assert len(numbers["missed.jpg"]) == 12
+    assert {numbers["missed.jpg"][0], numbers["missed.jpg"][-1]} == {1, 59}
+
+
+def test_neighbours_in_a_clip_do_not_fill_a_sheet(tmp_path: Path) -> None:
+    errors = [100.0 - i for i in range(40)]  # at 25 fps; the clip's first second is worst
+    evaluation = of_errors(tmp_path, errors, clip=("wave",) * 40, time=np.arange(40) / 25.0)
+    worst = [int(name.split()[0]) for name in names_on(tmp_path, evaluation)["worst.jpg"]]
+    assert worst[0] == 0
+    assert {13, 25, 38} <= set(worst)
+
+
+@pytest.mark.parametrize("content", [None, b"no picture"])
+def test_picture_that_is_gone_or_broken_leaves_a_grey_cell(tmp_path: Path, content: bytes | None) -> None:
+    if content:
+        (tmp_path / "broken.png").write_bytes(content)
+    scores = with_errors([9.0], picture=(tmp_path / "broken.png",))
+    axes = Figure().subplots()
+    sheets.draw_hand(axes, scores, 0)
+    assert axes.get_facecolor()[:3] == to_rgb(sheets.NOTHING)
+    assert axes.texts[0].get_text() == "picture cannot be read"
+
+
+def test_labels_and_predictions_are_drawn_where_they_are(tmp_path: Path) -> None:
+    label = np.full((1, 21, 2), np.nan)
+    label[0, [0, 5]] = [[100.0, 100.0], [200.0, 100.0]]
+    picture = (write_picture(tmp_path / "p.png"),)
+    scores = with_errors([5.0], picture=picture, labels_2d=label, points_2d=label + [0.0, 100.0])
+    axes = Figure().subplots()
+    sheets.draw_hand(axes, scores, 0)
+    for line, colour, y in zip(axes.lines, (sheets.LABEL, sheets.PREDICTION), (100.0, 200.0), strict=True):
+        drawn = np.asarray(line.get_xydata())
+        assert line.get_color() == colour
+        assert [200.0, y] in drawn.tolist()
+        assert [100.0, y] in drawn.tolist()
+
+
+def test_missing_or_absurd_points_and_names_of_all_kinds_do_no_harm(tmp_path: Path) -> None:
+    labels, points = np.full((2, 21, 2), np.nan), np.full((2, 21, 2), 1e12)
+    points[1] = np.nan
+    points[0, 3] = np.inf
+    samples = ("Küche/$" + "x" * 300, "手/00001")
+    evaluation = of_errors(tmp_path, [9.0, 1.0], labels_2d=labels, points_2d=points, sample=samples)
+    assert list(names_on(tmp_path, evaluation)) == ["worst.jpg", "best.jpg"]
+
+
+def test_crops_hold_the_hand_and_not_a_lost_prediction() -> None:
+    label = np.array([[300.0, 200.0], [340.0, 240.0]])
+    near, lost = (sheets.crop_box(label, label + off, 640, 480) for off in (5.0, 100_000.0))
+    for low, high in (near, lost):
+        assert (label >= low).all()
+        assert (label <= high).all()
+    assert (near[1] >= label + 5.0).all()
+    assert np.ptp(near, axis=0).max() < 80
+    assert np.ptp(lost, axis=0).max() < 3 * 80
+    nothing = np.full((21, 2), np.nan)
+    low, high = sheets.crop_box(nothing, nothing, 640, 480)
+    assert (low <= 0).all()
+    assert (high >= [640, 480]).all()

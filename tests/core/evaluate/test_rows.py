@@ -1,3 +1,5 @@
+"""Rows: labelled hands with their detected tracks, matched whatever the order and the side."""
+
 from __future__ import annotations
 
 from pathlib import Path
@@ -54,6 +56,13 @@ def test_a_clip_is_one_track_and_a_frame_without_a_hand_is_a_miss() -> None:
     assert len(made.tracks) == 1
     assert [row["track"] for row in made.listed] == [0, -1, 0]
     assert [row["frame"] for row in made.listed] == [0, 1, 2]
+    # A frame that cannot be read is none.
+    dark = UnitDetections(
+        Detections.of([[], [seen(TRUTH)]]), np.array([[0, 0], [WIDTH, HEIGHT]]), np.zeros(2)
+    )
+    made = strict_rows(frames[:2], dark)
+    assert [row["sample"] for row in made.listed] == ["1"]
+    assert [(p.kind, p.where) for p in made.problems] == [("picture cannot be read", "0")]
 
 
 def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
@@ -78,16 +87,6 @@ def test_what_cannot_be_used_is_named_and_the_rest_goes_on() -> None:
     assert made.pictures == 1
 
 
-def test_an_unreadable_frame_of_a_clip_is_no_miss() -> None:
-    frames = [entry(f"{i}", label(TRUTH), clip="c", time=i / 25) for i in range(2)]
-    detections = UnitDetections(
-        Detections.of([[], [seen(TRUTH)]]), np.array([[0, 0], [WIDTH, HEIGHT]]), np.zeros(2)
-    )
-    made = strict_rows(frames, detections)
-    assert [row["sample"] for row in made.listed] == ["1"]
-    assert [(p.kind, p.where) for p in made.problems] == [("picture cannot be read", "0")]
-
-
 def test_solvers_are_told_the_true_camera_only_if_asked() -> None:
     assumed = strict_rows([entry("a", label(TRUTH))], found((seen(TRUTH),)))
     assert assumed.tracks[0].intrinsics == Intrinsics.assumed(WIDTH, HEIGHT)
@@ -96,18 +95,12 @@ def test_solvers_are_told_the_true_camera_only_if_asked() -> None:
     unknown = strict_rows([entry("a", label(TRUTH), camera=None)], found((seen(TRUTH),)), camera="labelled")
     assert unknown.tracks[0].intrinsics == Intrinsics.assumed(WIDTH, HEIGHT)
     assert [p.kind for p in unknown.problems] == ["camera missing: one is assumed"]
-
-
-def test_a_camera_that_changes_within_a_clip_is_named() -> None:
     zoomed = Intrinsics(900.0, 900.0, 320.0, 240.0)
-    frames = [
-        entry(f"{i}", label(TRUTH), camera=camera, clip="zoom", time=i / 25)
-        for i, camera in enumerate((CAMERA, zoomed))
-    ]
-    made = strict_rows(frames, found((seen(TRUTH),), (seen(TRUTH),)), camera="labelled")
-    assert made.tracks[0].intrinsics == CAMERA
-    assert [(p.kind, p.where) for p in made.problems] == [
-        ("camera changes within the clip: its first one is used throughout", "1")
+    frames = [entry(str(c.fx), label(TRUTH), camera=c, clip="zoom", time=c.fx / 25) for c in (CAMERA, zoomed)]
+    changed = strict_rows(frames, found((seen(TRUTH),), (seen(TRUTH),)), camera="labelled")
+    assert changed.tracks[0].intrinsics == CAMERA
+    assert [(p.kind, p.where) for p in changed.problems] == [
+        ("camera changes within the clip: its first one is used throughout", "900.0")
     ]
 
 
@@ -124,33 +117,28 @@ def test_whatever_is_found_in_a_picture_without_hands_is_extra() -> None:
 LEFT_OF_PICTURE, RIGHT_OF_PICTURE = joints(at=(-0.12, 0.08, 0.5)), joints(at=(0.12, 0.08, 0.5))
 
 
-def test_each_hand_gets_its_own_detection_whatever_the_order_and_side() -> None:
-    labels = [label(LEFT_OF_PICTURE).keypoints_2d, label(RIGHT_OF_PICTURE).keypoints_2d]
-    detections = [seen(RIGHT_OF_PICTURE, "left").keypoints_2d, seen(LEFT_OF_PICTURE, "left").keypoints_2d]
-    assert match(labels, detections) == [1, 0]
-
-
-def test_a_stray_far_away_is_no_detection_of_the_hand() -> None:
-    assert match([label(LEFT_OF_PICTURE).keypoints_2d], [seen(RIGHT_OF_PICTURE).keypoints_2d]) == [None]
-
-
-def test_a_stray_does_not_push_the_right_pair_apart() -> None:
-    labels = [label(LEFT_OF_PICTURE).keypoints_2d, label(RIGHT_OF_PICTURE).keypoints_2d]
-    assert match(labels, [seen(LEFT_OF_PICTURE).keypoints_2d]) == [0, None]
-    assert match(labels, []) == [None, None]
-
-
-def test_a_few_labelled_points_are_enough() -> None:
-    points = LEFT_OF_PICTURE.copy()
-    points[np.arange(21) != 8] = np.nan
+def pixels_of(points: np.ndarray, *known: int) -> np.ndarray:
+    """(21, 2) labelled pixels, of the `known` points alone where any are named."""
     pixels = label(points).keypoints_2d
-    assert match([pixels], [seen(RIGHT_OF_PICTURE).keypoints_2d, seen(LEFT_OF_PICTURE).keypoints_2d]) == [1]
+    return np.where(np.isin(np.arange(21), known)[:, None], pixels, np.nan) if known else pixels
 
 
-def test_a_hand_without_pixels_takes_what_is_left() -> None:
-    nowhere = np.full((21, 2), np.nan)
-    labels = [nowhere, label(RIGHT_OF_PICTURE).keypoints_2d]
-    assert match(labels, [seen(RIGHT_OF_PICTURE).keypoints_2d, seen(LEFT_OF_PICTURE).keypoints_2d]) == [1, 0]
+ONE, OTHER = pixels_of(LEFT_OF_PICTURE), pixels_of(RIGHT_OF_PICTURE)
+
+
+@pytest.mark.parametrize(
+    ("labels", "detections", "matched"),
+    [
+        ([ONE, OTHER], [OTHER, ONE], [1, 0]),  # whatever the order
+        ([ONE], [OTHER], [None]),  # a stray is no detection of the hand
+        ([ONE, OTHER], [ONE], [0, None]),  # and pushes no pair apart
+        ([ONE, OTHER], [], [None, None]),
+        ([pixels_of(LEFT_OF_PICTURE, 8)], [OTHER, ONE], [1]),  # one labelled point is enough
+        ([np.full((21, 2), np.nan), OTHER], [OTHER, ONE], [1, 0]),  # without pixels: what is left
+    ],
+)
+def test_matching(labels, detections, matched) -> None:
+    assert match(labels, detections) == matched
 
 
 def test_missing_pixels_are_projected_and_points_behind_the_camera_are_not() -> None:
@@ -197,11 +185,8 @@ def turned(points: np.ndarray, degrees: float) -> np.ndarray:
     ("degrees", "view"), [(0, "palm"), (40, "palm"), (90, "edge"), (-90, "edge"), (180, "back")]
 )
 def test_view_follows_the_palm_for_both_hands(side, degrees: float, view: str) -> None:
-    assert view_of(turned(joints(side, at=(0.0, 0.05, 0.5)), degrees), side) == view
-
-
-def test_view_is_unknown_without_a_side_or_a_knuckle() -> None:
-    points = joints()
+    points = turned(joints(side, at=(0.0, 0.05, 0.5)), degrees)
+    assert view_of(points, side) == view
     assert view_of(points, None) == "unknown"
     points[17] = np.nan
-    assert view_of(points, "right") == "unknown"
+    assert view_of(points, side) == "unknown"

@@ -1,24 +1,26 @@
+"""One number per metric, by the strict protocol and by the paper's, and paired comparisons."""
+
+from __future__ import annotations
+
 import math
 from itertools import chain, pairwise
 
 import numpy as np
 import pytest
 
-from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc
-from handfit_core.evaluate.summary import paper_pck, pck, pck_root, summarise
-from handfit_core.skeleton import TIP_KEYPOINTS
-from tests.core.evaluate.factory import make_hands, make_scores
+from handfit_core.errors import OptionError
+from handfit_core.evaluate.metrics import (
+    PCK_THRESHOLDS_MM,
+    acceleration_error,
+    auc,
+    bone_length_variation,
+    jitter_spectrum,
+)
+from handfit_core.evaluate.summary import compare, paper_pck, pck, pck_root, summarise
+from tests.core.evaluate.made import make_hands, make_scores, with_errors, with_hands
 
-TIPS = list(TIP_KEYPOINTS)
 RNG = np.random.default_rng(8)
-
-
-def tips_only(n: int, seed: int = 0) -> np.ndarray:
-    """(n, 21, 3) labels as EgoDexter's and Dexter+Object's: five fingertips."""
-    labels = np.full((n, 21, 3), np.nan)
-    labels[:, TIPS] = make_hands(n, seed)[:, TIPS]
-    return labels
+OF_CLIPS = ("bone_variation", "acceleration_error", "jitter")
 
 
 def area_by_loop(errors: list[float], misses: int = 0) -> float:
@@ -49,18 +51,17 @@ def test_strict_values_by_a_loop() -> None:
     assert [len(hand) for hand in epe] == [21, 16, 20]  # a wrist alone is no hand
     assert [len(hand) for hand in root] == [21, 16]
     assert [len(hand) for hand in pa] == [21, 16, 20]
-    assert found["detection_rate"] == pytest.approx(80.0)
-    assert found["epe"] == pytest.approx(np.mean(list(chain(*epe))))
-    assert found["epe_median"] == pytest.approx(np.median([np.mean(hand) for hand in epe]))
-    assert found["mpjpe"] == pytest.approx(np.mean([np.mean(hand) for hand in root]))
-    assert found["pa_mpjpe"] == pytest.approx(np.mean([np.mean(hand) for hand in pa]))
-    assert found["pa_mpjpe_median"] == pytest.approx(np.median([np.mean(hand) for hand in pa]))
-    assert found["auc"] == pytest.approx(area_by_loop(list(chain(*epe)), misses=21))
-    assert found["auc_root"] == pytest.approx(area_by_loop(list(chain(*root)), misses=21))
-    camera = hands(scores.camera_error)
-    assert found["camera_error"] == pytest.approx(np.mean([np.mean(hand) for hand in camera]))
-    in_2d = hands(scores.error_2d)
-    assert found["error_2d"] == pytest.approx(100 * np.mean([np.mean(hand) for hand in in_2d]))
+    means = {"mpjpe": root, "pa_mpjpe": pa, "camera_error": hands(scores.camera_error)}
+    expected = {key: np.mean([np.mean(hand) for hand in rows]) for key, rows in means.items()} | {
+        "detection_rate": 80.0,
+        "epe": np.mean(list(chain(*epe))),
+        "epe_median": np.median([np.mean(hand) for hand in epe]),
+        "pa_mpjpe_median": np.median([np.mean(hand) for hand in pa]),
+        "auc": area_by_loop(list(chain(*epe)), misses=21),
+        "auc_root": area_by_loop(list(chain(*root)), misses=21),
+        "error_2d": 100 * np.mean([np.mean(hand) for hand in hands(scores.error_2d)]),
+    }
+    assert {key: found[key] for key in expected} == pytest.approx(expected)
 
 
 def test_surfaces_sides_and_times() -> None:
@@ -80,14 +81,9 @@ def test_surfaces_sides_and_times() -> None:
         fit_ms=np.array([1.0, 2.0, 9.0, nan]),
     )
     found = summarise(scores, "strict")
-    assert found["pa_mpvpe"] == 6.0
-    assert found["f5"] == pytest.approx(0.6)
-    assert found["f15"] == pytest.approx(0.95)
-    assert (found["deeper_2"], found["deeper_4"]) == (100.0, 50.0)  # of hands that have a model
-    assert found["penetration_95"] == pytest.approx(4.9)
-    assert found["handedness"] == 50.0
-    assert found["detect_ms"] == 30.0
-    assert found["fit_ms"] == 2.0
+    expected = {"pa_mpvpe": 6.0, "f5": 0.6, "f15": 0.95, "handedness": 50.0, "detect_ms": 30.0, "fit_ms": 2.0}
+    expected |= {"deeper_2": 100.0, "deeper_4": 50.0, "penetration_95": 4.9}  # of hands that have a model
+    assert {key: found[key] for key in expected} == pytest.approx(expected)
 
 
 def test_how_well_solvers_doubt_themselves() -> None:
@@ -118,16 +114,6 @@ def test_no_hands_and_no_detections_are_values(protocol) -> None:
         assert math.isnan(missed["auc"])
 
 
-def test_without_wrist_labels_wrist_metrics_do_not_apply() -> None:
-    found = summarise(
-        make_scores(labels_3d=tips_only(4), detected=np.array([True, True, True, False])), "strict"
-    )
-    assert math.isnan(found["mpjpe"])
-    assert math.isnan(found["auc_root"])
-    assert found["epe"] > 0.0
-    assert found["auc"] > 0.0
-
-
 @pytest.mark.parametrize("protocol", ["strict", "paper"])
 def test_the_curve_is_the_one_that_auc_tells_of(protocol) -> None:
     scores = make_scores(6, noise=0.03, detected=np.array([True] * 5 + [False]))
@@ -138,35 +124,6 @@ def test_the_curve_is_the_one_that_auc_tells_of(protocol) -> None:
     if protocol == "strict":
         assert auc(pck_root(scores), PCK_THRESHOLDS_MM) == pytest.approx(found["auc_root"])
         assert pck(scores, protocol)[99] == pytest.approx(np.sum(scores.epe <= 50) / (6 * 21))
-
-
-# Planted errors
-
-
-def swapped(labels: np.ndarray) -> np.ndarray:
-    points = labels.copy()
-    points[:, [8, 20]] = labels[:, [20, 8]]
-    return points
-
-
-@pytest.mark.parametrize(
-    ("planted", "shows", "hides"),
-    [
-        (swapped, "epe mpjpe pa_mpjpe camera_error error_2d", ""),
-        # Along the line of sight: it hides in the picture and shows even after Procrustes.
-        (lambda x: x * [1, 1, -1] + 2 * x.mean(1, keepdims=True) * [0, 0, 1], "epe pa_mpjpe", ""),
-        (lambda x: x[:, :1] + 1.2 * (x - x[:, :1]), "mpjpe epe", "pa_mpjpe"),
-        (lambda x: x + [0.0, 0.0, 0.1], "camera_error", "epe mpjpe pa_mpjpe"),
-    ],
-    ids=["swapped joints", "a mirrored hand", "a wrong size", "a wrong depth"],
-)
-def test_an_error_shows_where_it_should_and_nowhere_else(planted, shows: str, hides: str) -> None:
-    labels = make_hands(4)
-    good = summarise(make_scores(labels_3d=labels, points_3d=labels), "strict")
-    bad = summarise(make_scores(labels_3d=labels, points_3d=planted(labels)), "strict")
-    assert all(bad[key] > 3.0 for key in shows.split())
-    assert all(bad[key] == pytest.approx(0.0, abs=1e-6) for key in hides.split())
-    assert all(good[key] == pytest.approx(0.0, abs=1e-6) for key in shows.split())
 
 
 # The paper's protocol and its faults
@@ -219,35 +176,26 @@ def test_clips_are_averaged_by_their_detected_frames() -> None:
     found = summarise(scores, "strict")
     expected = np.zeros(3)
     for rows, weight in ((slice(0, 40), 40), (slice(40, 140), 70)):
-        points, truth, times = (
-            scores.points_3d[rows],
-            scores.labels_3d[rows],
-            scores.hands["time"].to_numpy()[rows],
-        )
+        points, truth = scores.points_3d[rows], scores.labels_3d[rows]
+        times = scores.hands["time"].to_numpy()[rows]
         values = (
             bone_length_variation(points),
             acceleration_error(points, truth, times),
             1000 * jitter_spectrum(points, truth, 25.0),
         )
         expected += weight / 110 * np.array(values)
-    assert [found[k] for k in ("bone_variation", "acceleration_error", "jitter")] == pytest.approx(expected)
+    assert [found[k] for k in OF_CLIPS] == pytest.approx(expected)
 
 
 def test_two_hands_of_a_clip_are_two_tracks() -> None:
     one = clip_scores({"a": 30})
-    labels = np.repeat(one.labels_3d, 2, axis=0)
-    labels[1::2] += [0.2, 0, 0]
-    points = np.repeat(one.points_3d, 2, axis=0)
-    points[1::2] += [0.2, 0, 0]
-    two = make_scores(
-        labels_3d=labels,
-        points_3d=points,
-        hand=np.tile([0, 1], 30),
-        clip=("a",) * 60,
-        time=np.repeat(one.hands["time"].to_numpy(), 2),
-    )
-    for key in ("bone_variation", "acceleration_error", "jitter"):
-        assert summarise(two, "strict")[key] == pytest.approx(summarise(one, "strict")[key])
+    both = {name: np.repeat(getattr(one, name), 2, axis=0) for name in ("labels_3d", "points_3d")}
+    for points in both.values():
+        points[1::2] += [0.2, 0, 0]
+    times = np.repeat(one.hands["time"].to_numpy(), 2)
+    two = summarise(make_scores(**both, hand=[0, 1] * 30, clip=["a"] * 60, time=times), "strict")
+    alone = summarise(one, "strict")
+    assert [two[key] for key in OF_CLIPS] == pytest.approx([alone[key] for key in OF_CLIPS])
 
 
 def test_frames_that_the_set_lacks_are_a_gap() -> None:
@@ -266,8 +214,83 @@ def test_frames_that_the_set_lacks_are_a_gap() -> None:
 
 def test_stills_and_clips_without_times() -> None:
     stills = summarise(make_scores(30), "strict")
-    assert all(math.isnan(stills[key]) for key in ("bone_variation", "acceleration_error", "jitter"))
+    assert all(math.isnan(stills[key]) for key in OF_CLIPS)
     timeless = summarise(clip_scores({"a": 30}, time=np.zeros(30)), "strict")
     assert timeless["bone_variation"] > 0.0
     assert math.isnan(timeless["acceleration_error"])
     assert math.isnan(timeless["jitter"])
+
+
+# Comparisons
+
+
+def test_a_known_difference_is_found() -> None:
+    rng = np.random.default_rng(0)
+    base = rng.uniform(5, 30, size=200)
+    first = with_errors(base + 2.0 + rng.normal(size=200), method="first")
+    second = with_errors(base, method="second")
+    found = compare(first, second, "pa_mpjpe")
+    assert (found.first, found.second, found.metric) == ("first", "second", "pa_mpjpe")
+    assert (found.hands, found.units) == (200, 200)
+    assert found.difference == pytest.approx((first.pa_error - second.pa_error).mean())
+    assert found.low < 2.0 < found.high
+    assert found.is_significant
+    # Single, equal observations: the normal interval, 1.96 standard errors, is as good.
+    assert found.high - found.low == pytest.approx(2 * 1.96 / math.sqrt(200), rel=0.15)
+    back = compare(second, first, "pa_mpjpe")
+    assert (back.difference, back.low, back.high) == pytest.approx(
+        (-found.difference, -found.high, -found.low)
+    )
+
+
+@pytest.mark.parametrize(
+    ("columns", "units"),
+    [
+        ({"sample": ("a", "a", "b"), "hand": (0, 1, 0)}, 2),  # two hands of one still
+        ({"sample": ("a", "a/0", "a/1"), "clip": (None, "a", "a")}, 2),  # a still and a clip of one name
+        ({"sample": ("a/0", "a/1", "a/2"), "clip": ("a", "a", "a")}, 1),
+    ],
+)
+def test_units_are_stills_and_clips(columns, units: int) -> None:
+    scores = with_errors(np.arange(3.0), **columns)
+    assert compare(scores, scores, "pa_mpjpe").units == units
+
+
+def test_units_of_unequal_size_by_the_exact_distribution() -> None:
+    # A clip of 3 frames with difference 4 and a still with 0: a draw of two units has means 4 (1/4),
+    # 3 (1/2: three frames and the still) and 0 (1/4).
+    clips = ("c", "c", "c", None)
+    first = with_errors(np.array([4.0, 4.0, 4.0, 0.0]), clip=clips)
+    found = compare(first, with_errors(np.zeros(4), clip=clips), "pa_mpjpe", resamples=500)
+    assert (found.difference, found.low, found.high) == (3.0, 0.0, 4.0)
+    assert found.units == 2
+
+
+def test_only_hands_that_both_have() -> None:
+    first = with_errors(np.array([9.0, 1.0, 2.0, np.nan]))
+    second = with_errors(np.array([np.nan, 0.0, 0.0, 5.0]))
+    found = compare(first, second, "pa_mpjpe")
+    assert (found.hands, found.units, found.difference) == (2, 2, 1.5)
+
+
+def test_one_unit_says_nothing_and_none_less() -> None:
+    clips = ("only",) * 5
+    nine, zero = (with_errors(np.full(5, value), clip=clips) for value in (9.0, 0.0))
+    one = compare(nine, zero, "pa_mpjpe")
+    assert (one.difference, one.units) == (9.0, 1)
+    assert math.isnan(one.low)
+    assert not one.is_significant
+    none = compare(make_scores(), make_scores(), "pa_mpvpe")
+    assert math.isnan(none.difference)
+    assert (none.hands, none.units) == (0, 0)
+    assert not none.is_significant
+
+
+def test_wrong_questions_are_refused() -> None:
+    scores = make_scores(4)
+    with pytest.raises(OptionError, match="pa_mpjpe"):
+        compare(scores, scores, "jitter")
+    with pytest.raises(ValueError, match="same pictures"):
+        compare(scores, make_scores(5), "epe")
+    with pytest.raises(ValueError, match="same pictures"):
+        compare(scores, with_hands(scores, hand=[0, 0, 1, 0]), "epe")

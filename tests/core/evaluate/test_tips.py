@@ -71,9 +71,6 @@ def test_egodexter(tmp_path: Path) -> None:
     assert label.side == "left"
     np.testing.assert_allclose(points[TIPS], projected(EGO_M, truth[2]), atol=1e-6)
     assert np.isnan(np.delete(label.joints_3d, TIPS, axis=0)).all()
-    # Metres, and within the calibration's turn and shift of where they were written.
-    shift = label.joints_3d[TIPS] * 1000 - truth[2]
-    np.testing.assert_allclose(shift, np.tile([20 - 3.3, 1 + 11, 6], (5, 1)), atol=4)
 
 
 def test_dexter_object_is_written_with_the_opposite_sign(tmp_path: Path) -> None:
@@ -84,6 +81,7 @@ def test_dexter_object_is_written_with_the_opposite_sign(tmp_path: Path) -> None
     label, points = labels_of(dataset.entries[1])
     assert label.side == "left"
     np.testing.assert_allclose(points[TIPS], projected(DEXTER_M, truth[1]), atol=1e-6)
+    # The calibration's turn and shift, in metres.
     shift = label.joints_3d[TIPS] * 1000 - truth[1]
     np.testing.assert_allclose(shift, np.tile([19 + 7.2, -1.9 - 3.6, -4.8], (5, 1)), atol=3)
 
@@ -101,23 +99,17 @@ def missing_of(dataset_root: Path) -> list[list[int]]:
     return [[i for i, k in enumerate(TIPS) if np.isnan(label.joints_3d[k]).all()] for label in labels]
 
 
-def test_missing_tips_of_egodexter(tmp_path: Path) -> None:
+def test_missing_tips(tmp_path: Path) -> None:
     truth = frames(3)
     truth[0, 2] = 0.0
     truth[1, 4] = np.nan
     truth[2] = 1e-7
-    assert missing_of(write_ego(tmp_path, truth))[:3] == [[2], [4], [0, 1, 2, 3, 4]]
-    # 32001 is Dexter+Object's marker; nothing but zeros and blanks is missing here.
-    truth = frames(1)
-    assert missing_of(write_ego(tmp_path / "all", truth, blank="nan"))[0] == []
-
-
-def test_missing_tips_of_dexter_object(tmp_path: Path) -> None:
+    assert missing_of(write_ego(tmp_path / "ego", truth))[:3] == [[2], [4], [0, 1, 2, 3, 4]]
     truth = frames(3)
     truth[0, 1, 2] = 32001
     truth[1, 3] = np.nan
     truth[2, 0, 0] = 0.0  # on the optical axis, and there
-    assert missing_of(write_dexter(tmp_path, truth))[:3] == [[1], [3], []]
+    assert missing_of(write_dexter(tmp_path / "dexter", truth))[:3] == [[1], [3], []]
 
 
 @pytest.mark.parametrize("inside", [True, False], ids=["in the sequences", "in one folder"])
@@ -170,44 +162,31 @@ def test_a_missing_picture_shifts_no_label(tmp_path: Path) -> None:
         ]
 
 
-def test_numbers_that_start_nowhere_sure_pair_in_order_and_say_so(tmp_path: Path) -> None:
+def test_what_does_not_pair_is_told(tmp_path: Path) -> None:
     write_ego(tmp_path, frames(4))
     shutil.rmtree(tmp_path / "data" / "Desk" / "color")
-    pictures(tmp_path, "Desk", [1, 2, 3])
+    pictures(tmp_path, "Desk", [1, 2, 3])  # numbers that start nowhere sure pair in order
+    pictures(tmp_path, "Kitchen", [4])
     dataset = open_dataset(tmp_path)
-    kinds = [p.kind for p in dataset.problems]
-    assert kinds == ["pictures and labels differ in number, paired in order", "label without a picture"]
+    assert [(p.kind, p.where.rsplit("/")[-1]) for p in dataset.problems] == [
+        (
+            "pictures and labels differ in number, paired in order",
+            "annotation.txt_3D.txt: 4 lines for 3 pictures",
+        ),
+        ("label without a picture", "annotation.txt_3D.txt: line 4"),
+        ("picture without a label", "image_00004_color.png"),
+    ]
     _, points = labels_of(dataset.entries[0])
     np.testing.assert_allclose(points[TIPS], projected(EGO_M, frames(4)[0]), atol=1e-6)
 
 
-def test_pictures_beyond_the_labels_are_reported(tmp_path: Path) -> None:
-    write_ego(tmp_path, frames(2))
-    pictures(tmp_path, "Kitchen", [2, 3])
-    dataset = open_dataset(tmp_path)
-    assert len(dataset.entries) == 8
-    assert [(p.kind, Path(p.where).stem) for p in dataset.problems] == [
-        ("picture without a label", "image_00002_color"),
-        ("picture without a label", "image_00003_color"),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("line", "says"),
-    [
-        ("1, 2, 3; 4, 5, 6;", "cannot reshape array of size 6"),
-        ("1, 2, 3; 4, 5, 6; 7, 8, 9; 1, 2, 3; 1, 2;", "cannot reshape array of size 14"),
-        ("1, 2, x; 4, 5, 6; 7, 8, 9; 1, 2, 3; 1, 2, 3;", "could not convert string to float: ' x'"),
-        ("", "cannot reshape"),
-    ],
-)
-def test_a_damaged_line_harms_no_other(tmp_path: Path, line: str, says: str) -> None:
+def test_damaged_line_harms_no_other(tmp_path: Path) -> None:
     root = write_ego(tmp_path, frames(2))
     path = root / "data" / "Desk" / "annotation.txt_3D.txt"
-    path.write_text(line + "\n" + path.read_text().splitlines()[1] + "\n")
+    path.write_text("\n" + path.read_text().splitlines()[1] + "\n")
     entries = open_dataset(root).entries
     assert entries[1].read_labels().hands
-    assert says in reason(entries[0])
+    assert "cannot reshape" in reason(entries[0])
 
 
 def test_part_of_a_set(tmp_path: Path) -> None:

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.paper import EXPERIMENTS
 from handfit_core.paper.fitter import PaperFitter, normalise
 from handfit_core.skeleton import PALM_KEYPOINTS, SIDES, Side
-from handfit_core.solvers import get_solver, solver_names
+from handfit_core.solvers import get_solver
 from tests.core.fit.detections import track_of
 
 RNG = np.random.default_rng(11)
@@ -26,12 +25,6 @@ def seen(model: HandModel, *, seed: int, noise: float = 0.0) -> tuple[np.ndarray
     points = model.keypoints(rng.normal(size=10), rng.normal(size=3), pose, ZERO)
     pixels = 2000.0 * (points - points[0]) + [320.0, 240.0, 0.0]
     return pixels + rng.normal(scale=noise, size=(21, 3)), pose
-
-
-def test_names() -> None:
-    assert {f"paper-{letter}" for letter in "abcdefgh"} < set(solver_names())
-    with pytest.raises(OptionError, match="paper-a, paper-b"):
-        get_solver("paper-z")
 
 
 def test_normalisation_is_the_papers() -> None:

@@ -28,10 +28,3 @@ def test_values(name: str) -> None:
 def test_gradients(name: str) -> None:
     residual = torch.tensor(RESIDUAL, requires_grad=True)
     assert torch.autograd.gradcheck(terms.with_tips(getattr(terms, name)), residual)
-
-
-@pytest.mark.parametrize("name", ["geman_mcclure", "huber"])
-def test_robust_losses_grow_slower(name: str) -> None:
-    loss = getattr(terms, name)
-    near, far = (float(loss(torch.full((1, 21, 3), v, dtype=torch.float64))) for v in (10.0, 1000.0))
-    assert far / near < 1000.0**2 / 10.0**2

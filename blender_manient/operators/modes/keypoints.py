@@ -1,0 +1,522 @@
+"""What happens while keypoints are edited: hovering, dragging, and hands that follow.
+
+Of a drag at most one request is with the worker; the newest place of the mouse goes there as soon as the
+answer is back. Bones follow at once, without keys; releasing the mouse writes the keys, the neighbours'
+too, and one undo step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import bpy
+import numpy as np
+
+from handfit_core.edit.corrections import Pins
+from handfit_core.errors import HandfitError
+from handfit_core.geometry.picture_map import mapped
+from handfit_core.skeleton import NUM_KEYPOINTS
+
+from ...common import preferences, screen
+from ...common.wording import capitalised, counted
+from ...rigs import rig_of
+from ...scene import see_through
+from ...scene.keys import set_pose
+from ...session import details, jobs, shared_worker
+from ...session.refiner import BonePoses, Refiner
+from . import drawing, view
+
+REACH: Final = 14.0
+"""pixels from a handle within which the mouse takes it, at a user interface scale of 1"""
+_MIN_REACH: Final = 5.0
+"""Pixels: how near the mouse must come to a handle with others close by"""
+_REDRAW_AFTER_SECONDS: Final = 0.06
+"""seconds after which the dragged point is drawn without the hand. Before that the answer is nearly there,
+and drawing twice would only make it later"""
+_ANSWER_WAIT_SECONDS: Final = 0.04
+"""seconds that a movement of the mouse may wait for its answer, so that the next picture has the hand in its
+place; a worker that was slower the last time is not waited for"""
+_SENSIBLE_POINTS: Final = 6
+"""points of a hand that was added: so many make a sensible pose"""
+_CLICK_PIXELS: Final = 3
+"""pixels. A press that moves less is a click"""
+_FRAME_SIZES: Final = 2.0
+"""sizes of the hand that the view shows of the picture: half of one on each side of it"""
+
+latencies: deque[float] = deque(maxlen=2000)
+"""seconds from a movement of the mouse to the hand that followed it, newest last"""
+_saved_views: dict[int, tuple[float, tuple[float, ...], np.ndarray]] = {}
+"""The camera view, its zoom and offset, in which the artist last saw a hand, and where that was then, (21, 2)
+pixels of the picture; by the armatures' session_uid, which a rename and an undo leave and which no other
+file's hand gets"""
+
+
+def forget_views() -> None:
+    """Forget all saved views: another file is opened."""
+    _saved_views.clear()
+
+
+class _Request(NamedTuple):
+    """What the worker was asked of a drag."""
+
+    number: int
+    place: np.ndarray | None
+    moved_at: float
+    pins: Pins
+    final: bool
+    """Whether the result is to be kept, and no draft"""
+
+
+@dataclass(eq=False)
+class _Drag:
+    """One keypoint between press and release, or one that is let go of."""
+
+    keypoint: int
+    row: int
+    frame: float
+    """Scene frame"""
+    pins_before: Pins
+    """The frame's pins until now"""
+    start: BonePoses
+    """What the pins are measured against"""
+    poses_before: BonePoses
+    """What the bones are put back to when it is cancelled"""
+    mouse: np.ndarray | None = None
+    """(2,) pixels of the region: where it was pressed; None: nowhere, the pin goes"""
+    grip: np.ndarray | float = 0.0
+    """(2,) pixels from there to the handle"""
+    place: np.ndarray | None = None
+    """(2,) pixels of the picture: where the pin is to be; None: it goes"""
+    moved_at: float = 0.0
+    moved: bool = False
+    released: bool = False
+    asked: _Request | None = None
+    """The last request"""
+    waiting: bool = False
+    """Whether it is with the worker"""
+    answer: tuple[Pins, BonePoses] | None = None
+    """The newest answer, and the pins that it was fitted to"""
+    drawn: bool = True
+    """Whether the view was asked to show the newest place"""
+
+    @property
+    def pins(self) -> Pins:
+        """The frame's pins with this one where it is to be."""
+        pins = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
+        if self.place is not None:
+            pins[self.keypoint] = float(self.place[0]), float(self.place[1])
+        return pins
+
+    @property
+    def needs_request(self) -> bool:
+        """Whether no request has the newest place yet."""
+        asked = self.asked
+        return asked is None or asked.place is not self.place or (self.released and not asked.final)
+
+
+class KeypointMode(view.Overlay):
+    """The state of the mode, from its start to `end`. Data-blocks are named, never held."""
+
+    def __init__(self, context: bpy.types.Context, refiner: Refiner, viewport: view.Viewport) -> None:
+        """Turn the viewport to the hand in its picture and warm the worker up. Raises HandfitError."""
+        self.refiner = refiner
+        self.drag: _Drag | None = None
+        self.hovered: int | None = None
+        self.message = ""
+        self.undone = 0
+        self.done = 0
+        """drags of this mode that can be undone, and those that can be done again"""
+        self.own_undo = False
+        self.ended: str | None = None
+        """Why the mode is over, in a sentence; empty: because the artist said so"""
+        camera = refiner.hand.camera
+        assert camera is not None
+        self._warming = shared_worker.worker().submit("warm")
+        self._solved_in = _ANSWER_WAIT_SECONDS
+        self.view = view.CaptureView(viewport, camera, context)
+        self.solid = False
+        """Whether the hand hides the picture, whatever its opacity is otherwise"""
+        see_through.begin(camera.data, lambda: 1.0 if self.solid else preferences.get().hand_opacity)
+        self._frame = context.scene.frame_current_final
+        self._places = self.picture_places()
+        """(21, 2) pixels of the picture: the hand on that frame, or on the last one before that had one"""
+        self._restore_view(viewport)
+        super().__init__(viewport)
+
+    # Beginning and end
+
+    def end(self, context: bpy.types.Context) -> None:
+        """Leave nothing behind. May be called twice."""
+        if not self.remove():
+            return
+        self.cancel_drag(context)
+        if self._warming:
+            shared_worker.abandon(self._warming)
+        see_through.end()
+        self._save_view()
+        self.view.leave(context)
+
+    def trouble(self, context: bpy.types.Context) -> str | None:
+        """Why the mode cannot go on, in a sentence."""
+        if self.ended is not None:
+            return self.ended
+        if jobs.busy():
+            return "Keypoints: a capture has begun"
+        if self.viewport() is None:
+            return "Keypoints: the viewport is gone"
+        armature = self.refiner.armature_or_none
+        if armature is None or armature.name not in context.view_layer.objects:
+            return "Keypoints: the hand is gone"
+        try:
+            if self.refiner.hand.camera is None:
+                return "Keypoints: the capture camera is gone"
+        except HandfitError as error:
+            return f"Keypoints: {error}"
+        if context.mode not in ("OBJECT", "POSE"):
+            return "Keypoints: refining works in Object and Pose mode"
+        return None
+
+    # Zoom and pan of the picture
+
+    def show_hand(self, viewport: view.Viewport) -> None:
+        """Frame the hand with half its size on each side; the whole picture on a frame without it."""
+        self.show_picture(viewport)
+        places = self.region_places(viewport)
+        if not np.isnan(places).all():
+            low, high, free = np.nanmin(places, axis=0), np.nanmax(places, axis=0), viewport.free()
+            factor = ((free[1] - free[0]) / np.maximum(_FRAME_SIZES * (high - low), 1.0)).min()
+            viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
+
+    def show_picture(self, viewport: view.Viewport) -> None:
+        """Frame the whole picture."""
+        self.view.face(viewport)
+        camera = self.refiner.hand.camera
+        assert camera is not None
+        viewport.show_picture(camera, bpy.context.scene)
+
+    def _restore_view(self, viewport: view.Viewport) -> None:
+        """Restore the saved view of the hand; without one, or where no point would be seen, frame the
+        hand."""
+        saved = _saved_views.get(self.refiner.armature.session_uid)
+        if saved is not None:
+            viewport.set_zoom(*saved[:2])
+        if saved is None or not self._keep_visible(viewport, saved[2]):
+            self.show_hand(viewport)
+
+    def _save_view(self) -> None:
+        viewport, armature = self.viewport(), self.refiner.armature_or_none
+        if viewport is not None and armature is not None and self.view.shows(viewport):
+            zoom, offset = viewport.view.view_camera_zoom, tuple(viewport.view.view_camera_offset)
+            _saved_views[armature.session_uid] = zoom, offset, self._places
+
+    def _follow_hand(self, context: bpy.types.Context) -> None:
+        """Move the view with the hand where another frame is shown now."""
+        if context.scene.frame_current_final == self._frame:
+            return
+        self._frame, before, now = context.scene.frame_current_final, self._places, self.picture_places()
+        if np.isnan(now).all():
+            return
+        self._places, viewport = now, self.viewport()
+        if viewport is not None:
+            self._keep_visible(viewport, before)
+
+    def _keep_visible(self, viewport: view.Viewport, before: np.ndarray) -> bool:
+        """Have the view show those points that it showed when they were at `before`, (21, 2) pixels of the
+        picture: it moves to their middle if one has left it, and keeps its zoom. Returns whether there are
+        any."""
+        viewport.view.update()  # since the last zoom
+        matrix = self.matrix(viewport)
+        if matrix is None:
+            return False
+        (low, high), places = viewport.free(), mapped(matrix, before)
+        seen = ((places >= low) & (places <= high)).all(axis=1)
+        places = mapped(matrix, self._places)[seen]
+        places = places[np.isfinite(places).all(axis=1)]
+        if ((places < low) | (places > high)).any():
+            middle = (places.min(axis=0) + places.max(axis=0)) / 2.0
+            viewport.enlarge(1.0, middle, (low + high) / 2.0)
+        return len(places) > 0
+
+    def toggle_solid(self) -> None:
+        """Make the hand solid, or see-through again."""
+        self.solid = not self.solid
+        see_through.follow()
+        screen.redraw("VIEW_3D")
+
+    # Places of the handles
+
+    def row(self) -> int | None:
+        """The take's row that the scene shows."""
+        scene = bpy.context.scene
+        return None if scene is None else self.refiner.row_at(scene.frame_current_final)
+
+    def pins(self) -> Pins:
+        """The pins of the frame that the scene shows, with the dragged one where it is to be."""
+        row = self.row()
+        if row is None:
+            return {}
+        return self.drag.pins if self.drag is not None else self.refiner.pins(row)
+
+    def picture_places(self) -> np.ndarray:
+        """(21, 2) pixels of the picture: pins, else the fitted hand's points where the frame was re-fitted,
+        else what was detected, else the points of the animated hand."""
+        row, track = self.row(), self.refiner.track
+        if row is None:
+            return np.full((NUM_KEYPOINTS, 2), np.nan)
+        if self.drag is not None or self.refiner.is_corrected(row) or not track.detected[row]:
+            places = self.refiner.shown_landmarks()
+        else:
+            places = np.array(track.keypoints_2d[row], dtype=np.float64)
+        for keypoint, place in self.pins().items():
+            places[keypoint] = place
+        return places
+
+    def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
+        """Picture to region; None while the viewport does not look through the capture camera."""
+        camera = self.refiner.hand.camera
+        if camera is None or not self.view.shows(viewport):
+            return None
+        return view.picture_matrix(viewport, camera, self.refiner.take.intrinsics)
+
+    def region_places(self, viewport: view.Viewport) -> np.ndarray:
+        """(21, 2) pixels of the region; NaN where there is no handle."""
+        matrix = self.matrix(viewport)
+        if matrix is None:
+            return np.full((NUM_KEYPOINTS, 2), np.nan)
+        return mapped(matrix, self.picture_places())
+
+    def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
+        """The handle nearest to a place in window pixels, within reach."""
+        places, scale = self.region_places(viewport), screen.ui_scale()
+        away = np.linalg.norm(places - [x - viewport.region.x, y - viewport.region.y], axis=-1)
+        if np.isnan(away).all():
+            return None
+        nearest = int(np.nanargmin(away))
+        reach = np.clip(drawing.half_gaps(places)[nearest], _MIN_REACH * scale, REACH * scale)
+        return nearest if away[nearest] <= reach else None
+
+    # Dragging
+
+    def press(self, context: bpy.types.Context, viewport: view.Viewport, x: int, y: int) -> bool:
+        """Take the handle there, if there is one."""
+        keypoint, row = self.handle_at(viewport, x, y), self.row()
+        if keypoint is None or row is None or self.drag is not None:
+            return False
+        if context.screen is not None and context.screen.is_animation_playing:
+            bpy.ops.screen.animation_cancel(restore_frame=False)
+        mouse = np.array([x - viewport.region.x, y - viewport.region.y])
+        self.drag = self._new_drag(keypoint, row)
+        self.drag.mouse, self.drag.grip = mouse, self.region_places(viewport)[keypoint] - mouse
+        self.message = ""
+        return True
+
+    def move(self, viewport: view.Viewport, x: int, y: int) -> None:
+        """The mouse drags the handle there."""
+        drag, matrix = self.drag, self.matrix(viewport)
+        if drag is None or drag.mouse is None or matrix is None or drag.released:
+            return
+        mouse = np.array([x - viewport.region.x, y - viewport.region.y])
+        drag.moved |= bool(np.abs(mouse - drag.mouse).max() >= _CLICK_PIXELS)
+        if drag.moved:
+            size = np.array([self.refiner.take.width, self.refiner.take.height])
+            # A hand may well reach out of the picture, but not for miles.
+            drag.place = np.clip(mapped(np.linalg.inv(matrix), mouse + drag.grip), -size, 2 * size)
+            drag.moved_at, drag.drawn = time.perf_counter(), False
+
+    def release(self) -> None:
+        """End a drag; its last request is still waited for."""
+        if self.drag is not None and self.drag.moved:
+            self.drag.released = True
+        else:
+            self.drag = None
+
+    def unpin(self, keypoint: int) -> bool:
+        """Let a pinned keypoint go: the hand follows the other pins only."""
+        row = self.row()
+        if row is None or self.drag is not None or keypoint not in self.refiner.pins(row):
+            return False
+        self.drag = self._new_drag(keypoint, row)
+        self.drag.moved = self.drag.released = True
+        self.drag.moved_at = time.perf_counter()
+        return True
+
+    def _new_drag(self, keypoint: int, row: int) -> _Drag:
+        frame, refiner = bpy.context.scene.frame_current_final, self.refiner
+        start, before = refiner.start_poses([row]), refiner.keyed_poses([row])
+        return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
+
+    def cancel_drag(self, context: bpy.types.Context) -> None:
+        """Put the hand back to before the drag."""
+        drag, self.drag = self.drag, None
+        if drag is None:
+            return
+        if drag.asked is not None and drag.waiting:
+            shared_worker.worker().cancel(drag.asked.number)
+            shared_worker.abandon(drag.asked.number)
+        armature = self.refiner.armature_or_none
+        if armature is not None and armature.manient.is_hand:
+            set_pose(rig_of(armature), drag.poses_before.quats[0], drag.poses_before.locations[0])
+            if context.scene.frame_current_final != drag.frame:
+                refresh(context.scene)  # that was another frame's pose
+        screen.redraw("VIEW_3D")
+
+    def tick(self, context: bpy.types.Context) -> None:
+        """Look for answers, and ask for what has not been asked for."""
+        self._follow_hand(context)
+        try:
+            if self._warming and shared_worker.answer(self._warming) is not None:
+                self._warming = 0
+                screen.redraw("VIEW_3D")
+            if self.drag is None:
+                return
+            if context.scene.frame_current_final != self.drag.frame:
+                self.cancel_drag(context)
+                return
+            self._tick_drag(context, self.drag)
+        except HandfitError as error:
+            self._warming, self.message = 0, str(error)
+            if self.drag is not None:
+                self.drag.waiting = False
+            details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
+            self.cancel_drag(context)
+            refresh(context.scene)
+
+    def _tick_drag(self, context: bpy.types.Context, drag: _Drag) -> None:
+        if drag.asked is not None and drag.waiting:
+            done = shared_worker.answer(drag.asked.number)
+            if done is not None:
+                drag.waiting, self._solved_in = False, float(done.get("seconds", 0.0))
+                self._show(context, drag, drag.asked, self.refiner.poses(done))
+        if not drag.waiting and drag.moved and drag.needs_request:
+            if drag.place is None and not self._is_constrained(drag):
+                self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
+            else:
+                mode = "each" if drag.released else "draft"
+                fields = self.refiner.request([drag.row], [drag.pins], drag.start, mode)()
+                number = shared_worker.worker().submit("refit", **fields)
+                drag.asked = _Request(number, drag.place, drag.moved_at, drag.pins, drag.released)
+                drag.waiting = True
+        elif not drag.waiting and drag.released:
+            self._finish(context, drag)
+        if not drag.drawn and time.perf_counter() - drag.moved_at > _REDRAW_AFTER_SECONDS:
+            drag.drawn = True
+            self._redraw()
+
+    def follow(self, context: bpy.types.Context) -> None:
+        """`tick`, and a moment's patience with the answer."""
+        waited_before = self.drag is not None and self.drag.waiting
+        self.tick(context)
+        # A drawing of a crowded scene takes longer than the answer, which would then be late by one.
+        patient = not waited_before and self._solved_in <= _ANSWER_WAIT_SECONDS
+        until = time.perf_counter() + (_ANSWER_WAIT_SECONDS if patient else 0.0)
+        while self.drag is not None and self.drag.waiting and time.perf_counter() < until:
+            time.sleep(0.001)
+            self.tick(context)
+
+    def _redraw(self) -> None:
+        """The picture and what is over it; not the headers and the sidebar beside it."""
+        viewport = self.viewport()
+        if viewport is not None:
+            viewport.region.tag_redraw()
+
+    def _show(self, context: bpy.types.Context, drag: _Drag, asked: _Request, poses: BonePoses) -> None:
+        if not poses.present[0]:
+            self.message = "No hand can be fitted to these points"
+            return
+        drag.answer = asked.pins, poses
+        set_pose(self.refiner.hand.rig, poses.quats[0], poses.locations[0])
+        context.view_layer.update()
+        latencies.append(time.perf_counter() - asked.moved_at)
+        drag.drawn = asked.place is drag.place
+        self._redraw()
+
+    def _is_constrained(self, drag: _Drag) -> bool:
+        """Whether the frame's hand has pins, or points that touch."""
+        return bool(drag.pins or self.refiner.touches(drag.row))
+
+    def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
+        """Write the keys, and make an undo step of it."""
+        self.drag = None
+        if not self._is_constrained(drag):
+            self.refiner.unpin(drag.row)
+        elif drag.answer is None:
+            set_pose(self.refiner.hand.rig, drag.poses_before.quats[0], drag.poses_before.locations[0])
+            return
+        else:
+            self.refiner.correct(drag.row, *drag.answer, context.scene.manient.spread)
+        refresh(context.scene)
+        self.done, self.undone = self.done + 1, 0
+        bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
+        screen.redraw("VIEW_3D")
+
+    def step(self, scene: bpy.types.Scene, direction: int) -> None:
+        """Go to the next frame (1) or the one before (-1); the source's where the scene has others."""
+        frames = self.refiner.scene_frames()
+        ahead = (frames - scene.frame_current_final) * direction
+        if np.all(np.abs(frames - np.round(frames)) < 1e-3) or not np.any(ahead > 1e-3):
+            scene.frame_set(scene.frame_current + direction)
+            return
+        frame = float(frames[ahead > 1e-3][np.argmin(ahead[ahead > 1e-3])])
+        scene.frame_set(int(np.floor(frame)), subframe=frame - np.floor(frame))
+
+    # Undo and redo of single drags
+
+    def undo(self, context: bpy.types.Context, *, redo: bool) -> None:
+        """Take the last drag of this mode back, or do it again."""
+        self.cancel_drag(context)
+        if (self.undone if redo else self.done) == 0:
+            self.message = "Nothing to do again here" if redo else "Nothing to undo here"
+            return
+        self.own_undo = True
+        try:
+            bpy.ops.ed.redo() if redo else bpy.ops.ed.undo()
+        except RuntimeError as error:
+            self.message = str(error).strip()
+            return
+        finally:
+            self.own_undo = False
+        step = 1 if redo else -1
+        self.done, self.undone = self.done + step, self.undone - step
+        self.message = ""
+        refresh(bpy.context.scene)
+
+    # Drawing
+
+    def draw(self, viewport: view.Viewport) -> None:
+        """Draw the points, and the line about them."""
+        if self.trouble(bpy.context) is None:
+            dragged = self.drag.keypoint if self.drag is not None else None
+            places, pinned = self.region_places(viewport), frozenset(self.pins())
+            line, corner = self.status_line(viewport), view.free_corner(viewport)
+            drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
+
+    def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
+        """The line over the picture about this frame, and whether it is a warning."""
+        row = self.row()
+        if self.message:
+            return capitalised(self.message), True
+        if not self.view.shows(viewport):
+            return "Numpad 0: look through the capture camera again", True
+        if row is None:
+            return "This frame was not captured: go to another one", True
+        if self._warming:
+            return "Starting the solver ...", False
+        track, placed = self.refiner.track, len(self.pins())
+        if track.added:
+            enough = ": three to six are enough, fingertips first" if placed < _SENSIBLE_POINTS else ""
+            return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
+        if self.refiner.is_corrected(row):
+            return f"{placed} pinned in this frame", False
+        if not track.detected[row]:
+            return "No hand was found in this frame: drag points to where they belong", True
+        if track.doubtful is not None and track.doubtful[row]:
+            return "Doubtful frame", True
+        return "", False
+
+
+def refresh(scene: bpy.types.Scene) -> None:
+    """Show what the keys of the present frame say now."""
+    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)

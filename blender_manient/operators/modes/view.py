@@ -1,0 +1,246 @@
+"""3D viewports in which a mode runs: what they show, how it is enlarged, and what is drawn over it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import bpy
+import numpy as np
+
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.picture_map import picture_to_region
+
+from ...common.screen import camera_region, enlarged, frame_whole_picture, free_box, redraw, ui_scale
+
+MAX_ZOOM: Final = 64.0
+"""pixels of the region for one of the picture"""
+_OF_REGION = (
+    *("view_perspective", "view_camera_zoom", "view_camera_offset"),
+    *("view_distance", "view_location", "view_rotation"),
+)
+_OF_SPACE = ("camera", "use_local_camera", "lock_camera")
+_STEP: Final = 1.25
+"""by which one notch of the wheel enlarges"""
+_SWIPE: Final = 20.0
+"""pixels that fingers move on a trackpad for the same"""
+_ZOOMS: Final = {"WHEELUPMOUSE": 1, "NUMPAD_PLUS": 1, "WHEELDOWNMOUSE": -1, "NUMPAD_MINUS": -1}
+"""By how many notches events enlarge"""
+
+
+@dataclass(frozen=True)
+class Viewport:
+    """A 3D viewport's parts. Held for one event only: Blender may free them between two."""
+
+    area: bpy.types.Area
+    region: bpy.types.Region
+    space: bpy.types.SpaceView3D
+
+    @property
+    def view(self) -> bpy.types.RegionView3D:
+        """What the region shows."""
+        return self.space.region_3d
+
+    def contains(self, x: int, y: int) -> bool:
+        """Whether a place in window pixels lies in the view, and not in what overlaps it."""
+
+        def inside(region: bpy.types.Region) -> bool:
+            shown = min(region.width, region.height) > 1
+            return shown and 0 <= x - region.x < region.width and 0 <= y - region.y < region.height
+
+        return inside(self.region) and not any(inside(r) for r in self.area.regions if r.type != "WINDOW")
+
+    def mouse(self, event: bpy.types.Event) -> np.ndarray:
+        """(2,) pixels of the region: where the mouse is."""
+        return np.array([event.mouse_x - self.region.x, event.mouse_y - self.region.y], dtype=float)
+
+    def show_picture(self, camera: bpy.types.Object, scene: bpy.types.Scene) -> None:
+        """Frame the camera's whole picture. The matrices follow at once."""
+        frame_whole_picture(self.area, camera, scene)
+        self.view.update()
+
+    def enlarge(self, factor: float, source: np.ndarray, target: np.ndarray | None = None) -> None:
+        """Enlarge the camera view so that what was at `source` lies at `target`, (2,) pixels of the region
+        each; None: where it was."""
+        seen, size = self.view, (self.region.width, self.region.height)
+        target = source if target is None else target
+        self.set_zoom(*enlarged(seen.view_camera_zoom, seen.view_camera_offset, size, factor, source, target))
+
+    def set_zoom(self, zoom: float, offset: Sequence[float]) -> None:
+        """Set the camera view's zoom and offset. The matrices follow at once."""
+        self.view.view_camera_zoom, self.view.view_camera_offset = zoom, offset
+        self.view.update()
+        self.region.tag_redraw()
+
+    def free(self) -> np.ndarray:
+        """(2, 2) lower left and upper right of what lies free of the sidebar and the headers, pixels of the
+        region."""
+        return np.reshape(free_box(self.area, self.region), (2, 2))
+
+
+def zoom_of(event: bpy.types.Event) -> float | None:
+    """By how much the wheel, a key or a trackpad enlarges the picture; None for another event."""
+    if event.ctrl or event.shift or event.alt or event.oskey:
+        return None
+    if event.type == "TRACKPADZOOM":
+        return _STEP ** ((event.mouse_x - event.mouse_prev_x) / _SWIPE)
+    notches = _ZOOMS.get(event.type) if event.value == "PRESS" else None
+    return None if notches is None else _STEP**notches
+
+
+def first_viewport(context: bpy.types.Context) -> Viewport | None:
+    """The viewport that the mouse is in, else the largest of the window."""
+    areas = _areas(context)
+    if context.area in areas:
+        return _parts(context.area)
+    return _parts(max(areas, key=lambda a: a.width * a.height)) if areas else None
+
+
+def viewport_at(context: bpy.types.Context, address: int) -> Viewport | None:
+    """The viewport whose area lies at that address; None where it is gone or shows something else."""
+    return next((_parts(area) for area in _areas(context) if area.as_pointer() == address), None)
+
+
+def _areas(context: bpy.types.Context) -> list[bpy.types.Area]:
+    window = context.window
+    return [] if window is None else [area for area in window.screen.areas if area.type == "VIEW_3D"]
+
+
+def _parts(area: bpy.types.Area) -> Viewport | None:
+    region, space = camera_region(area), area.spaces.active
+    if region is None or not isinstance(space, bpy.types.SpaceView3D):
+        return None
+    return Viewport(area, region, space)
+
+
+def free_corner(viewport: Viewport) -> tuple[float, float]:
+    """Where a line can begin, pixels of the region: right of the toolbar, below Blender's own lines."""
+    (left, _), (_, top) = viewport.free()
+    return left + 12.0 * ui_scale(), top - 64.0 * ui_scale()
+
+
+class Overlay:
+    """What is drawn over one viewport until `remove`."""
+
+    def __init__(self, viewport: Viewport) -> None:
+        self.address = viewport.area.as_pointer()
+        self._handler = bpy.types.SpaceView3D.draw_handler_add(self._on_draw, (), "WINDOW", "POST_PIXEL")
+        viewport.area.tag_redraw()
+
+    def remove(self) -> bool:
+        """Draw no more; whether it did until now."""
+        handler, self._handler = self._handler, None
+        if handler is None:
+            return False
+        bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")
+        redraw("VIEW_3D")
+        return True
+
+    def viewport(self) -> Viewport | None:
+        """The viewport; None where it is gone."""
+        return viewport_at(bpy.context, self.address)
+
+    def draw(self, viewport: Viewport) -> None:
+        """Draw in the viewport's region, in pixels."""
+        raise NotImplementedError
+
+    def _on_draw(self) -> None:
+        context = bpy.context
+        if context.area is not None and context.area.as_pointer() == self.address:
+            viewport = self.viewport()
+            if viewport is not None and context.region == viewport.region:
+                self.draw(viewport)
+
+
+class CaptureView:
+    """Turns a viewport to the capture camera, and back to how it was."""
+
+    def __init__(self, viewport: Viewport, camera: bpy.types.Object, context: bpy.types.Context) -> None:
+        self.address = viewport.area.as_pointer()
+        self.camera = camera.name
+        view, space = viewport.view, viewport.space
+        # Vectors of Blender are views of what will change, and objects are named, never held.
+        kept = {name: getattr(view, name) for name in _OF_REGION}
+        self._region = {name: v if isinstance(v, float | str) else tuple(v) for name, v in kept.items()}
+        self._space = {name: getattr(space, name) for name in _OF_SPACE}
+        self._space["camera"] = space.camera.name if space.camera is not None else None
+        shows = self.shows(viewport)
+        # With the lock, turning the view would move the camera away from its picture.
+        space.lock_camera = False
+        if not shows:
+            self.face(viewport)
+            viewport.show_picture(camera, context.scene)
+
+    def face(self, viewport: Viewport) -> None:
+        """Have the viewport look through the capture camera."""
+        scene, space, camera = bpy.context.scene, viewport.space, bpy.data.objects[self.camera]
+        if scene is not None and scene.camera != camera:
+            space.use_local_camera = True
+        if space.use_local_camera:
+            space.camera = camera
+        viewport.view.view_perspective = "CAMERA"
+
+    def shows(self, viewport: Viewport) -> bool:
+        """Whether the viewport looks through the capture camera now."""
+        scene, space = bpy.context.scene, viewport.space
+        camera = space.camera if space.use_local_camera or scene is None else scene.camera
+        through = viewport.view.view_perspective == "CAMERA"
+        return through and camera is not None and camera.name == self.camera
+
+    def leave(self, context: bpy.types.Context) -> None:
+        """Put the view back; nothing where the viewport is gone."""
+        viewport = viewport_at(context, self.address)
+        if viewport is None:
+            return
+        of_space = {**self._space, "camera": bpy.data.objects.get(self._space["camera"] or "")}
+        for where, values in ((viewport.space, of_space), (viewport.view, self._region)):
+            for name, value in values.items():
+                setattr(where, name, value)
+
+
+def picture_matrix(viewport: Viewport, camera: bpy.types.Object, intrinsics: Intrinsics) -> np.ndarray:
+    """The (3, 3) map from pixels of the picture to pixels of the viewport's region."""
+    size = viewport.region.width, viewport.region.height
+    perspective = np.array(viewport.view.perspective_matrix)
+    return picture_to_region(intrinsics, np.array(camera.matrix_world), perspective, size)
+
+
+class PictureView:
+    """Pan and zoom of a picture that no camera shows, in pixels of a region of which a box is `free`: left,
+    bottom, right, top."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = np.array(size, dtype=np.float64)
+        """(2,) pixels of the picture"""
+        self.show_all()
+
+    def show_all(self) -> None:
+        """Show the whole picture."""
+        self._zoom, self._centre = 1.0, self.size / 2.0
+
+    def scale(self, free: Sequence[float]) -> float:
+        """Pixels of the region for one of the picture."""
+        room = np.maximum([free[2] - free[0], free[3] - free[1]], 1.0)
+        return float((room / self.size).min()) * self._zoom
+
+    def matrix(self, free: Sequence[float]) -> np.ndarray:
+        """(3, 3) from pixels of the picture to those of the region, whose y grows upwards."""
+        scale, middle = self.scale(free), np.array([free[0] + free[2], free[1] + free[3]]) / 2.0
+        x, y = middle - self._centre * [scale, -scale]
+        return np.array([[scale, 0.0, x], [0.0, -scale, y], [0.0, 0.0, 1.0]])
+
+    def zoom(self, factor: float, place: np.ndarray, free: Sequence[float]) -> None:
+        """Enlarge by a factor about a place (2,) in the picture."""
+        before = self._zoom
+        most = MAX_ZOOM * self._zoom / self.scale(free)
+        self._zoom = float(np.clip(before * factor, min(1.0, most), most))
+        self._look_at(place + (self._centre - place) * before / self._zoom)
+
+    def move(self, by: np.ndarray, free: Sequence[float]) -> None:
+        """Push the picture by (2,) pixels of the region."""
+        self._look_at(self._centre - by * [1.0, -1.0] / self.scale(free))
+
+    def _look_at(self, centre: np.ndarray) -> None:
+        """Have the middle of the view there, as far as it is in the picture."""
+        self._centre = np.clip(centre, 0.0, self.size)

@@ -1,0 +1,556 @@
+"""What the add-on keeps in a .blend: the panel's settings, captured hands and their takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+from bpy.props import (
+    BoolProperty,
+    BoolVectorProperty,
+    EnumProperty,
+    FloatProperty,
+    FloatVectorProperty,
+    IntProperty,
+    IntVectorProperty,
+    PointerProperty,
+    StringProperty,
+)
+
+from handfit_core.options import OPTIONS
+from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
+from handfit_core.solvers import SOLVERS
+
+from ..common.preferences import PRESETS, notifier
+from ..exporters import EXPORTERS
+from ..exporters import PRESETS as PROGRAMS
+from ..scene.matching import CHOICES
+from ..scene.poses import pose_items
+from ..scene.simplify import PARTS
+from ..scene.spans import SCOPES
+from .hand_table import ManientHandTable
+
+# Plug-ins may import anything, which Blender's process is to be spared.
+EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
+
+
+SIDE_ITEMS = (("left", "Left", "The person's left hand"), ("right", "Right", "The person's right hand"))
+
+MATCHING: Any = {
+    "name": "Scene",
+    "description": "What becomes of the scene's frame rate, frame range, size, camera, lights and colors",
+    "items": CHOICES,
+    "default": "AUTO",
+}
+POSE_CORRECTIVES: Any = {
+    "name": "Pose Correctives",
+    "description": "Shape keys that fill out bent joints, for hand models that have them",
+    "default": True,
+}
+BLEND: Any = {
+    "name": "Blend",
+    "description": "How far from the present pose to the chosen one",
+    "default": 1.0,
+    "min": 0.0,
+    "max": 1.0,
+    "subtype": "FACTOR",
+}
+
+choices_of_option: dict[str, Callable[[], list[str]]] = {}
+"""Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
+
+
+def _found(option: str) -> Callable[[Any, bpy.types.Context, str], list[str]]:
+    """A text field's `search` function: the option's choices that contain what is typed."""
+    return lambda _settings, _context, typed: [
+        name for name in choices_of_option.get(option, list)() if typed.lower() in name.lower()
+    ]
+
+
+EXPORT_FORMATS = tuple(
+    (e.name, e.label, e.description) for e in EXPORTERS.values() if e.writes != "collection"
+)
+
+
+def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[str, Any]:
+    """A property's description, default and range, as the capture's option of that name has them. `units`:
+    the panel's units in one of the option's; `more_help` is added to the description."""
+    option = OPTIONS[name]
+    shown: dict[str, Any] = {"description": option.help[0].upper() + option.help[1:] + more_help}
+    if option.default is not None:
+        shown["default"] = option.default
+    if math.isfinite(option.most):
+        shown |= {"min": option.least * units, "max": option.most * units}
+    return shown
+
+
+class ManientSettings(bpy.types.PropertyGroup):
+    """Scene.manient: what the panel shows and the next capture uses."""
+
+    # Source
+    source: StringProperty(  # type: ignore
+        name="Source",
+        description="Photo, video, or one picture or the folder of an image sequence",
+        subtype="FILE_PATH",
+        update=notifier("source"),
+    )
+    as_sequence: BoolProperty(  # type: ignore
+        name="Image Sequence",
+        description="The numbered pictures beside this one are the frames of one clip",
+        default=False,
+        update=notifier("as_sequence"),
+    )
+    keypoints: StringProperty(  # type: ignore
+        name="Keypoints",
+        description="Hands or keypoints that another program has found in this source, such as OpenPose; "
+        "empty: hands are looked for",
+        subtype="FILE_PATH",
+    )
+    picture_size: IntVectorProperty(  # type: ignore
+        name="Picture Size",
+        description="Pixels of the pictures in which another program has found the hands; 0: not told",
+        size=2,
+        min=0,
+        max=(1 << 24) - 1,
+    )
+    use_frames: BoolProperty(  # type: ignore
+        name="Frame Range", description="Capture only some of the source's frames", default=False
+    )
+    first_frame: IntProperty(name="First", description="First source frame", default=1, min=0)  # type: ignore
+    last_frame: IntProperty(name="Last", description="Last source frame", default=100, min=0)  # type: ignore
+    frame_step: IntProperty(  # type: ignore
+        name="Step", description="Use every n-th frame", default=1, min=1, soft_max=10
+    )
+
+    # Hand
+    model: EnumProperty(  # type: ignore
+        name="Model",
+        description="Hand model that is fitted and built",
+        items=(
+            ("OPEN", "Open Hand", "The hand that ships with the add-on"),
+            ("MANO", "MANO Files", "Your own MANO model files"),
+        ),
+        default="OPEN",
+    )
+    model_path: StringProperty(  # type: ignore
+        name="MANO",
+        description="MANO file, or the folder with both (empty: the one in the preferences)",
+        subtype="FILE_PATH",
+    )
+    hands: EnumProperty(  # type: ignore
+        name="Hands",
+        items=(
+            ("auto", "Auto", "All hands that are found in a photo, up to two in a clip"),
+            ("left", "Left", "The person's left hand only"),
+            ("right", "Right", "The person's right hand only"),
+            ("both", "Both", "One left and one right hand"),
+        ),
+        **option_property("hands"),
+    )
+    added_side: EnumProperty(  # type: ignore
+        name="Side", description="Which hand Add Hand adds", items=SIDE_ITEMS, default="right"
+    )
+    use_hand_length: BoolProperty(  # type: ignore
+        name="Expected Size", description="Tell how large the hand is, for its distance and shape"
+    )
+    hand_length: FloatProperty(  # type: ignore
+        name="Length", default=18.5, precision=1, **option_property("hand_length", 100.0, ", in centimeters")
+    )
+
+    # Capture
+    preset: EnumProperty(  # type: ignore
+        name="Quality",
+        description="How closely hands are looked at, and how long that takes",
+        items=PRESETS,
+        default="STANDARD",
+    )
+    experiment: EnumProperty(name="Experiment", items=EXPERIMENTS, default="paper-a-plus")  # type: ignore
+    # Texts, which stay what they are in a file that is opened where there is no such plug-in.
+    solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))  # type: ignore
+    detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))  # type: ignore
+    smoothing: FloatProperty(  # type: ignore
+        name="Smoothing", soft_max=4.0, **option_property("smoothing")
+    )
+    threshold: FloatProperty(  # type: ignore
+        name="Detection Threshold",
+        subtype="FACTOR",
+        soft_min=0.05,
+        soft_max=0.95,
+        **option_property("threshold"),
+    )
+    camera: EnumProperty(  # type: ignore
+        name="Camera",
+        description="Where the lens comes from",
+        items=(
+            ("SOLVE", "Solve", "From the photo's own data, or a common lens"),
+            ("ACTIVE", "Scene Camera", "The lens of the scene's active camera"),
+            ("FOCAL", "Focal Length", "A focal length that you know"),
+        ),
+        default="SOLVE",
+    )
+    focal_length: FloatProperty(  # type: ignore
+        name="Focal Length",
+        description="Millimeters on a 36 mm wide sensor (35 mm equivalent)",
+        default=35.0,
+        min=5.0,
+        max=500.0,
+        precision=1,
+    )
+    matching: EnumProperty(**MATCHING)  # type: ignore
+    matched_time: StringProperty(  # type: ignore
+        description="The rate and range that the scene was given by footage (scene/matching.py)"
+    )
+    matched_size: StringProperty(  # type: ignore
+        description="The picture size that the scene was given by footage"
+    )
+    render_setup: BoolProperty(  # type: ignore
+        name="Ready to Render",
+        description="Where the scene is matched, add lights if it has none and show the picture behind the "
+        "hands in renders, its colors as they are (the view transform Standard for Blender's AgX). Your own "
+        "lights and world stay as they are",
+        default=True,
+    )
+    rendered_camera: PointerProperty(  # type: ignore
+        type=bpy.types.Object,
+        description="The capture's camera whose picture and lights renders show (scene/render_setup.py)",
+        options={"HIDDEN"},
+    )
+    pose_correctives: BoolProperty(**POSE_CORRECTIVES)  # type: ignore
+    add_controls: BoolProperty(  # type: ignore
+        name="Controls",
+        description="Give new hands controls to animate them with by hand (Shape and Pose > Add Controls)",
+        default=False,
+    )
+    target: EnumProperty(  # type: ignore
+        name="Output",
+        description="What becomes of the captured hands",
+        items=(
+            ("NEW", "New Hands", "Build new hands with their own camera"),
+            ("ANIMATION", "Animate Active Hand", "Key the captured motion on the active hand"),
+            ("POSE", "Pose Active Hand", "Key the captured pose on the active hand at the current frame"),
+        ),
+        default="NEW",
+    )
+
+    captured: StringProperty(  # type: ignore
+        description="Keys of the listed captures that are in this scene: undo and redo take them along",
+        options={"HIDDEN"},
+    )
+
+    capture: PointerProperty(  # type: ignore
+        type=bpy.types.Collection,
+        description="The capture that was chosen last (scene/captures.py)",
+        options={"HIDDEN"},
+    )
+
+    # Poses
+    pose: EnumProperty(  # type: ignore
+        name="Pose", description="A ready pose, or a pose asset of this file", items=pose_items
+    )
+    pose_blend: FloatProperty(**BLEND)  # type: ignore
+    pose_scope: EnumProperty(**SCOPES, update=notifier("pose_scope"))  # type: ignore
+    pose_first: IntProperty(name="First", description="First scene frame of the range", default=1)  # type: ignore
+    pose_last: IntProperty(name="Last", description="Last scene frame of the range", default=250)  # type: ignore
+
+    # Refine
+    spread: IntProperty(  # type: ignore
+        name="Spread",
+        description="A correction fades out over so many frames before and after; so does a pose that is put "
+        "on a range",
+        default=6,
+        min=0,
+        soft_max=50,
+        max=1000,
+    )
+
+    # Character
+    hand_table: PointerProperty(type=ManientHandTable)  # type: ignore
+
+    # Keys
+    keys_degrees: FloatProperty(  # type: ignore
+        name="Degrees",
+        description="No bone turns farther than this from where all keys have it, in any frame",
+        default=2.0,
+        min=0.05,
+        soft_max=10.0,
+        max=90.0,
+        precision=1,
+        step=10,
+    )
+    keys_pixels: FloatProperty(  # type: ignore
+        name="Pixels",
+        description="No joint or fingertip of a captured hand moves farther than this in the picture",
+        default=2.0,
+        min=0.05,
+        soft_max=20.0,
+        max=1000.0,
+        precision=1,
+        step=10,
+    )
+    keys_together: EnumProperty(  # type: ignore
+        name="Together",
+        description="Which bones have their keys on the same frames",
+        items=(
+            ("ALL", "Whole Hand", "All bones have keys on the same frames: whole poses, and the most keys"),
+            ("FINGER", "Each Finger", "The bones of a finger have keys on the same frames"),
+            ("BONE", "Each Bone", "Every bone has keys of its own: the fewest"),
+        ),
+        default="FINGER",
+    )
+    keys_parts: EnumProperty(  # type: ignore
+        name="Simplify",
+        description="What gets fewer keys; the rest keeps them",
+        items=tuple(
+            (part.upper(), part.capitalize(), f"Simplify the {part}", 1 << i) for i, part in enumerate(PARTS)
+        ),
+        default={part.upper() for part in PARTS},
+        options={"ENUM_FLAG"},
+    )
+
+    # Export
+    export_format: EnumProperty(  # type: ignore
+        name="Format", items=EXPORT_FORMATS, default="fbx"
+    )
+    export_preset: EnumProperty(  # type: ignore
+        name="For", items=PROGRAMS, default="PLAIN"
+    )
+    export_meshes: BoolProperty(  # type: ignore
+        name="Meshes", description="Write also what the character deforms or carries", default=True
+    )
+
+
+_OVERRIDABLE: Any = {"LIBRARY_OVERRIDABLE"}
+
+
+class ManientCharacterHand(bpy.types.PropertyGroup):
+    """One hand of Object.manient.character."""
+
+    use: BoolProperty(  # type: ignore
+        name="Use",
+        description="Whether this hand gets motion",
+        default=True,
+        update=notifier("character"),
+        override=_OVERRIDABLE,
+    )
+    source: PointerProperty(  # type: ignore
+        name="Source",
+        description="The captured hand whose motion it gets, one of the other side mirrored; empty: the "
+        "scene's only one of its side",
+        type=bpy.types.Object,
+        poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
+        update=notifier("character"),
+        override=_OVERRIDABLE,
+    )
+    offset: PointerProperty(  # type: ignore
+        name="Offset",
+        description="The empty by whose location this hand's whole motion is moved",
+        type=bpy.types.Object,
+        poll=lambda _group, obj: obj.type == "EMPTY",
+        update=notifier("hand_motion"),
+        override=_OVERRIDABLE,
+    )
+    hand_map: StringProperty(  # type: ignore
+        description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
+        "that are recognised",
+        update=notifier("character"),
+        override=_OVERRIDABLE,
+    )
+
+
+class ManientCharacter(bpy.types.PropertyGroup):
+    """Object.manient.character of an armature that gets motion from captured hands."""
+
+    left: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)  # type: ignore
+    right: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)  # type: ignore
+    into: EnumProperty(  # type: ignore
+        name="Into",
+        items=(
+            ("NEW", "New Action", "A new action; the present one goes on in the NLA below it"),
+            ("STRIP", "NLA Strip", "A new strip above all others; the present action stays as it is"),
+            (
+                "ACTION",
+                "Present Action",
+                "The present action: keys of the same bones and frames are replaced",
+            ),
+        ),
+        default="NEW",
+        override=_OVERRIDABLE,
+    )
+    wrist: EnumProperty(  # type: ignore
+        name="Hand",
+        description="What of the hand's own motion is applied, beside its fingers",
+        items=(
+            ("FINGERS", "Fingers Only", "The hand stays as it is"),
+            ("TURNED", "Turned", "The hand turns as the captured one does from the marked frame on"),
+            ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
+        ),
+        default="FINGERS",
+        update=notifier("character"),
+        override=_OVERRIDABLE,
+    )
+    reference: IntProperty(  # type: ignore
+        name="Marked Frame",
+        description="The scene frame in which the character's hand is as it is to be in the captured pose",
+        default=1,
+        update=notifier("hand_motion"),
+        override=_OVERRIDABLE,
+    )
+    travel: FloatProperty(  # type: ignore
+        name="Travel",
+        description="How far the hand goes from where it is in the marked frame: 1 as far as the captured "
+        "one, 0 not at all",
+        default=1.0,
+        min=0.0,
+        max=2.0,
+        override=_OVERRIDABLE,
+        update=notifier("hand_motion"),
+    )
+    smoothing: IntProperty(  # type: ignore
+        name="Smoothing",
+        description="Smooth how the hand itself turns and moves over so many frames before and after; "
+        "fingers stay as they are",
+        default=0,
+        min=0,
+        soft_max=20,
+        max=1000,
+        override=_OVERRIDABLE,
+        update=notifier("hand_motion"),
+    )
+    contacts: BoolProperty(  # type: ignore
+        name="Keep Contacts",
+        description="Where captured fingertips touch, the character's touch too: both fingers give way",
+        default=True,
+        update=notifier("character"),
+        override=_OVERRIDABLE,
+    )
+    live: BoolProperty(  # type: ignore
+        name="Live Link",
+        description="Show every change of the captured hands on this character at once, and key it",
+        default=False,
+        update=notifier("character"),
+        override=_OVERRIDABLE,
+    )
+    action: PointerProperty(  # type: ignore
+        type=bpy.types.Action,
+        description="The action that the live link keys (live_link.py)",
+        override=_OVERRIDABLE,
+    )
+    linked: StringProperty(  # type: ignore
+        description="Changes with what the live link has keyed", override=_OVERRIDABLE
+    )
+
+
+class ManientHand(bpy.types.PropertyGroup):
+    """Object.manient of a captured hand's armature."""
+
+    character: PointerProperty(type=ManientCharacter, override=_OVERRIDABLE)  # type: ignore
+    is_hand: BoolProperty(default=False)  # type: ignore
+    side: StringProperty()  # type: ignore
+    capture: PointerProperty(  # type: ignore
+        type=bpy.types.Collection, description="The collection that keeps the take"
+    )
+    mesh: PointerProperty(  # type: ignore
+        type=bpy.types.Object, description="The hand's own mesh, among all that hangs on the armature"
+    )
+    track: IntProperty(default=0)  # type: ignore
+    betas: FloatVectorProperty(  # type: ignore
+        name="Shape",
+        description="Proportions of the hand, in standard deviations",
+        size=NUM_BETAS,
+        soft_min=-3.0,
+        soft_max=3.0,
+        min=-10.0,
+        max=10.0,
+        update=notifier("shape"),
+    )
+    forearm: BoolProperty(  # type: ignore
+        name="Forearm",
+        description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
+        "Exports have what is shown",
+        default=False,
+        update=notifier("shape"),
+    )
+    wrist: StringProperty(  # type: ignore
+        default="open", description="How the mesh ends now: open, cap or forearm"
+    )
+    corrections: StringProperty(  # type: ignore
+        description="Corrected frames, as JSON (scene/corrections.py)"
+    )
+    fitted: StringProperty(  # type: ignore
+        description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"
+    )
+    smoothing: FloatProperty(  # type: ignore
+        **option_property(
+            "smoothing"
+        )  # of the keys; not set in files of older versions (refiner.smoothing_of)
+    )
+    locked: BoolVectorProperty(  # type: ignore
+        name="Locked Joints",
+        description="Joints that refining leaves as they are, in the order of the bones",
+        size=NUM_JOINTS,
+    )
+    origin: FloatVectorProperty(  # type: ignore
+        size=3, description="Where the object's origin lies in the space of the capture (scene/origin.py)"
+    )
+    use_controls: BoolProperty(  # type: ignore
+        name="Controls",
+        description="Have the controls move the hand; without them it does what its keys say",
+        default=True,
+        update=notifier("controls"),
+    )
+    limits: BoolProperty(  # type: ignore
+        name="Joint Limits",
+        description="Stop fingers where joints do, but no sooner than the captured motion goes",
+        default=True,
+        update=notifier("controls"),
+    )
+    show_confidence: BoolProperty(  # type: ignore
+        name="Confidence Colors",
+        description="Color bones by how well they meet the picture in this frame",
+        default=False,
+        update=notifier("confidence"),
+    )
+    show_error: BoolProperty(  # type: ignore
+        name="Error over Time",
+        description="Draw how far the hand is from the picture, frame by frame, along the bottom of the "
+        "Timeline, the Dope Sheet and the Graph Editor",
+        default=False,
+        update=notifier("error"),
+    )
+    own_colors: StringProperty(  # type: ignore
+        description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"
+    )
+
+
+class ManientCapture(bpy.types.PropertyGroup):
+    """Collection.manient of a built take."""
+
+    is_capture: BoolProperty(default=False)  # type: ignore
+    take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
+    digest: StringProperty()  # type: ignore
+    camera: PointerProperty(type=bpy.types.Object)  # type: ignore
+    rendered: BoolProperty(  # type: ignore
+        default=True, description="Whether renders showed it before it was hidden (scene/captures.py)"
+    )
+    frame_offset: FloatProperty(default=0.0)  # type: ignore
+    frame_scale: FloatProperty(  # type: ignore
+        default=1.0, description="Scene frame = frame_offset + frame_scale * the take's frame number"
+    )
+    source_take: StringProperty(  # type: ignore
+        description="The take as it was captured, where the kept one is retimed, as base64 text"
+    )
+    source_digest: StringProperty()  # type: ignore
+    scene_rate: FloatProperty(  # type: ignore
+        default=0.0,
+        description="Frames per second of the scene that the clip was built for; 0: it has no rate, or an "
+        "older version built it",
+    )
+
+
+PROPERTIES = {
+    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=_OVERRIDABLE),
+    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=_OVERRIDABLE),
+    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=_OVERRIDABLE),
+}

@@ -1,0 +1,191 @@
+"""The one warm worker of this Blender, and others made for it: what of them depends on Blender's settings."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from handfit_core.solvers import SOLVERS
+from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.events import Event, WorkerError, as_error
+from handfit_core.worker.interpreter import find_python, is_current_interpreter
+from handfit_core.worker.process import wait_for_killed
+
+from ..common import installation, preferences
+from ..common.wording import capitalised
+from . import properties
+from .cache import remove_temporary_takes
+
+_EXIT_WAIT_SECONDS = 3.0
+"""seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
+
+_POLL_SECONDS = 0.2
+"""seconds between two looks for answers that nobody waits for"""
+
+ADVICE = Advice(
+    where="in the add-on's preferences",
+    crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
+)
+"""advice of errors that are shown in Blender's window"""
+
+
+class BlendersWorker(Worker):
+    """A worker that refuses captures for which this installation is known to be unfit."""
+
+    def submit(self, kind: str, /, **fields: Any) -> int:
+        """Ask for something. Raises WorkerError also where a part that captures need is missing."""
+        if kind == "capture" and (found := _fault_of(self.python)):
+            raise WorkerError(found.sentence)
+        return super().submit(kind, **fields)
+
+
+@dataclass(frozen=True)
+class _Settings:
+    python: str | None
+    threads: int | None
+    debug: bool
+
+
+_worker: Worker | None = None
+_worker_settings: _Settings | None = None
+_abandoned: set[int] = set()
+"""Requests whose answers nobody waits for any more"""
+
+
+def worker() -> Worker:
+    """The shared worker; its process starts with the first request, or with `start()`.
+
+    Another one after the preferences have changed, as soon as the old one has nothing left to do.
+    """
+    global _worker, _worker_settings
+    settings = _settings()
+    if _worker is None or (settings != _worker_settings and not _worker.busy):
+        if _worker is not None:
+            _worker.stop()
+        _worker, _worker_settings = new_worker(), settings
+    return _worker
+
+
+def current() -> Worker | None:
+    """The shared worker; None where it was not made yet."""
+    return _worker
+
+
+def detectors() -> list[str]:
+    """The names of the detectors that the Python has which captures; none before it was started."""
+    return _offered_names("detectors")
+
+
+def solvers() -> list[str]:
+    """The names of the capturing Python's solvers without the paper's experiments; none where no plug-in adds
+    any."""
+    names, ours = _offered_names("solvers"), SOLVERS.built_in()
+    return [n for n in names if n not in ours or not ours[n].slow] if {*names} - {*ours} else []
+
+
+def _offered_names(kind: str) -> list[str]:
+    ready = _worker.ready if _worker is not None else None
+    return ready.get(kind, []) if ready is not None else []
+
+
+def new_worker(python: str | None = None) -> Worker:
+    """A worker beside the shared one, with the preferences' settings, or with another `python`."""
+    settings = _settings()
+    return configured_worker(python or settings.python, settings.threads, settings.debug)
+
+
+def configured_worker(
+    python: str | None, threads: int | None = None, debug: bool = False, advice: Advice = ADVICE
+) -> Worker:
+    """A worker with the given settings instead of the preferences'."""
+    if installation.is_installed():
+        broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
+        advice = Advice(advice.where, advice.crash, broken)
+    return BlendersWorker(python, threads, debug, advice=advice, bytecode=bytecode_folder())
+
+
+def capture_sentence(python: str | None = None) -> str:
+    """Why `python`, or the Python that the preferences choose, cannot capture, as far as is known; empty
+    where nothing is. For labels: with a capital, and it costs nothing."""
+    found = _fault_of(python or find_python(_settings().python))
+    return capitalised(found.sentence) if found is not None else ""
+
+
+def stop() -> None:
+    """End the shared worker and remove what it left in the cache folder."""
+    global _worker, _worker_settings
+    if _worker is not None:
+        _worker.stop()
+    _worker = _worker_settings = None
+    remove_temporary_takes()
+
+
+def answer(request: int, from_worker: Worker | None = None) -> Event | None:
+    """The `done` event of a request to the shared worker, or to `from_worker`; None while there is none.
+    Raises HandfitError where the request failed."""
+    for event in (from_worker or worker()).events(request):
+        if event["event"] == "error":
+            raise as_error(event)
+        if event["event"] == "done":
+            return event
+    return None
+
+
+def abandon(request: int) -> None:
+    """Throw the answer to a request away when it comes, so that the worker is not kept busy."""
+    _abandoned.add(request)
+    if not bpy.app.timers.is_registered(_collect):
+        bpy.app.timers.register(_collect, first_interval=_POLL_SECONDS, persistent=True)
+
+
+def _collect() -> float | None:
+    if _worker is None:
+        return _abandoned.clear()
+    for event in _worker.events(*_abandoned) if _abandoned else ():
+        if event["event"] in ("done", "error"):
+            _abandoned.discard(event["id"])
+    # Another worker's numbers mean nothing to this one.
+    return _POLL_SECONDS if _abandoned and _worker.busy else _abandoned.clear()
+
+
+def _fault_of(python: str) -> installation.Fault | None:
+    return installation.fault() if is_current_interpreter(python) else None
+
+
+def _settings() -> _Settings:
+    chosen = preferences.get()
+    debug = bpy.app.debug or bpy.app.debug_python
+    return _Settings(preferences.full_path(chosen.python) or None, chosen.threads or None, debug)
+
+
+def bytecode_folder() -> Path | None:
+    """Where Blender's own Python keeps what it compiles for the worker; compiling anew costs each start.
+
+    Blender unpacks wheels without compiling them, and what lay beside them would be left behind when it
+    removes them; so a folder that goes with the extension. In it whole paths are repeated, which Windows
+    finds too long.
+    """
+    if sys.platform == "win32" or not (
+        installation.is_installed() and preferences.ADDON.startswith("bl_ext.")
+    ):
+        return None
+    return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))
+
+
+def register() -> None:
+    """Say on the console why nothing can be captured; the worker starts with the first request."""
+    properties.choices_of_option |= {"detector": detectors, "solver": solvers}
+    if sentence := capture_sentence():
+        installation.print_sentence(sentence)
+
+
+def unregister() -> None:
+    """End the worker now, and wait until it is gone: Blender may be about to remove the files it runs."""
+    if bpy.app.timers.is_registered(_collect):
+        bpy.app.timers.unregister(_collect)
+    stop()
+    wait_for_killed(_EXIT_WAIT_SECONDS)

@@ -1,0 +1,312 @@
+"""The files behind a path that the panel names, and what it shows of them: kind, size, frames, a thumbnail.
+
+Looked up when the path changes, not when the panel is drawn. Size and frames come from the worker, which is
+started by that and is warm when the artist presses the button.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import bpy.utils.previews
+import numpy as np
+
+from handfit_core.errors import HandfitError, InputError
+from handfit_core.files import shown, why
+from handfit_core.interchange.opening import is_recording
+from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
+from handfit_core.media.size_limit import check_for_blender
+from handfit_core.retiming import shown_numbers
+from handfit_core.take import is_take
+
+from ..common import preferences, screen
+from ..common.wording import capitalised, without_name
+from ..scene.matching import Footage
+from ..scene.store import captures_of, clip_timing
+from . import jobs, shared_worker
+
+_POLL_SECONDS = 0.1
+"""seconds"""
+
+
+@dataclass(frozen=True)
+class SourceFiles:
+    """What a capture reads."""
+
+    kind: str
+    """photo, sequence, video, or data: another program's hands"""
+    files: tuple[str, ...]
+    """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
+    order"""
+
+    @property
+    def numbers(self) -> list[int] | None:
+        """The frame numbers of a numbered sequence; None for anything else."""
+        return sequence_numbers([Path(f) for f in self.files]) if self.kind == "sequence" else None
+
+
+def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
+    """The files behind a path of the panel. Blender's `//` and `~` are understood.
+
+    Raises InputError with a sentence for the panel.
+    """
+    try:
+        return _resolved(path_text, as_sequence)
+    except (OSError, RuntimeError, ValueError) as error:  # names that no file can have, ~nobody
+        why_not = why(error) if isinstance(error, (OSError, ValueError)) else str(error)
+        raise InputError(f"{shown(path_text)} cannot be opened ({why_not}): choose another file") from error
+
+
+def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
+    if not path_text:
+        raise InputError("Choose a photo, an image sequence or a video")
+    # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.
+    path = Path(bpy.path.abspath(path_text)).expanduser().absolute()
+    if is_recording(path) and not is_take(path):
+        return SourceFiles("data", (str(path),))
+    if path.is_dir():
+        pictures = pictures_in(path)
+        if not pictures:
+            raise InputError(f"No pictures in the folder {path.name}: choose a file or another folder")
+        kind = "sequence" if len(pictures) > 1 else "photo"
+        return SourceFiles(kind, tuple(map(str, pictures)))
+    if not path.is_file():
+        raise InputError(f"{path.name} is not there any more: choose the file again")
+    suffix = path.suffix.lower()
+    if suffix in VIDEO_SUFFIXES:
+        return SourceFiles("video", (str(path),))
+    if suffix in PHOTO_SUFFIXES:
+        numbered = numbered_siblings(path) if as_sequence else []
+        if len(numbered) > 1:
+            return SourceFiles("sequence", tuple(map(str, numbered)))
+        return SourceFiles("photo", (str(path),))
+    if is_take(path):
+        raise InputError(f"{path.name} is a take: open it with File > Import > Hand Take")
+    raise InputError(f"{path.name} is neither a picture nor a video: choose another file")
+
+
+def numbered_siblings(path: Path) -> list[Path]:
+    """The pictures beside `path` whose names differ from its own in the last number only, in order;
+    without the numbers of a camera's counter (see `sequence_numbers`)."""
+    stem = path.stem.rstrip("0123456789")
+    if stem == path.stem:
+        return []
+    beside = [
+        p
+        for p in pictures_in(path.parent)
+        if p.suffix == path.suffix and p.stem.startswith(stem) and p.stem[len(stem) :].isdigit()
+    ]
+    return beside if len(beside) > 1 and sequence_numbers(beside) is not None else []
+
+
+@dataclass
+class SourceInfo:
+    """What is known of one source."""
+
+    path: str
+    as_sequence: bool
+    files: SourceFiles | None = None
+    problem: str = ""
+    siblings: int = 0
+    """Numbered pictures that lie beside a photo, with it"""
+    frames: int = 0
+    """0: not known yet"""
+    width: int = 0
+    height: int = 0
+    fps: float = 0.0
+    first: int = 1
+    last: int = 1
+    unsized: bool = False
+    """Whether these are another program's hands in pictures of a size that their file does not tell"""
+    can_be_shown: bool = False
+    """Whether Blender may decode its first picture for a thumbnail"""
+    request: int = 0
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether its file was there and is not any more."""
+        return self.files is not None and not Path(self.files.files[0]).exists()
+
+
+_known: SourceInfo | None = None
+_previews: Any = None
+
+
+def of(settings) -> SourceInfo:
+    """What is known of the panel's source; cheap enough for drawing."""
+    global _known
+    if _known is None or not _is_known(settings) or _known.is_gone:
+        _known = _inspect(settings.source, settings.as_sequence)
+    return _known
+
+
+def _is_known(settings) -> bool:
+    wanted = (settings.source, settings.as_sequence)
+    return _known is not None and (_known.path, _known.as_sequence) == wanted
+
+
+def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage | None:
+    """What a scene would be matched to by capturing the panel's source, or `only` one frame of it; None while
+    nobody knows."""
+    width, height = settings.picture_size if info.unsized else (info.width, info.height)
+    if info.files is None or not (width and height):
+        return None
+    first, last = info.first, info.last
+    if info.files.kind != "photo" and settings.use_frames:
+        first, last = settings.first_frame, settings.last_frame
+    if only is not None:
+        first = last = max(only, 0)
+    if settings.camera == "ACTIVE":
+        width = height = 0
+    return Footage(info.fps, first, last, width, height, info.files.kind in ("video", "data"))
+
+
+def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
+    """The source's frame at the scene's current frame: that which a capture of it shows there, else the one
+    of that number."""
+    frame = context.scene.frame_current
+    with contextlib.suppress(HandfitError):  # a take that cannot be read
+        for capture in captures_of(context, files.kind, files.files):
+            (frame,) = shown_numbers(clip_timing(capture).source_frames(np.array([frame]))).tolist()
+            break
+    return frame
+
+
+def lacks_size(settings, info: SourceInfo) -> bool:
+    """Whether the artist has yet to say how large the source's pictures are."""
+    return info.unsized and not all(settings.picture_size)
+
+
+def layout_variants(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
+    """The source without the worker's answer and with the longest answer, for a layout with room for both."""
+    times = {"fps": 23.976, "first": 10000, "last": 20000}
+    if info.files is None or info.files.kind == "photo":
+        times = {}
+    return replace(info, width=0), replace(info, width=3840, height=2160, **times)
+
+
+def dropped_footage(settings, path: Path) -> Footage | None:
+    """What a scene would take over from a dropped file; None but for videos, whose headers Blender reads at
+    once."""
+    if path.suffix.lower() not in VIDEO_SUFFIXES:
+        return None
+    try:
+        check_for_blender(path, preferences.get().max_megapixels or None)
+        clip = bpy.data.movieclips.load(str(path.absolute()))
+    except (InputError, RuntimeError):
+        return None
+    try:
+        size = (0, 0) if settings.camera == "ACTIVE" else tuple(clip.size)
+        return Footage(clip.fps, 1, clip.frame_duration, size[0], size[1]) if clip.size[0] else None
+    finally:
+        bpy.data.movieclips.remove(clip)
+
+
+def source_changed(settings) -> None:
+    """Forget the former source, and ask the worker about the new one."""
+    global _known
+    _known = None
+    info = of(settings)
+    if info.files is None or bpy.app.background:
+        return
+    with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
+        info.request = shared_worker.worker().submit(
+            "probe", input=list(info.files.files), max_megapixels=preferences.get().max_megapixels or None
+        )
+        if not bpy.app.timers.is_registered(_await_answer):
+            bpy.app.timers.register(_await_answer, first_interval=_POLL_SECONDS)
+
+
+def source_chosen(settings) -> None:
+    """Another source, to which the former one's keypoints and size do not belong; undo brings all back by
+    itself."""
+    if _known is None or _known.path != settings.source:
+        settings.property_unset("keypoints")
+        settings.property_unset("picture_size")
+    source_changed(settings)
+
+
+def thumbnail(info: SourceInfo) -> int:
+    """An icon of the source, 0 where there is none."""
+    global _previews
+    if info.files is None or not info.can_be_shown or bpy.app.background:
+        return 0
+    if _previews is None:
+        _previews = bpy.utils.previews.new()
+    previews = _previews
+    path = info.files.files[0]
+    if path not in previews:
+        if len(previews) > 50:
+            previews.clear()
+        with contextlib.suppress(KeyError):
+            previews.load(path, path, "MOVIE" if info.files.kind == "video" else "IMAGE")
+    return previews[path].icon_id if path in previews else 0
+
+
+def _inspect(path: str, as_sequence: bool) -> SourceInfo:
+    info = SourceInfo(path, as_sequence)
+    try:
+        info.files = resolve(path, as_sequence=as_sequence)
+    except HandfitError as error:
+        info.problem = str(error)
+        return info
+    first = Path(info.files.files[0])
+    if info.files.kind == "data":
+        return info
+    with contextlib.suppress(InputError):  # the worker will say what is wrong with it
+        check_for_blender(first, preferences.get().max_megapixels or None)
+        info.can_be_shown = True
+    if info.files.kind == "photo" or as_sequence:
+        info.siblings = len(numbered_siblings(first))
+    if info.files.kind == "sequence":
+        numbers = info.files.numbers or list(range(1, len(info.files.files) + 1))
+        info.frames, info.first, info.last = len(numbers), min(numbers), max(numbers)
+    return info
+
+
+def _await_answer() -> float | None:
+    info = _known
+    if info is None or not info.request:
+        return None
+    if jobs.current() is not None:
+        return 1.0  # the worker answers after that
+    try:
+        found = shared_worker.answer(info.request)
+    except HandfitError as error:
+        # The panel has the path above.
+        info.problem = capitalised(without_name(str(error), info.files.files if info.files else ()))
+    else:
+        if found is None:
+            return _POLL_SECONDS if shared_worker.worker().alive else None
+        info.width, info.height = int(found["width"]), int(found["height"])
+        info.fps, info.frames = float(found["fps"]), int(found["frames"])
+        info.first, info.last = int(found["first"]), int(found["last"])
+        info.unsized = not info.width
+    info.request = 0
+    screen.redraw_sidebars()
+    return None
+
+
+def _on_undo(*_args) -> None:
+    """Undo and redo change the source without telling."""
+    scene = bpy.context.scene
+    if scene is not None and _known is not None and not _is_known(scene.manient):
+        source_changed(scene.manient)
+
+
+HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
+LISTENERS = {"source": source_chosen, "as_sequence": source_changed}
+
+
+def unregister() -> None:
+    """Free the thumbnails, and stop waiting."""
+    global _previews, _known
+    if bpy.app.timers.is_registered(_await_answer):
+        bpy.app.timers.unregister(_await_answer)
+    if _previews is not None:
+        bpy.utils.previews.remove(_previews)
+    _previews = _known = None

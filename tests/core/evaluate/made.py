@@ -1,0 +1,154 @@
+"""Small `Scores` and an `Evaluation`: the bundled hand before a camera, and whatever a test plants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from handfit_core.evaluate import ProtocolName, metrics
+from handfit_core.evaluate.scores import Evaluation, Scores
+from handfit_core.evaluate.summary import compare, summarise
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import load_model
+
+CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0)
+COUNT = 6
+PROBLEMS = {"picture cannot be read": ("Desk/00007",)}
+
+
+@cache
+def _relaxed_hand() -> np.ndarray:
+    model = load_model("open-hand", "right")
+    hand = model.keypoints(None, np.zeros(3), model.hands_mean, np.zeros(3))
+    return hand - hand.mean(axis=0)
+
+
+def make_hands(n: int, seed: int = 0) -> np.ndarray:
+    """(n, 21, 3) metres: a relaxed right hand turned at random, about half a metre before the camera."""
+    rng = np.random.default_rng(seed)
+    turns = rotvec_to_rotmat(rng.normal(size=(n, 3)))
+    return np.einsum("pj,nij->npi", _relaxed_hand(), turns) + [0, 0, 0.5] + 0.05 * rng.normal(size=(n, 1, 3))
+
+
+def make_scores(
+    n: int = 4, *, noise: float = 0.003, seed: int = 0, min_points: int = 2, **overrides: Any
+) -> Scores:
+    """N rows: every hand detected, predictions with `noise` metres per axis, no meshes, stills.
+
+    overrides: any field of Scores or column of its `hands`. Where `detected` is False, predictions become
+    NaN; errors follow from points and labels by `evaluate.metrics` unless they are overridden too.
+    `min_points` is EPE's: the paper protocol has 1.
+    """
+    labels = np.asarray(overrides.pop("labels_3d", make_hands(n, seed)), dtype=np.float64)
+    n = len(labels)
+    noisy = labels + noise * np.random.default_rng(seed + 1).normal(size=labels.shape)
+    points = overrides.pop("points_3d", noisy)
+    detected = np.asarray(overrides.pop("detected", np.ones(n, dtype=bool)))
+    points = np.where(detected[:, None, None], points, np.nan)
+    labels_2d = overrides.pop("labels_2d", CAMERA.project(labels))
+    points_2d = overrides.pop("points_2d", CAMERA.project(points))
+    points_2d = np.where(detected[:, None, None], points_2d, np.nan)
+    hands: dict[str, Any] = {
+        "sample": [f"{i:05}" for i in range(n)],
+        "hand": np.zeros(n, dtype=int),
+        "clip": [None] * n,
+        "time": np.zeros(n),
+        "view": ["palm"] * n,
+        "picture": [Path(f"{i:05}.png") for i in range(n)],
+        "tags": [{}] * n,
+        "detected": detected,
+        "side_correct": np.where(detected, 1.0, np.nan),
+        **dict.fromkeys(("pa_mpvpe", "f5", "f15", "penetration", "expected_error"), np.full(n, np.nan)),
+        "detect_ms": np.full(n, 20.0),
+        "fit_ms": np.where(detected, 5.0, np.nan),
+    }
+    columns = {name: list(overrides.pop(name)) for name in hands if name in overrides}
+    fields: dict[str, Any] = {
+        "method": "made",
+        "title": "Made by a test",
+        "is_baseline": False,
+        "hands": pd.DataFrame(hands | columns),
+        "labels_3d": labels,
+        "labels_2d": labels_2d,
+        "points_3d": points,
+        "points_2d": points_2d,
+        "camera_error": 1000.0 * metrics.camera_distances(points, labels),
+        "epe": 1000.0 * metrics.centroid_aligned_distances(points, labels, min_points=min_points),
+        "root_error": 1000.0 * metrics.root_aligned_distances(points, labels),
+        "pa_error": 1000.0 * metrics.similarity_aligned_distances(points, labels),
+        "error_2d": metrics.distances_2d(points_2d, labels_2d),
+    }
+    return Scores(**{**fields, **overrides})
+
+
+def with_errors(per_hand: Sequence[float] | np.ndarray, **overrides: Any) -> Scores:
+    """Scores whose PA error is (N,) mm on every point of hand n."""
+    labels = np.repeat(make_hands(1), len(per_hand), axis=0)
+    return make_scores(
+        pa_error=np.tile(np.array(per_hand)[:, None], 21), **{"labels_3d": labels, **overrides}
+    )
+
+
+def with_hands(scores: Scores, **columns: Any) -> Scores:
+    """Scores whose table `hands` has other columns."""
+    return replace(scores, hands=scores.hands.assign(**columns))
+
+
+def write_picture(path: Path) -> Path:
+    """A flat picture of the size that the camera sees."""
+    done, data = cv2.imencode(".png", np.full((480, 640, 3), 200, dtype=np.uint8))
+    assert done
+    path.write_bytes(data.tobytes())
+    return path
+
+
+def make_evaluation(
+    folder: Path,
+    *,
+    dataset: str = "A set",
+    kind: str = "folder",
+    protocol: ProtocolName = "strict",
+    missed: Iterable[int] = (1,),
+    problems: Mapping[str, tuple[str, ...]] = PROBLEMS,
+    names: Sequence[str] | None = None,
+) -> Evaluation:
+    """A baseline that is exactly right, `good` (1 mm of noise per axis), and `poor` (8 mm), on six stills."""
+    detected = ~np.isin(np.arange(COUNT), list(missed))
+    shared = {
+        "min_points": 1 if protocol == "paper" else 2,
+        "picture": (write_picture(folder / "picture.png"),) * COUNT,
+        "sample": tuple(names or (f"Desk/{i:05}" for i in range(COUNT))),
+        "view": ("palm", "palm", "back", "back", "edge", "unknown"),
+        "tags": tuple({"pose": "fist" if i % 2 else "open", "frame": str(i)} for i in range(COUNT)),
+    }
+    truth = {"method": "null-truth", "title": "the truth", "is_baseline": True}
+    scores = (
+        make_scores(COUNT, points_3d=make_hands(COUNT), **truth, **shared),
+        *(
+            make_scores(COUNT, noise=noise, method=name, title=name, detected=detected, **shared)
+            for name, noise in (("good", 0.001), ("poor", 0.008))
+        ),
+    )
+    return Evaluation(
+        dataset=dataset,
+        kind=kind,
+        root=folder,
+        protocol=protocol,
+        scores=scores,
+        summaries=pd.DataFrame({s.method: summarise(s, protocol) for s in scores}).T,
+        comparisons=(compare(scores[2], scores[1], "epe"),),
+        pictures=COUNT,
+        labelled_hands=COUNT,
+        extra_hands=1,
+        problems=problems,
+        notes=("A note.",),
+        setup={"machine": "a test's"},
+    )
