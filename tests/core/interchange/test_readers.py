@@ -45,7 +45,12 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
             for text in (b"", b"{", b"[]", b"a,b\n1,2\n", b"a,b\n1\n", b"\0\1\2", b"a,b\n\xff,1\n")
         ),
         *(("a.json", text) for text in (b'{"format": "another"}', b'{"landmarks": ["x"]}', b"\xff")),
-        *(("a.npz", b"PK\3\4"), ("a.npy", b"\x93NUMPY"), ("a.pkl", pickle.dumps({"a": 1}))),
+        *(
+            ("a.bvh", b"\xff"),
+            ("a.npz", b"PK\3\4"),
+            ("a.npy", b"\x93NUMPY"),
+            ("a.pkl", pickle.dumps({"a": 1})),
+        ),
         *(("a.pkl", b"\x80\x05("), ("a.pkl", b"\x80\x02cposix\nsystem\n.")),
     ],
 )
