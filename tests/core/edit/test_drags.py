@@ -97,20 +97,15 @@ def test_other_fingers_stay(keypoint: int) -> None:
     assert judged >= 8  # of 16
 
 
-@pytest.mark.parametrize("keypoint", PALM_KEYPOINTS)
-def test_points_of_the_palm_move_it(keypoint: int) -> None:
-    """No finger can bring them nearer to their pins, so that all fingers ride along as they are."""
-    for hand, far in drags(keypoint):
-        assert far > 0.2 or missed(hand, refit_each(hand)) < 1.0
-
-
 @pytest.mark.parametrize("keypoint", range(21))
 def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
     """A pin that is moved by less than any picture shows changes no more than that; but for what is dragged
     out of its place altogether: a palm has several to turn to, and a finger that is pressed on another may
-    slip to one side of it or the other. Nor where the finger hardly reaches its pin or not."""
+    slip to one side of it or the other. Nor where the finger hardly reaches its pin or not. Points of the
+    palm take it along to their pins."""
     for hand, far in list(drags(keypoint))[keypoint % 3 :: 3]:
         found, other = refit_each(hand), refit_each(replace(hand, pins=hand.pins + 1e-4))
+        assert keypoint not in PALM_KEYPOINTS or far > 0.2 or missed(hand, found) < 1.0
         lost = far > 0.5 and (keypoint in PALM_KEYPOINTS or pressed(hand, keypoint, found))
         if not lost and abs(missed(hand, found) - PINS.reached_pixels) > 0.1:
             assert distance(shown(found), shown(other)).max() < max(1.0, 0.01 * size_of(hand))
