@@ -20,7 +20,8 @@ from handfit_core.skeleton import SIDES, Side
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, map_of, mixamo_names
-from .conftest import action_curves, shown_bones
+from .conftest import shown_bones
+from .looking import chosen, keyed_bones
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -45,10 +46,7 @@ def captured(make_take, *sides: Side):
 
 
 def select(armature):
-    for obj in bpy.context.selected_objects:
-        obj.select_set(False)
-    armature.select_set(True)
-    bpy.context.view_layer.objects.active = armature
+    chosen(armature)
     assert active_character(bpy.context) == armature
     return armature
 
@@ -63,11 +61,6 @@ def said():
 
 def loud():
     return drawn(MANIENT_PT_character).loud
-
-
-def keyed(armature) -> set[str]:
-    """Names of the bones with keys."""
-    return {c.data_path.split('"')[1] for c in action_curves(armature.animation_data.action)}
 
 
 def refused(call, match):
@@ -126,8 +119,8 @@ def test_a_bone_chosen_in_the_table_is_kept_and_gets_the_motion(make_take):
     assert kept_map(armature, "right") is None
     assert "Mixamo, with your own table" in said()
     apply()
-    assert names[9] not in keyed(armature)
-    assert len(keyed(armature)) == 29
+    assert names[9] not in keyed_bones(armature)
+    assert len(keyed_bones(armature)) == 29
     table().index_2 = "no such bone"
     assert "There is no bone no such bone" in said().replace("'", "")
     refused(apply, "no such bone")
@@ -193,15 +186,15 @@ def test_two_hands_of_one_side(make_take):
     captured(make_take)
     specs = []
     for number in (1, 2):
-        chosen = mixamo_names("left", f"mixamorig{number}:")
+        ours = mixamo_names("left", f"mixamorig{number}:")
         place = AWAY["left"] + [0.0, number, 0.0]
-        specs += hand_specs("left", np.random.default_rng(3), names=chosen, place=place)
+        specs += hand_specs("left", np.random.default_rng(3), names=ours, place=place)
     armature = select(build_armature(specs))
     assert "There are several left hands here" in said()
     refused(apply, "several left hands")
-    keep_map(armature, HandMap("left", tuple(chosen[j] for j in range(16))))
+    keep_map(armature, HandMap("left", tuple(ours[j] for j in range(16))))
     assert apply() == {"FINISHED"}
-    assert keyed(armature) == {*chosen.values()} - {chosen[0]}
+    assert keyed_bones(armature) == {*ours.values()} - {ours[0]}
 
 
 def test_bones_that_something_else_turns_are_named_before(make_take):
@@ -211,7 +204,7 @@ def test_bones_that_something_else_turns_are_named_before(make_take):
         armature.pose.bones[mixamo_names("left")[joint]].constraints.new("COPY_ROTATION").target = armature
     assert "Copy Rotation: it is left alone, and 1 other bone too" in said()
     apply()
-    assert len(keyed(armature)) == 28
+    assert len(keyed_bones(armature)) == 28
 
 
 def test_the_opposite_bones():

@@ -20,6 +20,7 @@ from .characters import BoneSpec, build_armature, hand_specs, joint_name, mixamo
 from .conftest import evaluated_vertices
 from .fbx_file import read_fbx
 from .importing import read_back
+from .looking import chosen
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -162,15 +163,9 @@ def nodes(path, kind: str | None = None) -> set[str]:
     return {n.values[1].split("\x00")[0] for n in models if kind in (None, n.values[2])}
 
 
-def select(rig: bpy.types.Object) -> None:
-    bpy.ops.object.select_all(action="DESELECT")
-    rig.select_set(True)
-    bpy.context.view_layer.objects.active = rig
-
-
 def export(path, rig: bpy.types.Object, **options):
     """Written, with nothing of the scene changed."""
-    select(rig)
+    chosen(rig)
     scene = bpy.context.scene
     scene.frame_start, scene.frame_end, scene.render.fps = FRAMES[0], FRAMES[-1], 30
     before = state()
@@ -298,7 +293,7 @@ def test_out_of_another_file(tmp_path, kind, fmt):
 
 def test_what_cannot_be_written_is_said_before(make_take, tmp_path):
     shown = linked(tmp_path / "library.blend", "instance")
-    select(shown)
+    chosen(shown)
     for said in ("make a library override", "negative scale"):
         assert said in drawn(MANIENT_PT_export).loud
         assert "Export" in drawn(MANIENT_PT_export).grey
@@ -307,17 +302,17 @@ def test_what_cannot_be_written_is_said_before(make_take, tmp_path):
         rig, _ = plain()
         rig.scale.x *= -1.0
         bpy.context.view_layer.update()
-        select(rig)
+        chosen(rig)
     rig.scale.x *= -1.0
     bpy.context.view_layer.update()
     for fmt, said in (("npz", "holds captured hands"), ("abc", "a mesh to hold")):
         with pytest.raises(RuntimeError, match=said):
             bpy.ops.manient.export_character(filepath=str(tmp_path / "x"), file_format=fmt)
     hand = build_take(make_take(sides=("left",)).take).hands[0].armature
-    for chosen in (rig, hand):
-        select(chosen)
-        assert ("export_meshes" in drawn(MANIENT_PT_export).said) == (chosen == rig)
-        assert ("npz" in drawn(MANIENT_PT_export).grey) == (chosen == rig)
+    for each in (rig, hand):
+        chosen(each)
+        assert ("export_meshes" in drawn(MANIENT_PT_export).said) == (each == rig)
+        assert ("npz" in drawn(MANIENT_PT_export).grey) == (each == rig)
     export(tmp_path / "keys.bvh", rig, frame_range="KEYS")
     assert "Frames: 11\n" in (tmp_path / "keys.bvh").read_text()
     rig.animation_data_clear()
