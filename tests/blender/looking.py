@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 
 from handfit_core.geometry.rotations import quat_to_rotmat
+from handfit_core.skeleton import FINGER_JOINTS
 
 from .conftest import action_curves
 
@@ -61,3 +64,25 @@ def select_bones(armature: bpy.types.Object, names: list[str]) -> None:
         # From Blender 5.0 on the pose bone is selected, before the bone is.
         bone = armature.pose.bones[name]
         (bone if hasattr(bone, "select") else bone.bone).select = True
+
+
+def palm(points: np.ndarray) -> np.ndarray:
+    """(3, 3) along, across and out of a palm as columns, of its joints in MANO's order."""
+    along = points[4] - points[0]
+    along = along / np.linalg.norm(along)
+    toward = points[1] - points[7]
+    toward = toward - along * (along @ toward)
+    toward /= np.linalg.norm(toward)
+    return np.stack([along, toward, np.cross(along, toward)], axis=-1)
+
+
+def directions(armature: bpy.types.Object, names: Sequence[str], frame: float) -> np.ndarray:
+    """(5, 2, 3) where two segments of each finger point, in the axes of the hand's own palm at that frame."""
+    bones = bones_at(armature, frame)
+    points = np.array([bones[name].head for name in names])
+    rest = np.array([armature.data.bones[name].head_local for name in names])
+    # The palm as a rigid body, which fingers do not turn.
+    still = np.linalg.inv(np.array(armature.data.bones[names[0]].matrix_local.to_3x3()))
+    steps = np.diff(points[list(FINGER_JOINTS.values())], axis=1)
+    steps /= np.linalg.norm(steps, axis=-1, keepdims=True)
+    return steps @ np.array(bones[names[0]].matrix.to_3x3()) @ still @ palm(rest)

@@ -1,9 +1,8 @@
-"""Every file that Blender writes, where there is not enough room; test_full_disk.py runs it in a process.
+"""Every file that Blender writes, where files may not grow; test_full_disk.py runs it in a process.
 
-    python -m tests.blender.small_disk TAKE FOLDER RESULTS KIND
+    python -m tests.blender.small_disk TAKE FOLDER RESULTS
 
-KIND is "disk", where FOLDER is on a small disk that is filled up, or "limit", where files may not grow
-beyond a size. RESULTS gets a JSON list per line.
+RESULTS gets a JSON list per line.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from handfit_core.take import Take
 PAGE = 4096
 
 
-def main(source: Path, folder: Path, results: Path, kind: str) -> None:
+def main(source: Path, folder: Path, results: Path) -> None:
     """Write each kind of file with no room, with half of what it needs, and with enough."""
     take = Take.load(source)
     built = build_take(take, picture=False)
@@ -55,7 +54,7 @@ def main(source: Path, folder: Path, results: Path, kind: str) -> None:
             good = {path.name: path.read_bytes() for path in files}
             for room in (0, size // 2 // PAGE * PAGE):
                 message = ""
-                with no_more_than(room, folder, kind):
+                with no_more_than(room):
                     try:
                         write()
                     except HandfitError as error:
@@ -70,27 +69,16 @@ def main(source: Path, folder: Path, results: Path, kind: str) -> None:
 
 
 @contextlib.contextmanager
-def no_more_than(room: int, folder: Path, kind: str) -> Iterator[None]:
+def no_more_than(room: int) -> Iterator[None]:
     """Meanwhile a file gets only so many bytes."""
-    if kind == "limit":
-        soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
-        try:
-            yield
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        return
-    filler = folder.parent / "filler"
-    with filler.open("wb", buffering=0) as stream, contextlib.suppress(OSError):
-        while True:
-            stream.write(bytes(PAGE))
-    os.truncate(filler, filler.stat().st_size - room)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
         yield
     finally:
-        filler.unlink()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4])
+    main(*map(Path, sys.argv[1:]))
     os._exit(0)  # bpy 4.2 as a module crashes while Python ends, once glTF was exported

@@ -6,17 +6,17 @@ import shutil
 import time
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
+from bpy_extras.object_utils import world_to_camera_view
 
-bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
-
-from blender_manient.operators.capture import new_job  # noqa: E402
-from blender_manient.scene.store import captured_hands, hand_of  # noqa: E402
-from blender_manient.session import jobs, shared_worker  # noqa: E402
-from handfit_core.errors import HandfitError  # noqa: E402
-from handfit_core.skeleton import FINGERS  # noqa: E402
-from tests.capturing import needs_capture  # noqa: E402
+from blender_manient.operators.capture import new_job
+from blender_manient.scene.store import captured_hands, hand_of
+from blender_manient.session import jobs, shared_worker
+from handfit_core.errors import HandfitError
+from handfit_core.skeleton import FINGERS
+from tests.capturing import needs_capture
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -33,15 +33,33 @@ def settings():
     return bpy.context.scene.manient
 
 
-def _hands():
+def hands():
     return [hand_of(armature) for armature in captured_hands(bpy.context.scene)]
+
+
+def capture() -> None:
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+
+
+def submitted():
+    job = new_job(bpy.context, only_frame=False)
+    jobs.submit(job)
+    return job
+
+
+def tick_until(condition, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, [(j.state, j.message) for j in jobs.jobs()]
+        jobs.tick()
+        time.sleep(0.002)
 
 
 @needs_capture
 def test_photo(photo, settings):
-    settings.source = str(photo)
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    (hand,) = _hands()
+    settings.source, settings.add_controls = str(photo), True
+    capture()
+    (hand,) = hands()
     assert (hand.side, len(hand.take.frame_numbers)) == ("right", 1)
     assert hand.track.refinable
     assert hand.armature.manient.wrist == "forearm"
@@ -49,18 +67,16 @@ def test_photo(photo, settings):
     assert bpy.context.scene.camera == hand.camera
     (job,) = jobs.jobs()
     assert (job.state, job.message) == ("done", "1 hand in 1 frame")
-
-
-@needs_capture
-def test_new_hands_have_controls_where_that_is_asked_for(photo, settings):
-    settings.source, settings.add_controls = str(photo), True
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    (hand,) = _hands()
+    kinds = [o.type for o in hand.collection.all_objects]
+    assert (kinds.count("LIGHT"), kinds.count("MESH")) == (3, 2)
     assert set(FINGERS) < set(hand.rig.controls)
-    bpy.ops.manient.remove_controls()
-    settings.add_controls = False
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    assert not any(hand.rig.controls for hand in _hands())
+    bpy.ops.manient.remove_capture(capture=hand.collection.name)
+    settings.add_controls = settings.render_setup = False
+    capture()
+    (hand,) = hands()
+    kinds = [o.type for o in hand.collection.all_objects]
+    assert (kinds.count("LIGHT"), kinds.count("MESH")) == (0, 1)
+    assert not hand.rig.controls
 
 
 @needs_capture
@@ -68,11 +84,11 @@ def test_sequence_range_and_single_frame(settings):
     settings.source = str(SAMPLE / "hand.0003.jpg")
     settings.as_sequence = True
     settings.use_frames, settings.first_frame, settings.last_frame, settings.frame_step = True, 3, 9, 3
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    assert list(_hands()[0].take.frame_numbers) == [3, 6, 9]
+    capture()
+    assert list(hands()[0].take.frame_numbers) == [3, 6, 9]
     bpy.context.scene.frame_set(5)
     assert bpy.ops.manient.capture(only_frame=True) == {"FINISHED"}
-    assert sorted(len(h.take.frame_numbers) for h in _hands()) == [1, 3]
+    assert sorted(len(h.take.frame_numbers) for h in hands()) == [1, 3]
 
 
 @needs_capture
@@ -82,138 +98,96 @@ def test_a_shot_keeps_its_time_and_the_hand_begins_where_the_button_was_pressed(
     scene.frame_set(1010)
     settings.source = str(SAMPLE)
     settings.use_frames, settings.first_frame, settings.last_frame = True, 3, 6
-    job = new_job(bpy.context, only_frame=False)
-    jobs.submit(job)
-    _tick_until(lambda: job.state == "building")
+    job = submitted()
+    tick_until(lambda: job.state == "building")
     scene.frame_set(1050)
-    _tick_until(lambda: job.finished)
-    assert job.state == "done", job.message
-    (hand,) = _hands()
+    tick_until(lambda: job.finished)
+    (hand,) = hands()
     assert (scene.frame_start, scene.frame_end, scene.frame_current) == (1001, 1120, 1050)
     assert (scene.render.fps, scene.render.resolution_x, scene.camera) == (24, 1920, None)
-    action = hand.armature.animation_data.action
-    assert tuple(action.frame_range) == (1010.0, 1013.0)
+    assert tuple(hand.armature.animation_data.action.frame_range) == (1010.0, 1013.0)
     assert not job.matched
     assert job.scene_message == "Hand came at frame 1010, 24 fps: the scene stays as it is"
     settings.matching = "MATCH"
-    assert bpy.ops.manient.capture() == {"FINISHED"}
+    capture()
     assert (scene.frame_start, scene.frame_end) == (3, 6)
     assert jobs.jobs()[-1].scene_message.startswith("Scene became ")
 
 
 @needs_capture
-def test_onto_a_hand_that_is_there(settings, photo):
+def test_onto_a_hand_that_is_there(settings):
     settings.source = str(SAMPLE)
     settings.use_frames, settings.first_frame, settings.last_frame = True, 1, 4
-    bpy.ops.manient.capture()
-    (hand,) = _hands()
-    bone = hand.armature.pose.bones["index_proximal.R"]
+    capture()
+    bone = hands()[0].armature.pose.bones["index_proximal.R"]
     bpy.context.scene.frame_set(20)
     before = np.array(bone.rotation_quaternion)
     settings.source, settings.target = str(SAMPLE / "hand.0016.jpg"), "POSE"
     settings.as_sequence = False
-    assert bpy.ops.manient.capture() == {"FINISHED"}
+    capture()
     bpy.context.scene.frame_set(20)
-    assert len(_hands()) == 1
+    assert len(hands()) == 1
     assert np.abs(np.array(bone.rotation_quaternion) - before).max() > 0.02
 
 
 @needs_capture
 def test_through_the_scenes_own_camera(settings, photo):
-    data = bpy.data.cameras.new("own")
-    camera = bpy.data.objects.new("own", data)
+    scene, camera = bpy.context.scene, bpy.data.objects.new("own", bpy.data.cameras.new("own"))
     camera.location, camera.rotation_euler = (1.0, 2.0, 3.0), (1.1, 0.2, 0.3)
-    bpy.context.scene.collection.objects.link(camera)
-    bpy.context.scene.camera = camera
-    bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 640, 480
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.resolution_x, scene.render.resolution_y = 640, 480
     bpy.context.view_layer.update()
     settings.source, settings.camera = str(photo), "ACTIVE"
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    (hand,) = _hands()
-    assert bpy.context.scene.camera == camera == hand.camera
+    capture()
+    (hand,) = hands()
+    assert scene.camera == camera == hand.camera
     bpy.context.view_layer.update()
-
-    from bpy_extras.object_utils import world_to_camera_view
-
     wrist = hand.armature.matrix_world @ hand.armature.pose.bones["wrist.R"].head
-    seen = world_to_camera_view(bpy.context.scene, camera, wrist)
+    seen = world_to_camera_view(scene, camera, wrist)
     expected = hand.track.keypoints_2d[0, 0]
     assert [seen.x * 640, (1 - seen.y) * 480] == pytest.approx(list(expected), abs=25.0)
     assert seen.z > 0.1
 
 
 @needs_capture
-@pytest.mark.parametrize("gone", [False, True])
-def test_a_hand_that_is_renamed_meanwhile_is_found_and_one_that_is_gone_is_built_anew(settings, photo, gone):
+@pytest.mark.parametrize("what", ["renamed", "gone", "scene gone"])
+def test_what_happens_to_the_hand_and_the_scene_meanwhile(settings, photo, what):
+    """A renamed hand is found, one that is gone is built anew, where the scene is gone in the open one."""
     settings.source = str(photo)
-    bpy.ops.manient.capture()
-    settings.target = "POSE"
-    job = new_job(bpy.context, only_frame=False)
-    jobs.submit(job)
-    _tick_until(lambda: job.state == "capturing")
-    armature = _hands()[0].armature
+    capture()
+    settings.target = "POSE" if what != "scene gone" else "NEW"
+    scene, job = bpy.context.scene, submitted()
+    tick_until(lambda: job.state == "capturing")
+    armature = hands()[0].armature
     armature.name = "another name"
-    if gone:
+    if what == "gone":
         bpy.data.objects.remove(armature)
-    _tick_until(lambda: job.finished)
+    elif what == "scene gone":
+        bpy.context.window.scene = bpy.data.scenes.new("Other")
+        bpy.data.scenes.remove(scene)
+    tick_until(lambda: job.finished)
     assert job.state == "done", job.message
-    assert (len(_hands()), bool(job.warnings)) == (1, gone)
+    assert (len(hands()), bool(job.warnings)) == (1, what != "renamed")
 
 
 @needs_capture
-def test_a_scene_that_is_deleted_meanwhile_costs_neither_the_hands_nor_the_open_scene(settings, photo):
-    settings.source = str(photo)
-    first, other = bpy.context.scene, bpy.data.scenes.new("Other")
-    job = new_job(bpy.context, only_frame=False)
-    jobs.submit(job)
-    jobs.tick()
-    bpy.context.window.scene = other
-    bpy.data.scenes.remove(first)
-    size = (other.render.resolution_x, other.render.resolution_y, other.camera)
-    _tick_until(lambda: job.finished)
-    assert job.state == "done", job.message
-    assert len(captured_hands(other)) == 1
-    assert (other.render.resolution_x, other.render.resolution_y, other.camera) == size
-    assert any("gone" in warning for warning in job.warnings)
+@pytest.mark.parametrize(("numbers", "expected"), [((1, 4), [[1], [1]]), ((3, 4, 5), [[3, 4, 5]])])
+def test_dropped_pictures(numbers, expected):
+    files = [{"name": f"hand.{number:04}.jpg"} for number in numbers]
+    options = {"as_sequence": True} if len(expected) == 1 else {}
+    assert bpy.ops.manient.drop_media(directory=str(SAMPLE), files=files, **options) == {"FINISHED"}
+    assert [list(hand.take.frame_numbers) for hand in hands()] == expected
 
 
 @needs_capture
-@pytest.mark.parametrize("ready", [True, False])
-def test_the_first_render_is_set_up_unless_the_artist_opts_out(settings, photo, ready):
-    settings.source = str(photo)
-    settings.render_setup = ready
-    bpy.ops.manient.capture()
-    kinds = [o.type for o in _hands()[0].collection.all_objects]
-    assert kinds.count("LIGHT") == (3 if ready else 0)
-    assert kinds.count("MESH") == (2 if ready else 1)
-
-
-@needs_capture
-def test_dropped_pictures(settings):
-    def dropped(*names, **options):
-        files = [{"name": name} for name in names]
-        result = bpy.ops.manient.drop_media(directory=str(SAMPLE), files=files, **options)
-        takes = [list(hand.take.frame_numbers) for hand in _hands()]
-        bpy.ops.wm.read_factory_settings(use_empty=True)
-        return result, takes
-
-    assert dropped("hand.0001.jpg", "hand.0004.jpg") == ({"FINISHED"}, [[1], [1]])
-    some = [f"hand.{n:04}.jpg" for n in (3, 4, 5)]
-    assert dropped(*some, as_sequence=True) == ({"FINISHED"}, [[3, 4, 5]])
-
-
-@needs_capture
-def test_a_painted_picture_stays_in_the_file(settings, photo, tmp_path):
+def test_a_painted_picture_stays_in_the_file(settings, photo):
     picture = bpy.data.images.load(str(photo))
     picture.pack()
     picture.filepath = ""
     bpy.ops.manient.use_source(kind="IMAGE", name=picture.name)
-    copy = Path(settings.source)
-    assert bpy.ops.manient.capture() == {"FINISHED"}
-    plate = _hands()[0].camera.data.background_images[0].image
-    copy.unlink()
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    assert plate.packed_file
+    capture()
+    assert hands()[0].camera.data.background_images[0].image.packed_file
 
 
 @pytest.mark.parametrize(
@@ -257,12 +231,6 @@ def test_settings_become_the_options_of_the_worker(settings):
         assert {name: value for name, value in options.items() if name in others} == expected
 
 
-def test_files_and_preferences_that_are_older_keep_their_quality(settings):
-    """They hold numbers: of Fast, of Best, which is Standard now, and of Paper."""
-    numbers = {item.identifier: item.value for item in settings.bl_rna.properties["preset"].enum_items}
-    assert numbers == {"DRAFT": 0, "STANDARD": 1, "PAPER": 2, "BEST": 3}
-
-
 def test_pictures_of_the_open_file_as_sources(settings, tmp_path):
     picture = bpy.data.images.load(str(SAMPLE / "hand.0001.jpg"))
     assert bpy.ops.manient.use_source(kind="IMAGE", name=picture.name) == {"FINISHED"}
@@ -285,19 +253,11 @@ def test_pictures_of_the_open_file_as_sources(settings, tmp_path):
         bpy.ops.manient.use_source(kind="IMAGE", name="nothing")
 
 
-def _tick_until(condition, seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, [(j.state, j.message) for j in jobs.jobs()]
-        jobs.tick()
-        time.sleep(0.002)
-
-
 @needs_capture
 def test_the_list_of_captures_and_its_buttons(settings, photo):
     settings.source = str(photo)
-    bpy.ops.manient.capture()
-    (hand,) = _hands()
+    capture()
+    (hand,) = hands()
     for obj in bpy.context.scene.objects:
         obj.select_set(False)
     bpy.context.view_layer.objects.active = None
@@ -310,9 +270,7 @@ def test_the_list_of_captures_and_its_buttons(settings, photo):
     with pytest.raises(RuntimeError, match="not in this scene"):
         bpy.ops.manient.select_hand(hand="nobody")
 
-    waiting = [new_job(bpy.context, only_frame=False) for _ in range(2)]
-    for job in waiting:
-        jobs.submit(job)
+    waiting = [submitted() for _ in range(2)]
     assert bpy.ops.manient.cancel_capture(index=1) == {"FINISHED"}
     assert [job.state for job in waiting] == ["cancelled", "waiting"]
     assert bpy.ops.manient.cancel_capture() == {"FINISHED"}

@@ -11,7 +11,7 @@ import pytest
 import blender_manient
 from blender_manient.exporters.take import retaken
 from blender_manient.rigs.captured_hand import bone_names
-from blender_manient.scene import confidence, corrections, store
+from blender_manient.scene import confidence, corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.confidence import (
     UNSEEN_COLOR,
@@ -19,7 +19,6 @@ from blender_manient.scene.confidence import (
     errors_of,
     is_marked,
     mark_doubtful,
-    next_doubtful,
 )
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.store import hand_of
@@ -122,6 +121,9 @@ def test_own_colors_come_back(armature):
     bpy.context.scene.frame_set(3)
     assert shown(armature).keys() == {"thumb_distal.R"}
     assert armature.manient.own_colors == ""
+    bpy.ops.object.armature_add()
+    bpy.context.object.manient.show_confidence = True  # which is no captured hand
+    assert shown(bpy.context.object, evaluated=False) == {}
 
 
 def handlers() -> int:
@@ -270,32 +272,23 @@ def test_markers_come_once_replace_stale_ones_and_go(hand):
     assert not is_marked(scene, hand)
 
 
-def test_other_hands_and_captures_keep_their_markers(hand, make_take):
+def test_another_captures_hand_keeps_its_markers(hand, make_take):
     scene = bpy.context.scene
-    other = next(o for o in store.captured_hands(scene) if o.manient.side == "left")
     scene.frame_set(103)
-    later = build_take(with_flags(make_take(seed=4).take), match_scene=False).hands[1].armature
-    mark_doubtful(scene, hand, True)
-    mark_doubtful(scene, hand_of(later), True)
+    later = hand_of(build_take(with_flags(make_take(seed=4).take), match_scene=False).hands[1].armature)
+    for each in (hand, later):
+        mark_doubtful(scene, each, True)
     assert markers() == sorted([*OURS, *((frame + 100, name) for frame, name in OURS)])
-    mark_doubtful(scene, hand_of(later), False)
-    mark_doubtful(scene, hand_of(other), True)
-    assert len(markers()) == 2 * len(OURS)
-    mark_doubtful(scene, hand_of(other), False)
+    mark_doubtful(scene, later, False)
     assert markers() == OURS
-
-
-def test_next_doubtful(hand):
-    going = {frame: next_doubtful(hand, frame, "NEXT") for frame in (1, 3, 8, 17)}
-    back = {frame: next_doubtful(hand, frame, "PREVIOUS") for frame in (18, 17, 8, 3)}
-    assert going == {1: 3, 3: 8, 8: 17, 17: None}
-    assert back == {18: 17, 17: 8, 8: 3, 3: None}
 
 
 def test_operators(hand):
     scene = bpy.context.scene
     name = hand.armature.name
     bpy.context.view_layer.objects.active = None
+    with pytest.raises(RuntimeError, match="No captured hand: select"):
+        bpy.ops.manient.mark_doubtful()
     assert bpy.ops.manient.mark_doubtful(hand=name) == {"FINISHED"}
     assert markers() == OURS
     assert bpy.ops.manient.mark_doubtful(hand=name) == {"FINISHED"}
@@ -312,6 +305,21 @@ def test_operators(hand):
 
 
 MOST = IN_PICTURE.levels[-1]
+
+
+def test_its_words_name_the_error_here_and_the_largest(armature):
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.manient.mirror_hand()
+    assert error_graph.shown_hands(bpy.context.scene) == []
+    for obj in bpy.context.scene.objects:
+        obj.manient.show_error = True
+    (hand,) = error_graph.shown_hands(bpy.context.scene)
+    assert hand.armature == armature, "nothing was measured on the mirrored hand"
+    errors = errors_of(hand)
+    said = error_graph.label(hand, errors, float(FRAMES[2]))
+    here, most = errors.frames[2], np.nanmax(errors.frames)
+    assert f"error {100 * here:.1f} % of the hand here, {100 * most:.1f} % of the hand at most" in said
+    assert "here" not in error_graph.label(hand, errors, float(FRAMES[UNSEEN]))
 
 
 def test_lines_lie_over_their_frames_and_leave_gaps_open():

@@ -1,27 +1,45 @@
-"""Corrections live in the .blend, and leave keys as they found them."""
+"""Corrections live in the .blend, and leave keys as they found them; what cannot be changed is left alone,
+and says why: links, overrides, the NLA, locks, shared actions."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
 from blender_manient.common.blender_versions import channels
+from blender_manient.operators.export import MANIENT_OT_export_hand
 from blender_manient.rigs import rig_of
-from blender_manient.scene import corrections
-from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from blender_manient.scene.store import hand_of
+from blender_manient.rigs.captured_hand import bone_names
+from blender_manient.scene import corrections, reshape
+from blender_manient.scene.apply import apply_track
+from blender_manient.scene.build import build_take
+from blender_manient.scene.editable import why_not_editable, why_not_keyable
+from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, write_pose_keys
+from blender_manient.scene.store import captured_hands, hand_of
+from blender_manient.session.refiner import why_not
 from handfit_core.edit.corrections import changed_quats, correction_between
-from handfit_core.errors import OptionError
+from handfit_core.errors import HandModelError, OptionError
 
 from .conftest import FRAMES, UNSEEN
 
 pytestmark = pytest.mark.usefixtures("registered")
 
-ROOT = Path(__file__).resolve().parents[2]
 SEEN = np.delete(FRAMES, UNSEEN)
+
+
+@pytest.fixture
+def made(make_take):
+    return make_take(sides=("right",))
+
+
+@pytest.fixture
+def armature(made):
+    """One right hand, active and selected."""
+    armature = build_take(made.take).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
+    armature.select_set(True)
+    return armature
 
 
 def all_keys(armature) -> PoseKeys:
@@ -48,6 +66,17 @@ def correct(armature, frame=6, spread=6.0, seed=1, size=0.6, pins=None) -> tuple
     return quats, location
 
 
+def pose_on(armature, frame: float) -> tuple[np.ndarray, np.ndarray]:
+    """(16, 4), (3,) on a frame."""
+    quats, locations = pose_at(rig_of(armature), np.array([float(frame)]))
+    return quats[0], locations[0]
+
+
+def write(armature, frame: float, quats, location=None) -> None:
+    places = None if location is None else np.asarray(location)[None]
+    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([float(frame)]), quats[None], places))
+
+
 def moved_poses(armature, frames, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     quats, locations = zip(*(moved_pose(armature, f, seed + f) for f in frames), strict=True)
     return np.array(quats), np.array(locations)
@@ -67,7 +96,6 @@ def test_a_corrected_frame_takes_the_pose_and_its_neighbours_a_part(armature):
     # Keys out of reach are the very same.
     np.testing.assert_array_equal(after.quats[~inside], before.quats[~inside])
     np.testing.assert_array_equal(after.locations[~inside], before.locations[~inside])
-    assert corrections.corrected_frames(armature) == [6]
     assert corrections.corrections_of(armature).pins(6) == {8: (10.0, 20.0)}
 
 
@@ -84,57 +112,35 @@ def test_clearing_puts_every_key_back(armature, scope):
     assert armature.manient.corrections == ""
 
 
-def test_clearing_one_leaves_the_other_as_if_it_had_been_alone(armature):
-    correct(armature, 5, 6, size=0.3)
-    alone = all_keys(armature)
-    correct(armature, 8, 6, seed=2, size=0.3, pins={4: (1.0, 2.0)})
-    # The other corrected frame keeps its pose.
-    at = int(np.flatnonzero(SEEN == 5)[0])
-    assert same_rotations(all_keys(armature).quats[at], alone.quats[at]) < 1e-5
-    corrections.clear_corrections(armature, [8])
-    after = all_keys(armature)
-    assert same_rotations(after.quats, alone.quats) < 1e-5
-    np.testing.assert_allclose(after.locations, alone.locations, atol=1e-5)
-    assert corrections.corrected_frames(armature) == [5]
-
-
 def test_what_was_done_by_hand_stays(armature):
     """A key that the artist turned under a correction keeps that turn when the correction goes."""
     correct(armature, 6, 6, size=0.3)
-    here = np.array([8.0])
-    now, _ = pose_at(rig_of(armature), here)
-    turn = np.zeros((1, 16, 3))
-    turn[0, 2] = [0.2, 0.0, 0.0]
+    now, _ = pose_on(armature, 8)
+    turn, none = np.zeros((16, 3)), np.zeros((16, 3))
+    turn[2] = [0.2, 0.0, 0.0]
     # The artist's turn comes first, the correction after it: so it is the bone's own before that.
-    field_turn = corrections.corrections_of(armature).at(here)[0]
-    base = changed_quats(now, field_turn, np.zeros_like(field_turn))
-    by_hand = changed_quats(changed_quats(base, np.zeros_like(turn), turn), np.zeros_like(turn), field_turn)
-    write_pose_keys(rig_of(armature), PoseKeys.everywhere(here, by_hand))
+    field_turn = corrections.corrections_of(armature).at(np.array([8.0]))[0][0]
+    base = changed_quats(now, field_turn, none)
+    write(armature, 8, changed_quats(changed_quats(base, none, turn), none, field_turn))
     corrections.clear_corrections(armature)
-    after, _ = pose_at(rig_of(armature), here)
-    np.testing.assert_allclose(correction_between(base[0], after[0]), turn[0], atol=1e-5)
+    np.testing.assert_allclose(correction_between(base, pose_on(armature, 8)[0]), turn, atol=1e-5)
 
 
-def test_a_frame_without_keys_gets_them_and_loses_them_again(armature):
+@pytest.mark.parametrize("keyed_again", [False, True])
+def test_a_frame_without_keys_loses_them_again_unless_they_say_more(armature, keyed_again):
     before = all_keys(armature)
-    assert 10 not in before.frames
     quats, location = correct(armature, 10, 0, size=0.3)
-    assert 10 in all_keys(armature).frames
-    found, place = pose_at(rig_of(armature), np.array([10.0]))
-    assert same_rotations(found[0], quats) < 1e-5
-    np.testing.assert_allclose(place[0], location, atol=1e-6)
+    assert [f for f in all_keys(armature).frames if f not in before.frames] == [10]
+    found, place = pose_on(armature, 10)
+    assert same_rotations(found, quats) < 1e-5
+    np.testing.assert_allclose(place, location, atol=1e-6)
+    if keyed_again:
+        write(armature, 10, *moved_pose(armature, 10, seed=9))
     corrections.clear_corrections(armature, [10])
     after = all_keys(armature)
-    np.testing.assert_array_equal(after.frames, before.frames)
-    np.testing.assert_array_equal(after.quats, before.quats)
-
-
-def test_a_key_that_says_something_else_too_stays(armature):
-    correct(armature, 10, 0, size=0.3)
-    other, place = moved_pose(armature, 10, seed=9)
-    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([10.0]), other[None], place[None]))
-    corrections.clear_corrections(armature)
-    assert 10 in all_keys(armature).frames
+    assert (10 in after.frames) == keyed_again
+    if not keyed_again:
+        np.testing.assert_array_equal(after.quats, before.quats)
 
 
 def refitted(armature, frames, seed: int = 0) -> PoseKeys:
@@ -162,23 +168,6 @@ def test_fitting_a_range_again_contains_its_corrections(armature):
     np.testing.assert_allclose(all_keys(armature).quats, after.quats, atol=1e-6)
 
 
-def test_scene_frames_that_are_not_the_sources(armature):
-    """A capture that lies elsewhere in the scene, at another speed."""
-    capture = armature.manient.capture
-    capture.manient.frame_offset, capture.manient.frame_scale = 100.0, 0.5
-    keys = all_keys(armature)
-    places = 100.0 + 0.5 * SEEN
-    for place, quats, location in zip(places, keys.quats, keys.locations, strict=True):
-        write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([place]), quats[None], location[None]))
-    before = read_pose_keys(rig_of(armature), 100.0)
-    quats, location = moved_pose(armature, 103.0)
-    corrections.correct_frames(armature, [6], quats[None], location[None], 3, pins=[{8: (1.0, 2.0)}])
-    after = read_pose_keys(rig_of(armature), 100.0)
-    moved = np.linalg.norm(after.locations - before.locations, axis=-1) > 1e-6
-    np.testing.assert_array_equal(moved, (SEEN > 3) & (SEEN < 9))
-    np.testing.assert_array_equal(read_pose_keys(rig_of(armature), 0.0, 50.0).quats, keys.quats)
-
-
 @pytest.mark.parametrize("spread", [2, 6, 20])
 @pytest.mark.parametrize("corrected", [[4], [14], [4, 6, 14], [6, 8, 13]])
 def test_clearing_after_a_range_was_fitted_again(armature, corrected, spread):
@@ -201,22 +190,6 @@ def test_clearing_after_a_range_was_fitted_again(armature, corrected, spread):
     assert armature.manient.corrections == ""
 
 
-def test_a_frame_keyed_anew_can_be_corrected_and_that_taken_back(armature):
-    for frame in (4, 14):
-        correct(armature, frame, 8, seed=frame, size=0.3)
-    fitted = refitted(armature, [6, 8, 12])
-    for frame in (6, 8):
-        correct(armature, frame, 3, seed=frame + 50, size=0.3, pins={4: (1.0, 2.0)})
-    found, _ = pose_at(rig_of(armature), np.array([6.0]))
-    assert same_rotations(found[0], moved_pose(armature, 6, size=0.0)[0]) < 1e-5
-    assert corrections.clear_corrections(armature, [6, 8]) == 2
-    assert same_rotations(all_keys(armature).quats, fitted.quats) < 1e-5
-    assert corrections.corrected_frames(armature) == [4, 14]
-
-
-# Whose keys they are
-
-
 def other_action(armature) -> bpy.types.Action:
     """The hand's action, and another one with other poses in its place."""
     first = armature.animation_data.action
@@ -234,7 +207,6 @@ def give(armature, action) -> None:
 
 def test_another_action_is_left_alone(armature, tmp_path):
     captured = all_keys(armature)
-    bpy.context.view_layer.objects.active = armature
     correct(armature)
     first = other_action(armature)
     others = all_keys(armature)
@@ -260,12 +232,10 @@ def test_another_action_is_left_alone(armature, tmp_path):
 
 
 def test_clear_all_in_another_action_only_forgets(armature):
-    bpy.context.view_layer.objects.active = armature
     correct(armature)
     first = other_action(armature)
     others = all_keys(armature)
     assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
-    assert armature.manient.corrections == ""
     np.testing.assert_array_equal(all_keys(armature).quats, others.quats)
     # From here on it is a hand without corrections.
     correct(armature, 8)
@@ -274,53 +244,18 @@ def test_clear_all_in_another_action_only_forgets(armature):
     assert corrections.why_elsewhere(armature) is not None
 
 
-def test_an_earlier_copy_of_the_action_does_not_hold_later_corrections(armature):
-    correct(armature)
-    copy = armature.animation_data.action.copy()
-    correct(armature, 14)
-    give(armature, copy)
-    assert corrections.why_elsewhere(armature) is not None
-
-
-@pytest.mark.parametrize("linked", [True, False])
-def test_duplicates_are_corrected_each_for_itself(armature, linked):
-    captured = all_keys(armature)
-    correct(armature)
-    corrected = all_keys(armature)
-    bpy.ops.object.select_all(action="DESELECT")
-    armature.select_set(True)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.duplicate(linked=linked)
-    twin = bpy.context.view_layer.objects.active
-    assert (twin.animation_data.action == armature.animation_data.action) == linked
-    corrections.clear_corrections(armature)
-    assert same_rotations(all_keys(armature).quats, captured.quats) < 1e-5
-    np.testing.assert_array_equal(all_keys(twin).quats, corrected.quats)
-    assert corrections.clear_corrections(twin) == 1
-    assert same_rotations(all_keys(twin).quats, captured.quats) < 1e-5
-    assert same_rotations(all_keys(armature).quats, captured.quats) < 1e-5
-
-
-def test_another_name_while_keys_are_written(armature):
-    frames = [5, 6, 8]
-    quats, locations = moved_poses(armature, frames)
-    writing = corrections.replacing_poses(armature, frames, quats, locations)
+def test_a_hand_that_is_removed_while_its_keys_are_written(armature):
+    writing = corrections.replacing_poses(armature, [5, 6, 8], *moved_poses(armature, [5, 6, 8]))
     next(writing)
     armature.name = "My Hand"
-    bpy.data.objects.new("right hand of photo of a hand", None)
-    assert list(writing)[-1] == 1.0
-    found, _ = pose_at(rig_of(armature), np.array(frames, dtype=float))
-    assert same_rotations(found, quats) < 1e-5
-    writing = corrections.replacing_poses(armature, frames, found, locations)
     next(writing)
     bpy.data.objects.remove(armature)
     with pytest.raises(OptionError, match="the hand is gone"):
-        next(writing)
+        list(writing)
 
 
 @pytest.mark.parametrize("what", ["moved", "replaced"])
 def test_keys_that_were_moved_or_replaced_are_left_alone(armature, what):
-    bpy.context.view_layer.objects.active = armature
     correct(armature, 6, spread=4.0)
     correct(armature, 16, spread=0.0)
     data = armature.animation_data
@@ -346,15 +281,175 @@ def test_keys_that_were_moved_or_replaced_are_left_alone(armature, what):
     assert armature.manient.corrections == ""
 
 
-def test_a_touched_up_corrected_frame_is_still_known(armature):
-    captured = all_keys(armature)
+def applied(armature, made, mode="ANIMATION", frame=1.0, **options) -> int:
+    return apply_track(armature, made.take, made.take.hands[0], mode, frame, **options)
+
+
+def changes(armature, made) -> list:
+    """What writes keys."""
+    return [
+        lambda: correct(armature),
+        lambda: refitted(armature, [5, 6]),
+        lambda: applied(armature, made, "POSE", 8.0),
+    ]
+
+
+def refuses(operators: str) -> bool:
+    return not any(getattr(bpy.ops.manient, operator).poll() for operator in operators.split())
+
+
+def shown(armature, frames=(4, 8, 16)) -> np.ndarray:
+    """What the bones show on frames, from wherever the motion is."""
+    found = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        found.append(displayed_pose(rig_of(armature)))
+    return np.array(found)
+
+
+def pushed_down(armature) -> bpy.types.Action:
+    data = armature.animation_data
+    action = data.action
+    slot = getattr(data, "action_slot", None)
+    strip = data.nla_tracks.new().strips.new("motion", int(action.frame_range[0]), action)
+    if slot is not None:
+        strip.action_slot = slot
+    data.action = None
+    return action
+
+
+def curves(armature):
+    data = armature.animation_data
+    return channels(data.action, getattr(data, "action_slot", None)).fcurves
+
+
+def test_motion_in_the_nla_is_not_hidden_by_a_key(armature, made):
+    before = shown(armature)
+    pushed_down(armature)
+    assert "NLA" in (why_not_keyable(armature) or "")
+    assert why_not_editable(armature) is None
+    assert refuses("apply_pose refit_range edit_keypoints")
+    with pytest.raises(RuntimeError, match="in the NLA"):
+        bpy.ops.manient.apply_pose(pose="Relaxed")
+    for change in changes(armature, made):
+        with pytest.raises(OptionError, match="in the NLA"):
+            change()
+    assert armature.animation_data.action is None
+    np.testing.assert_allclose(shown(armature), before, atol=1e-5)
+    data = armature.animation_data
+    data.nla_tracks[0].select = data.nla_tracks[0].strips[0].select = True
+    data.nla_tracks.active = data.nla_tracks[0]
+    data.use_tweak_mode = True
+    assert "tweak mode" in (why_not_keyable(armature) or "")
+    data.use_tweak_mode = False
+    # A whole motion may lie over the strips.
+    assert applied(armature, made) == 11
+    assert why_not_keyable(armature) is None
+
+
+def test_a_library_override_says_so(armature, tmp_path):
     correct(armature)
-    armature.manient.betas = [2.0, -2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    armature.manient.betas = hand_of(armature).track.betas
-    quats, location = moved_pose(armature, 6, size=0.0)
-    quats[4] = [0.6, 0.8, 0.0, 0.0]
-    write_pose_keys(rig_of(armature), PoseKeys.everywhere(np.array([6.0]), quats[None], location[None]))
-    assert corrections.displaced(armature) == []
-    corrections.clear_corrections(armature)
-    others = np.delete(np.arange(16), 4)
-    assert same_rotations(all_keys(armature).quats[:, others], captured.quats[:, others]) < 1e-4
+    collection = armature.manient.capture.name
+    path = str(tmp_path / "library.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.collections = [collection]
+    linked = wanted.collections[0]
+    bpy.context.scene.collection.children.link(linked)
+    hand = captured_hands(bpy.context.scene)[0]
+    assert "linked" in (why_not_editable(hand) or "")
+    linked.override_hierarchy_create(bpy.context.scene, bpy.context.view_layer, do_fully_editable=True)
+    hand = next(o for o in bpy.context.scene.objects if o.type == "ARMATURE" and o.override_library)
+    bpy.context.view_layer.objects.active = hand
+    assert "library override" in (why_not_editable(hand) or "")
+    assert refuses("apply_pose lock_joints clear_corrections mirror_hand apply_take")
+    assert "library override" in (why_not(bpy.context, hand_of(hand)) or "")
+    assert bpy.ops.manient.save_pose_asset() == {"FINISHED"}
+    with pytest.raises(OptionError, match="library override"):
+        correct(hand)
+    hand.manient.betas[0] += 1.0
+    assert "library override" in (reshape.trouble(hand) or "")
+
+
+def test_a_linked_action_says_so(armature, tmp_path):
+    name, path = armature.animation_data.action.name, str(tmp_path / "library.blend")
+    bpy.data.libraries.write(path, {armature.animation_data.action})
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.actions = [name]
+    armature.animation_data.action = wanted.actions[0]
+    assert "make the action local" in (why_not_keyable(armature) or "")
+    assert refuses("apply_pose")
+
+
+@pytest.mark.parametrize("what", ["curves", "group"])
+def test_locked_channels_are_not_overwritten(armature, made, what):
+    before, bone = read_pose_keys(rig_of(armature)), bone_names("right")[5]
+    own = [curve for curve in curves(armature) if f'"{bone}"' in curve.data_path]
+    for locked in own if what == "curves" else [own[0].group]:
+        locked.lock = True
+    bpy.context.scene.frame_set(6)
+    with pytest.raises(RuntimeError, match=f"bone {bone} .* are locked"):
+        bpy.ops.manient.apply_pose(pose="Relaxed")
+    for change in changes(armature, made):
+        with pytest.raises(OptionError, match=f"bone {bone} .* are locked"):
+            change()
+    after = all_keys(armature)
+    np.testing.assert_array_equal(after.quats, before.quats)
+    np.testing.assert_array_equal(after.locations, before.locations)
+    assert armature.manient.corrections == ""
+    # Its neighbours may be written.
+    chosen = np.arange(16)[None] == 6
+    keys = PoseKeys(np.array([6.0]), before.quats[:1], np.zeros((1, 3)), chosen, np.zeros(1, dtype=bool))
+    write_pose_keys(rig_of(armature), keys)
+
+
+def test_renamed_bones_are_one_sentence(armature, made):
+    bone = bone_names("right")[8]
+    armature.data.bones[bone].name = "pinky"
+    assert refuses("apply_pose mirror_hand save_pose_asset apply_take refit_range")
+    with pytest.raises(RuntimeError, match=f"lacks the bone {bone}"):
+        bpy.ops.manient.apply_pose(pose="Relaxed")
+    with pytest.raises(HandModelError, match=f"lacks the bone {bone}.*give its bones their names back"):
+        applied(armature, made)
+    # Those that only read, as exports, say so too.
+    assert bone in (MANIENT_OT_export_hand.lacks(bpy.context) or "")
+
+
+def test_linked_duplicates_do_not_move_each_other(armature):
+    before = all_keys(armature)
+    bpy.ops.object.duplicate(linked=True)
+    twin = bpy.context.view_layer.objects.active
+    assert twin.animation_data.action == armature.animation_data.action
+    bpy.context.scene.frame_set(6)
+    assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
+    np.testing.assert_array_equal(read_pose_keys(rig_of(armature)).quats, before.quats)
+    assert same_rotations(read_pose_keys(rig_of(twin)).quats, before.quats) > 0.05
+
+
+@pytest.mark.parametrize("what", ["ready pose", "take", "take between frames"])
+def test_a_pose_beside_a_correction_outlives_it(armature, made, what):
+    frame = 9.5 if "between" in what else 8.0
+    captured = all_keys(armature)
+    correct(armature, 6)
+    wrist, stood = pose_on(armature, frame)
+    if what == "ready pose":
+        bpy.context.scene.frame_set(int(frame))
+        assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
+    else:
+        applied(armature, made, "POSE", frame, source_frame=16)
+    pose, place = pose_on(armature, frame)
+    if what == "ready pose":
+        assert same_rotations(pose[0], wrist[0]) < 1e-5
+        np.testing.assert_allclose(place, stood, atol=1e-6)
+    corrections.clear_corrections(armature, [6])
+    now, there = pose_on(armature, frame)
+    assert same_rotations(now, pose) < 1e-5
+    np.testing.assert_allclose(there, place, atol=1e-6)
+    if what == "ready pose":  # it is a correction itself
+        assert corrections.corrected_frames(armature) == [8]
+        corrections.clear_corrections(armature)
+    keys = all_keys(armature)
+    same = np.isin(captured.frames, keys.frames) & ((captured.frames != frame) | (what == "ready pose"))
+    again = np.isin(keys.frames, captured.frames[same])
+    assert same_rotations(keys.quats[again], captured.quats[same]) < 1e-5

@@ -25,15 +25,8 @@ class Nameless(Exporter):
 class Usurper(Nameless):
     name, label, description = "fbx", "FBX", "Another"
 
-class Records(Nameless):
-    name, label, description, suffix = "records", "Records", "Ends as a record does", ".json"
-
 class Failing(Nameless):
     name, label, description = "failing", "Failing", "Fails"
-
-class Half(Exporter):
-    name = label = description = suffix = ".half"
-    def reads(self): pass
 """,
     "rigs": """
 from .character import Character
@@ -48,26 +41,23 @@ class Raising(Rig):
     @classmethod
     def recognises(cls, armature, side): return armature["what is not there"]
     bones = ()
-
-class Boneless(Rig):
-    @classmethod
-    def recognises(cls, armature, side): return "boneless" in armature
-    @property
-    def bones(self): return {}["bones"]
 """,
 }
-"""Files beside those of the page, with all that can be wrong"""
+"""Files beside those of the page, with what can be wrong"""
 
-EXPORT = """
-import bpy, sys
-import blender_manient
+BEGIN = """
+import bpy, os, sys
+import numpy as np
 from pathlib import Path
+import blender_manient
 from handfit_core.take import Take
 blender_manient.register()
 from blender_manient.scene.build import build_take
 bpy.ops.wm.read_factory_settings(use_empty=True)
-take = Take.load(sys.argv[1])
-hand = build_take(take, picture=False).hands[0]
+hand = build_take(Take.load(sys.argv[1]), picture=False).hands[0]
+"""
+
+EXPORT = """
 bpy.context.view_layer.objects.active = hand.armature
 bpy.context.scene.manient.export_format = "wrists"
 bpy.ops.manient.export_hand(filepath=sys.argv[2])
@@ -82,31 +72,18 @@ from blender_manient.panels.preferences import ManientPreferences
 from blender_manient import preferences
 from tests.drawn import drawn
 shown = drawn(ManientPreferences, **{name: "" for name in preferences.Values.__annotations__})
-assert "Broken.py is left out" in shown.loud or "broken.py is left out" in shown.loud, shown.loud
+assert "broken.py is left out" in shown.loud.lower(), shown.loud
 assert bpy.ops.manient.open_plugins() == {"FINISHED"}
-from blender_manient import plugins
-assert all((plugins.folder() / kind).is_dir() for kind in ("exporters", "rigs"))
-extensions = Path(bpy.utils.user_resource("EXTENSIONS"))  # replaced and removed with an extension
-assert extensions not in plugins.folder().parents
 try:
     bpy.ops.manient.export_hand(filepath=sys.argv[2], file_format="failing")
 except RuntimeError as error:
     assert "out.none: the plug-in aaa.py failed in Failing (KeyError: 'whole'): mend" in str(error), error
 assert not Path(sys.argv[2] + ".none").exists()
-blender_manient.unregister()
 """
 
 RIG = """
-import bpy, sys
-import numpy as np
-import blender_manient
-from handfit_core.take import Take
-blender_manient.register()
 from blender_manient.rigs import rig_of
-from blender_manient.scene.build import build_take
-from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-bpy.ops.wm.read_factory_settings(use_empty=True)
-hand = build_take(Take.load(sys.argv[1]), picture=False).hands[0]
+from blender_manient.scene.keys import read_pose_keys
 before = read_pose_keys(rig_of(hand.armature))
 assert type(rig_of(hand.armature)).__name__ == "CapturedHandRig"
 bones, seen = rig_of(hand.armature).bones, {}
@@ -120,31 +97,14 @@ assert type(rig).__name__ == "NumberedRig" and rig.side == "right", rig
 after = read_pose_keys(rig)
 np.testing.assert_array_equal(after.quats, before.quats)
 np.testing.assert_array_equal(after.locations, before.locations)
-write_pose_keys(rig, PoseKeys.everywhere(np.array([100.0]), before.quats[:1], before.locations[:1]))
-np.testing.assert_allclose(np.abs(pose_at(rig, np.array([100.0]))[0]), np.abs(before.quats[:1]), atol=1e-6)
-hand.armature["boneless"] = True
-bpy.context.view_layer.objects.active = hand.armature
-assert not bpy.ops.manient.apply_pose.poll()
-try:
-    bpy.ops.manient.apply_pose(pose="Relaxed")
-except RuntimeError as error:
-    assert "The plug-in aaa.py failed in Boneless (KeyError: 'bones'): mend" in str(error), error
-blender_manient.unregister()
 """
 
 CHARACTER = """
-import bpy, sys
-import blender_manient
 from handfit_core.errors import OptionError
 from handfit_core.slices import run_to_completion
-from handfit_core.take import Take
-blender_manient.register()
 from blender_manient.rigs import found_hand
-from blender_manient.scene.build import build_take
 from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
-bpy.ops.wm.read_factory_settings(use_empty=True)
-hand = build_take(Take.load(sys.argv[1]), picture=False).hands[0]
 puppet = hand.armature.copy()
 puppet.data = hand.armature.data.copy()
 puppet.animation_data_clear()
@@ -172,15 +132,13 @@ bpy.context.scene.frame_set(4)
 for ours, theirs in zip(hand.armature.pose.bones[1:], puppet.pose.bones[1:], strict=True):
     turned = ours.matrix_basis.to_quaternion().rotation_difference(theirs.matrix_basis.to_quaternion())
     assert turned.angle < 1e-3, ours.name
-blender_manient.unregister()
 """
 
 END = """
-import os
+blender_manient.unregister()
 sys.stderr.flush()
-os._exit(0)
+os._exit(0)  # bpy as a module may crash or hang while Python ends
 """
-"""bpy 4.2 as a module crashes while Python ends, once properties with functions of their own were there"""
 
 
 def make(heading: str, folder: Path) -> None:
@@ -206,7 +164,7 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     (plugins / "vrma.py" if folder == "exporters" else plugins / "rigify.py").write_text(BROKEN)
     take = make_take(sides=("right",)).take.save(tmp_path / "hand.take.npz")
     done = subprocess.run(
-        [sys.executable, "-c", script + END, str(take), str(tmp_path / "out")],
+        [sys.executable, "-c", BEGIN + script + END, str(take), str(tmp_path / "out")],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(ROOT), "BLENDER_USER_DATAFILES": str(tmp_path / "user")},
         capture_output=True,
@@ -220,9 +178,7 @@ def test_one_file_adds_it(make_take, tmp_path, heading, folder, script):
     for said in {
         "An exporter": (
             "aaa.py is left out: Nameless has no name, label, description",
-            "aaa.py is left out: Half has no write",
             "Usurper of aaa.py is left out: there is a format 'fbx' already",
-            "Records of aaa.py is left out: other files end with .json already",
         ),
         "A rig": ("the plug-in aaa.py failed in Raising (KeyError: ",),
         "A character": ("the plug-in aaa.py failed in Wrong (KeyError: ",),

@@ -5,25 +5,24 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import bpy
 import numpy as np
 import pytest
 
-bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
-
-from blender_manient.operators.capture import new_job  # noqa: E402
-from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source  # noqa: E402
-from blender_manient.operators.modes.choice import Choice, FoundHand  # noqa: E402
-from blender_manient.operators.modes.view import MAX_ZOOM, PictureView  # noqa: E402
-from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
-from blender_manient.scene.store import captured_hands  # noqa: E402
-from blender_manient.session import jobs, shared_worker  # noqa: E402
-from handfit_core.arrays import pack  # noqa: E402
-from handfit_core.detect.detector import Region  # noqa: E402
-from handfit_core.errors import OptionError  # noqa: E402
-from handfit_core.geometry.picture_map import mapped  # noqa: E402
-from handfit_core.options import CaptureOptions  # noqa: E402
-from tests.capturing import needs_capture  # noqa: E402
-from tests.drawn import drawn  # noqa: E402
+from blender_manient.operators.capture import new_job
+from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
+from blender_manient.operators.modes.choice import Choice, FoundHand
+from blender_manient.operators.modes.view import MAX_ZOOM, PictureView
+from blender_manient.panels.capture import MANIENT_PT_capture
+from blender_manient.scene.store import captured_hands
+from blender_manient.session import jobs, shared_worker
+from handfit_core.arrays import pack
+from handfit_core.detect.detector import Region
+from handfit_core.errors import OptionError
+from handfit_core.geometry.picture_map import mapped
+from handfit_core.options import CaptureOptions
+from tests.capturing import needs_capture
+from tests.drawn import drawn
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 SHAPE = np.random.default_rng(3).uniform(-20.0, 20.0, (21, 2))
@@ -55,7 +54,7 @@ def test_the_surest_of_those_that_are_wanted_are_chosen_at_first():
     assert state(choice) == [(100, "right", False), (200, "left", True)]
 
 
-def test_hands_are_left_out_turned_and_thrown_out_and_each_step_is_taken_back(choice):
+def test_each_step_is_taken_back(choice):
     begun = state(choice)
     choice.toggle(choice.hands[0])
     choice.flip_side(choice.hands[1])
@@ -65,10 +64,8 @@ def test_hands_are_left_out_turned_and_thrown_out_and_each_step_is_taken_back(ch
     assert state(choice) == [(100, "right", True), (200, "right", True)]
     choice.toggle_all()
     assert not choice.chosen
-    for _ in range(5):
-        assert choice.undo()
+    assert [choice.undo() for _ in range(6)] == [True] * 5 + [False]
     assert state(choice) == begun
-    assert not choice.undo()
 
 
 def test_regions_are_of_the_chosen_hands_and_name_sides_that_were_changed(choice):
@@ -102,22 +99,21 @@ def test_the_hand_that_is_pointed_at(choice):
 
 def test_the_picture_fits_and_is_enlarged_where_the_mouse_is():
     picture_view, free = PictureView((400, 200)), (100.0, 50.0, 300.0, 250.0)
-    corners = np.array([[0.0, 0.0], [400.0, 200.0]])
+
+    def zoomed(factor: float, times: int) -> float:
+        for _ in range(times):
+            picture_view.zoom(factor, place, free)
+        return picture_view.scale(free)
+
+    corners, place = np.array([[0.0, 0.0], [400.0, 200.0]]), np.array([330.0, 40.0])
     np.testing.assert_allclose(mapped(picture_view.matrix(free), corners), [[100.0, 200.0], [300.0, 100.0]])
-    place = np.array([330.0, 40.0])
     before = mapped(picture_view.matrix(free), place)
-    for _ in range(4):
-        picture_view.zoom(1.5, place, free)
+    assert zoomed(1.5, 4) == pytest.approx(0.5 * 1.5**4)
     np.testing.assert_allclose(mapped(picture_view.matrix(free), place), before)
-    assert picture_view.scale(free) == pytest.approx(0.5 * 1.5**4)
     picture_view.move(np.array([10.0, -20.0]), free)
     np.testing.assert_allclose(mapped(picture_view.matrix(free), place), before + [10.0, -20.0])
-    for _ in range(40):
-        picture_view.zoom(1.5, place, free)
-    assert picture_view.scale(free) == pytest.approx(MAX_ZOOM)
-    for _ in range(60):
-        picture_view.zoom(1 / 1.5, place, free)
-    assert picture_view.scale(free) == pytest.approx(0.5), "no smaller than fits"
+    assert zoomed(1.5, 40) == pytest.approx(MAX_ZOOM)
+    assert zoomed(1 / 1.5, 60) == pytest.approx(0.5), "no smaller than fits"
     picture_view.move(np.array([9e9, 9e9]), free)
     assert mapped(np.linalg.inv(picture_view.matrix(free)), np.array([200.0, 150.0])).min() >= 0.0
 
@@ -159,31 +155,21 @@ def test_chosen_hands_are_captured_whatever_the_panel_says_of_hands(settings):
     assert (options.hands, options.regions, options.only_regions) == ("left", (), False)
 
 
-def test_the_panel_offers_it_and_it_waits_for_captures(settings):
+def test_the_panel_offers_it_unless_another_program_has_found_them(settings, tmp_path):
+    """Its keypoints belong to one source, and go with it."""
     settings.source = str(SAMPLE / "hand.0001.jpg")
     assert "manient.find_hands" in drawn(MANIENT_PT_capture).said
     assert MANIENT_OT_find_hands.lacks(bpy.context) in (None, "")
+    settings.keypoints = str(tmp_path / "openpose")
+    said = drawn(MANIENT_PT_capture).said
+    assert not {"manient.find_hands", "manient.add_hand"} & set(said.split())
+    with pytest.raises(OptionError, match=r"either regions.* or keypoints"):
+        new_job(bpy.context, only_frame=False, regions=(Region(1.0, 2.0, 30.0, 40.0),))
+    settings.source = str(SAMPLE / "hand.0002.jpg")
+    assert not settings.keypoints
     jobs.submit(new_job(bpy.context, only_frame=False))
     assert "capture is running" in MANIENT_OT_find_hands.lacks(bpy.context)
     jobs.cancel_all()
-
-
-def test_hands_of_another_program_are_not_looked_for(settings, tmp_path):
-    """Its keypoints belong to one source, and go with it."""
-    settings.source = str(SAMPLE / "hand.0001.jpg")
-    settings.keypoints = str(tmp_path / "openpose")
-    said = drawn(MANIENT_PT_capture).said
-    assert said.endswith("Capture")
-    assert "manient.find_hands" not in said
-    assert "manient.add_hand" not in said
-    with pytest.raises(OptionError, match=r"either regions.* or keypoints"):
-        new_job(bpy.context, only_frame=False, regions=(Region(1.0, 2.0, 30.0, 40.0),))
-    settings.as_sequence = True
-    settings.source = str(SAMPLE / "hand.0001.jpg")
-    assert settings.keypoints
-    settings.source = str(SAMPLE / "hand.0002.jpg")
-    assert not settings.keypoints
-    assert "manient.add_hand" in drawn(MANIENT_PT_capture).said
 
 
 @needs_capture

@@ -1,4 +1,4 @@
-"""The live link, by its own steps: timers do not run without a window."""
+"""What follows by and by, in its own steps: a character that is linked to a hand, and how its hand moves."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
-from blender_manient.scene.keys import PoseKeys, pose_at, remove_pose_keys, set_pose, write_pose_keys
+from blender_manient.scene.hand_motion import MARK, written_keys
+from blender_manient.scene.keys import PoseKeys, pose_at, remove_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
-from blender_manient.session import followers, live_link
+from blender_manient.session import followers, hand_adjusting, live_link
+from tests.drawn import drawn
 
 from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves
@@ -24,21 +27,23 @@ pytestmark = pytest.mark.usefixtures("registered")
 NAMES = [joint_name(j, "right") for j in range(16)]
 
 
-@pytest.fixture
-def beside(make_take):
-    """A captured hand, and a character that could follow it."""
-    hand = hand_of(build_take(make_take(sides=("right",)).take).hands[0].armature)
-    assert hand is not None
-    target = build_armature(hand_specs("right", np.random.default_rng(3), bend=0.4, stretch=0.2))
-    keep_map(target, map_of("right"))
-    target.manient.character.contacts = False
-    return hand, target
+def follower(seed: int = 3, name: str = "Character", **fields) -> bpy.types.Object:
+    """A character with one hand."""
+    armature = build_armature(hand_specs("right", np.random.default_rng(seed), **fields), name)
+    keep_map(armature, map_of("right"))
+    armature.manient.character.contacts = False
+    return armature
 
 
 @pytest.fixture
-def linked(beside):
+def hand(make_take):
+    return hand_of(build_take(make_take(sides=("right",)).take).hands[0].armature)
+
+
+@pytest.fixture
+def linked(hand):
     """A captured hand, and a character that follows it."""
-    hand, target = beside
+    target = follower(bend=0.4, stretch=0.2)
     target.manient.character.live = True
     settle()
     assert live_link.trouble(target) is None
@@ -46,14 +51,13 @@ def linked(beside):
 
 
 def settle() -> None:
-    """Have the link do all that it would do by and by."""
+    """Have all be done that would be by and by: timers do not run without a window."""
     bpy.context.view_layer.update()
     for _ in range(400):
-        wait = live_link.step()
-        if wait is None:
+        if [step() for step in (live_link.step, hand_adjusting.step)] == [None, None]:
             return
         time.sleep(0.01)
-    raise AssertionError("the link does not end")
+    raise AssertionError("it does not end")
 
 
 def curl(hand, frame, turn=0.4):
@@ -80,12 +84,13 @@ def alike(hand, target, frame):
     return error.max() < 0.1
 
 
-def test_switched_on_it_shows_this_frame_before_it_keys_and_tells_how_far_it_is(beside, monkeypatch):
-    hand, target = beside
+def test_switched_on_it_shows_this_frame_before_it_keys_all(hand, monkeypatch):
+    target = follower(bend=0.4, stretch=0.2)
     bpy.context.scene.frame_set(6)
     monkeypatch.setattr(followers, "slice_clock", lambda: lambda: True)
     target.manient.character.live = True
     assert live_link.step() is not None
+    assert target.manient.character.right.source == hand.armature
     assert target.animation_data is None, "a key"
     assert alike(hand, target, 6)
     assert live_link.keying_progress(target) is None
@@ -93,64 +98,40 @@ def test_switched_on_it_shows_this_frame_before_it_keys_and_tells_how_far_it_is(
     while live_link.step() is not None:
         told.append(live_link.keying_progress(target))
     assert live_link.keying_progress(target) is None
-    assert told[0] == 0.0
     assert told == sorted(told)
     assert len(set(told)) > 10
-    assert 0.9 < told[-1] <= 1.0
-    assert alike(hand, target, 9)
-
-
-def test_switched_on_it_keys_all(linked):
-    hand, target = linked
-    assert target.manient.character.right.source == hand.armature
+    assert 0.0 == told[0] < 0.9 < told[-1] <= 1.0
     assert all(alike(hand, target, frame) for frame in (3, 6, 9))
+
+
+def own_key(target):
+    """Key a bone as an artist does; then all keys."""
+    own = target.pose.bones[NAMES[2]]
+    own.rotation_quaternion = (0.8, 0.6, 0.0, 0.0)
+    own.keyframe_insert("rotation_quaternion", frame=8)
+    return values(target)
 
 
 def test_changed_keys_follow_and_own_keys_elsewhere_stay(linked):
     hand, target = linked
-    own = target.pose.bones[NAMES[2]]
-    own.rotation_quaternion = (0.8, 0.6, 0.0, 0.0)
-    own.keyframe_insert("rotation_quaternion", frame=8)
-    before = values(target)
+    before = own_key(target)
     curl(hand, 5)
     settle()
     assert alike(hand, target, 5)
-    after = values(target)
     changed = {
         (path.split('"')[1], key[0])
-        for (path, index), keys in after.items()
+        for (path, index), keys in values(target).items()
         for key in keys
         if key not in before[path, index]
     }
     assert changed == {(NAMES[1], 5.0)}
-
-
-def test_a_pose_without_keys_shows_at_once(linked):
-    hand, target = linked
-    bpy.context.scene.frame_set(5)
-    quats = np.full((16, 4), np.nan)
-    quats[1] = [0.9, np.sqrt(1 - 0.81), 0.0, 0.0]
-    before = np.array(target.pose.bones[NAMES[1]].rotation_quaternion)
-    set_pose(hand.rig, quats)
-    bpy.context.view_layer.update()
-    live_link.step()
-    assert np.abs(np.array(target.pose.bones[NAMES[1]].rotation_quaternion) - before).max() > 0.05
-
-
-def test_keys_that_go_go(linked):
-    hand, target = linked
     remove_pose_keys(hand.rig, 15, 40)
     settle()
-    last = max(key[0] for keys in values(target).values() for key in keys)
-    assert last == 14
+    assert max(key[0] for keys in values(target).values() for key in keys) == 14
 
 
 def test_nothing_is_keyed_again_in_a_loaded_file(linked, tmp_path):
-    _, target = linked
-    own = target.pose.bones[NAMES[2]]
-    own.rotation_quaternion = (0.8, 0.6, 0.0, 0.0)
-    own.keyframe_insert("rotation_quaternion", frame=8)
-    before = values(target)
+    before = own_key(linked[1])
     path = str(tmp_path / "live.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
     bpy.ops.wm.open_mainfile(filepath=path)
@@ -164,38 +145,166 @@ def test_nothing_is_keyed_again_in_a_loaded_file(linked, tmp_path):
 
 
 def test_another_action_is_not_written_to(linked):
+    """That stays told while another character follows."""
     hand, target = linked
-    other = bpy.data.actions.new("mine")
-    target.animation_data.action = other
+    other = follower(4, "Other")
+    other.manient.character.live = True
+    settle()
+    target.animation_data.action = bpy.data.actions.new("mine")
     target.pose.bones[NAMES[3]].keyframe_insert("rotation_quaternion", frame=4)
     before = values(target)
     curl(hand, 5)
     settle()
-    assert "another action" in live_link.trouble(target)
-    assert values(target) == before
-
-
-def test_one_characters_trouble_stays_while_another_follows(linked):
-    hand, target = linked
-    other = build_armature(hand_specs("right", np.random.default_rng(4)), "Other")
-    keep_map(other, map_of("right"))
-    other.manient.character.contacts = False
-    other.manient.character.live = True
-    settle()
-    target.animation_data.action = bpy.data.actions.new("mine")
-    curl(hand, 5)
-    settle()
-    assert "another action" in live_link.trouble(target)
     live_link._links[other.session_uid].changed = 0.0
     settle()
-    assert live_link.trouble(other) is None
     assert "another action" in live_link.trouble(target)
-
-
-def test_switched_off_it_follows_no_more(linked):
-    hand, target = linked
-    target.manient.character.live = False
-    before = values(target)
-    curl(hand, 5)
-    settle()
     assert values(target) == before
+    assert live_link.trouble(other) is None
+    other.manient.character.live = False
+    before = values(other)
+    curl(hand, 5, 0.7)
+    settle()
+    assert values(other) == before
+
+
+@pytest.fixture(params=["NEW", "STRIP", "ACTION"])
+def target(hand, request):
+    """A character whose hand moves as a captured one from frame 3 on; it is ten times as large."""
+    target = follower(scale=10.0)
+    character = target.manient.character
+    character.right.source = hand.armature
+    character.into, character.wrist, character.reference = request.param, "PLACED", 3
+    assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
+    return target
+
+
+def matrices(target, frames=(3, 6, 12)) -> np.ndarray:
+    """(N, 4, 4) how the hand is shown."""
+    found = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        shown = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose.bones[NAMES[0]]
+        found.append(np.array(shown.matrix))
+    return np.array(found)
+
+
+def places(target, frames=(3, 6, 12)) -> np.ndarray:
+    """(N, 3) where the hand is shown."""
+    return matrices(target, frames)[:, :3, 3]
+
+
+def test_travel_is_scaled_again_and_again_about_the_marked_frame(target):
+    before, actions = matrices(target), len(bpy.data.actions)
+    for travel in (0.5, 2.0, 0.0, 1.0):
+        target.manient.character.travel = travel
+        settle()
+        found = matrices(target)
+        expected = before[0, :3, 3] + travel * (before - before[0])[:, :3, 3]
+        np.testing.assert_allclose(found[:, :3, 3], expected, atol=1e-4)
+        np.testing.assert_allclose(found[:, :3, :3], before[:, :3, :3], atol=1e-4)
+    assert len(bpy.data.actions) == actions
+    assert hand_adjusting.message(target) is None
+
+
+def test_any_frame_can_be_marked(target):
+    """The hand stands there as it did, and goes less far from there on."""
+    before = places(target)
+    bpy.context.view_layer.objects.active = target
+    bpy.context.scene.frame_set(12)
+    assert bpy.ops.manient.mark_frame() == {"FINISHED"}
+    settle()
+    np.testing.assert_allclose(places(target), before, atol=1e-4)
+    target.manient.character.travel = 0.5
+    settle()
+    np.testing.assert_allclose(places(target), before[2] + 0.5 * (before - before[2]), atol=1e-4)
+    target.manient.character.reference = 400
+    settle()
+    assert "marked frame 400" in drawn(MANIENT_PT_character).loud
+    np.testing.assert_allclose(places(target), before[2] + 0.5 * (before - before[2]), atol=1e-4)
+
+
+def test_smoothing_takes_out_what_shakes_and_comes_back(target):
+    frames = range(3, 16)
+    before = places(target, frames)
+    target.manient.character.smoothing = 8
+    settle()
+    after = places(target, frames)
+    np.testing.assert_allclose(after[0], before[0], atol=1e-5)  # the marked frame
+    rough, smooth = (np.abs(np.diff(found, n=2, axis=0)).sum() for found in (before, after))
+    assert smooth < 0.5 * rough
+    target.manient.character.smoothing = 0
+    settle()
+    np.testing.assert_allclose(places(target, frames), before, atol=1e-4)
+
+
+def test_a_dragged_offset_moves_all_of_it(target):
+    before = places(target)
+    bpy.context.view_layer.objects.active = target
+    bpy.context.scene.frame_set(6)
+    assert bpy.ops.manient.add_hand_offset(side="right") == {"FINISHED"}
+    handle = bpy.context.active_object
+    assert handle == target.manient.character.right.offset
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(handle.matrix_world.translation, before[1], atol=1e-5)
+    for move in ((0.5, 0.0, -0.25), (0.1, 0.2, 0.3)):
+        handle.location = move
+        settle()
+        np.testing.assert_allclose(places(target), before + move, atol=1e-4)
+    # Applied anew and again, it is in the keys once.
+    bpy.context.view_layer.objects.active = target
+    for _ in range(2):
+        assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
+        np.testing.assert_allclose(places(target), before + move, atol=1e-4)
+    assert bpy.ops.manient.add_hand_offset(side="right") == {"FINISHED"}
+    assert bpy.context.active_object == handle
+    bpy.ops.object.delete()
+    settle()
+    np.testing.assert_allclose(places(target), before, atol=1e-4)
+
+
+def test_keys_of_ones_own_stay(target):
+    before = places(target)
+    path = f'"{NAMES[0]}"].location'
+    curves = action_curves(written_keys(target, "right").action)
+    curve = next(c for c in curves if c.data_path.endswith(path) and c.array_index == 0)
+    point = next(p for p in curve.keyframe_points if p.co[0] == 6.0)
+    point.co[1] += 0.3
+    curve.update()
+    mine = places(target)[1]
+    for travel in (0.5, 0.25):
+        target.manient.character.travel = travel
+        settle()
+        found = places(target)
+        np.testing.assert_allclose(found[2] - found[0], travel * (before[2] - before[0]), atol=1e-4)
+        np.testing.assert_allclose(found[1], mine, atol=1e-5)
+        assert "1 frame with keys of your own stay" in drawn(MANIENT_PT_character).said
+
+
+def test_nothing_is_written_where_nothing_was(target):
+    """Fingers alone were applied, or what tells of the keys is damaged."""
+    character, before = target.manient.character, places(target)
+    for wrist in ("TURNED", "FINGERS"):
+        character.wrist, character.travel = wrist, 0.5
+        settle()
+        np.testing.assert_allclose(places(target), before, atol=1e-5)
+    action = written_keys(target, "right").action
+    action[MARK] = {key: {"keys": "?"} for key in dict(action[MARK])}
+    character.travel = 0.7
+    settle()
+    assert written_keys(target, "right") is None
+    np.testing.assert_allclose(places(target), before, atol=1e-5)
+
+
+def test_the_live_link_follows_an_offset(hand):
+    target = follower()
+    character = target.manient.character
+    character.wrist, character.reference, character.live = "PLACED", 3, True
+    settle()
+    before = places(target)
+    assert bpy.ops.manient.add_hand_offset(side="right") == {"FINISHED"}
+    character.right.offset.location = (0.0, 0.2, 0.0)
+    character.travel = 0.5
+    settle()
+    assert live_link.trouble(target) is None
+    expected = before[0] + [0.0, 0.2, 0.0] + 0.5 * (before - before[0])
+    np.testing.assert_allclose(places(target), expected, atol=1e-5)

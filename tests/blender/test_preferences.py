@@ -1,22 +1,31 @@
-"""Preferences: their defaults, the entry in Blender's own preferences, MANO's check, the cache."""
+"""What is chosen once: preferences, MANO's files, the cache, the worker, and the options of a capture."""
 
 from __future__ import annotations
 
+import argparse
+import os
 import shutil
-from dataclasses import replace
 
 import bpy
 import numpy as np
 import pytest
 
 import blender_manient
+from blender_manient.batch.arguments import add_arguments
 from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
+from blender_manient.operators.capture import new_job
+from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
-from blender_manient.session import cache
-from tests.blender.conftest import FRAMES, write_png
+from blender_manient.session import cache, shared_worker
+from handfit_core.errors import OutputError
+from handfit_core.options import OPTIONS, CaptureOptions
+from tests.conftest import ROOT
 from tests.drawn import drawn
+from tests.takes import correctable
+
+from .conftest import READY, write_png
 
 
 @pytest.fixture
@@ -27,38 +36,8 @@ def entry():
     blender_manient.register()
     yield addon
     blender_manient.unregister()
-    bpy.context.preferences.addons.remove(addon)
-
-
-def test_without_an_entry_the_defaults(registered):
-    chosen = preferences.get()
-    assert (chosen.mano_folder, chosen.python, chosen.threads) == ("", "", 0)
-    assert (chosen.default_preset, chosen.drop_captures) == ("STANDARD", True)
-
-
-def test_the_defaults_are_those_of_the_entry(entry):
-    fields = {
-        p.identifier
-        for p in entry.preferences.bl_rna.properties
-        if p.identifier not in ("rna_type", "bl_idname")
-    }
-    assert preferences.get() == entry.preferences
-    assert fields == set(vars(preferences._defaults()))
-    for name, value in vars(preferences._defaults()).items():
-        assert getattr(entry.preferences, name) == value, name
-
-
-def test_what_was_set_without_an_entry_ends_with_the_addon():
-    blender_manient.register()
-    preferences.get().threads = 5
-    blender_manient.unregister()
-    assert preferences.get().threads == 0
-
-
-def test_the_entry_is_found_by_the_name_of_the_addon(entry):
-    entry.preferences.python = "/my/python"
-    assert preferences.get(bpy.context).python == "/my/python"
-    assert type(entry.preferences).bl_idname == "blender_manient"
+    for left in [a for a in bpy.context.preferences.addons if a.module == preferences.ADDON]:
+        bpy.context.preferences.addons.remove(left)
 
 
 def test_the_default_quality_is_for_scenes_without_one(entry):
@@ -71,11 +50,23 @@ def test_the_default_quality_is_for_scenes_without_one(entry):
     assert bpy.context.scene.manient.preset == "DRAFT"
 
 
+def test_the_defaults_are_those_of_the_entry_and_end_with_the_addon(entry):
+    defaults = vars(preferences._defaults())
+    names = {p.identifier for p in entry.preferences.bl_rna.properties} - {"rna_type", "bl_idname"}
+    assert {name: getattr(entry.preferences, name) for name in names} == defaults
+    assert type(entry.preferences).bl_idname == "blender_manient"
+    entry.preferences.python = "/my/python"
+    assert preferences.get(bpy.context).python == "/my/python"
+    bpy.context.preferences.addons.remove(entry)
+    preferences.get().threads = 5
+    blender_manient.unregister()
+    assert preferences.get().threads == 0
+    blender_manient.register()
+
+
 def test_how_opaque_the_hand_is_can_be_set_where_keypoints_are_edited(entry, make_take):
-    take = make_take(sides=("right",)).take
-    detected = {"keypoints_depth": np.zeros((len(FRAMES), 21)), "world_landmarks": take.hands[0].joints_3d}
-    take = replace(take, hands=(replace(take.hands[0], **detected),))
-    bpy.context.view_layer.objects.active = build_take(take).hands[0].armature
+    armature = build_take(correctable(make_take(sides=("right",)).take)).hands[0].armature
+    bpy.context.view_layer.objects.active = armature
     assert "hand_opacity" in drawn(MANIENT_PT_refine).said
     assert 0.0 < entry.preferences.hand_opacity < 1.0, "the hand starts see-through"
 
@@ -88,28 +79,23 @@ def checked(path) -> list[tuple[bool, str]]:
     return [(r.ok, r.sentence) for r in housekeeping.results(str(path))]
 
 
-def test_good_files(registered, imitation_mano):
-    results = checked(imitation_mano)
-    assert [ok for ok, _ in results] == [True, True]
-    assert "778 vertices" in results[0][1]
-
-
-def test_the_wrong_side_is_named(registered, imitation_mano, tmp_path):
-    shutil.copy(imitation_mano / "MANO_RIGHT.npz", tmp_path / "MANO_RIGHT.npz")
-    shutil.copy(imitation_mano / "MANO_RIGHT.npz", tmp_path / "MANO_LEFT.npz")
-    results = dict(zip(("right", "left"), sorted(checked(tmp_path), reverse=True), strict=True))
-    assert results["right"][0]
-    assert not results["left"][0]
-    assert "this is a right hand" in results["left"][1]
-
-
-def test_a_damaged_and_a_missing_file_are_named(registered, tmp_path):
+def test_mano_files_are_checked_side_by_side(registered, imitation_mano, tmp_path):
+    good = checked(imitation_mano)
+    assert [ok for ok, _ in good] == [True, True]
+    assert "778 vertices" in good[0][1]
+    for side in ("RIGHT", "LEFT"):
+        shutil.copy(imitation_mano / "MANO_RIGHT.npz", tmp_path / f"MANO_{side}.npz")
+    wrong, right = sorted(checked(tmp_path))
+    assert (wrong[0], right[0]) == (False, True)
+    assert "this is a right hand" in wrong[1]
+    for name in ("MANO_RIGHT.npz", "MANO_LEFT.npz"):
+        (tmp_path / name).unlink()
     (tmp_path / "MANO_LEFT.pkl").write_text("no model")
-    sentences = [sentence for ok, sentence in checked(tmp_path) if not ok]
-    assert len(sentences) == 2
-    assert any("MANO_LEFT.pkl" in s for s in sentences)
-    assert any("has no MANO_RIGHT" in s for s in sentences)
-    assert all("Traceback" not in s for s in sentences)
+    results = checked(tmp_path)
+    assert [ok for ok, _ in results] == [False, False]
+    for said in ("MANO_LEFT.pkl", "has no MANO_RIGHT"):
+        assert any(said in sentence for _, sentence in results)
+    assert not any("Traceback" in sentence for _, sentence in results)
 
 
 def test_the_paths_that_are_checked_by_themselves(registered, imitation_mano, tmp_path):
@@ -127,52 +113,136 @@ def test_the_paths_that_are_checked_by_themselves(registered, imitation_mano, tm
 # The cache
 
 
-def test_the_chosen_folder_gets_one_of_ours(registered, tmp_path):
+def test_the_cache_is_ours_in_the_chosen_folder_or_in_the_users(registered, tmp_path, monkeypatch):
     assert cache.cache_folder() == tmp_path / "cache" / "manient"
     assert cache.cache_folder().is_dir()
-
-
-def test_without_a_choice_it_lies_in_the_users_cache(registered, tmp_path, monkeypatch):
     preferences.get().cache_folder = ""
     monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "of the user"))
     assert cache.cache_folder() == tmp_path / "of the user" / "manient"
 
 
-def test_clear_removes_only_what_is_ours(registered, tmp_path):
+def test_clear_removes_only_what_is_ours_and_what_no_file_shows(registered, tmp_path):
     chosen = tmp_path / "cache"
     chosen.mkdir()
     (chosen / "thesis.txt").write_text("years of work")
-    take = cache.temporary_take()
-    take.write_bytes(b"x" * 1000)
+    cache.temporary_take().write_bytes(b"x" * 1000)
     (cache.cache_folder() / "still.png").write_bytes(b"x" * 500)
-    assert cache.measure(cache.folder_path()) == 1500
+    assert cache.measure(cache.folder_path()) == cache.shown_size() == 1500
+    shared_worker.worker().submit("check")
+    assert not bpy.ops.manient.clear_cache.poll()
+    shared_worker.stop()
     assert bpy.ops.manient.clear_cache() == {"FINISHED"}
     assert (chosen / "thesis.txt").exists()
-    assert cache.measure(cache.folder_path()) == 0
+    assert cache.measure(cache.folder_path()) == cache.shown_size() == 0
     assert not cache.folder_path().exists()
     assert cache.temporary_take().parent.is_dir()  # it comes back when it is needed
-
-
-def test_clear_keeps_pictures_that_the_file_shows(registered, picture):
     shown = write_png(cache.cache_folder() / "shown.png", np.ones((4, 4, 4), dtype=np.float32))
     bpy.data.images.load(str(shown))
     (cache.cache_folder() / "other.png").write_bytes(b"x")
     assert cache.clear() == (1, 1)
-    assert [p.name for p in cache.cache_folder().iterdir()] == ["shown.png"]
+    assert [path.name for path in cache.cache_folder().iterdir()] == ["shown.png"]
 
 
-def test_no_clearing_while_the_worker_writes(registered):
-    from blender_manient.session import shared_worker
+# The worker that all share, and the takes that it writes
 
-    shared_worker.worker().submit("check")
-    assert not bpy.ops.manient.clear_cache.poll()
+
+PEER = f"""{READY}
+for line in sys.stdin:
+    if answers:
+        print(json.dumps({{"event": "done", "id": json.loads(line)["id"]}}), flush=True)
+"""
+
+
+def test_one_worker_until_the_preferences_change_and_it_is_free(registered, peer):
+    assert shared_worker.current() is None
+    preferences.get().python = peer(f"answers = True{PEER}")
+    worker = shared_worker.worker()
+    request = worker.submit("warm")
+    preferences.get().threads = 2
+    assert shared_worker.worker() is worker
+    worker.wait(request, timeout=20)
+    other = shared_worker.worker()
+    assert other is not worker
+    assert shared_worker.current() is other
+    assert not worker.alive
+
+
+def test_unregister_ends_it_and_its_files(peer, tmp_path):
+    blender_manient.register()
+    preferences.get().cache_folder = str(tmp_path / "cache")
+    preferences.get().python = peer(f"answers = False{PEER}")
+    worker = shared_worker.worker()
+    worker.submit("warm")
+    pid = worker.pid
+    assert pid is not None
+    take = cache.temporary_take("a photo.jpg")
+    take.write_bytes(b"x")
+    blender_manient.unregister()
+    with pytest.raises(ProcessLookupError):  # already: Blender may be about to remove the files that it runs
+        os.kill(pid, 0)
+    assert list((tmp_path / "cache").iterdir()) == []
+    assert shared_worker.current() is None
+
+
+def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer):
+    settings = bpy.context.scene.manient
+    assert not {"solver", "detector"} & set(drawn(MANIENT_PT_capture_advanced).said.split())
+    preferences.get().python = peer(f"answers = True{PEER}")
+    worker = shared_worker.worker()
+    worker.wait(worker.submit("warm"), timeout=20)
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split())
+    assert [shared_worker.detectors(), shared_worker.solvers()] == [
+        ["mediapipe", "bright-spot"],
+        ["fast", "flat"],  # the paper's experiments are chosen as such
+    ]
+    settings.source = str(ROOT / "samples" / "rendered_hand" / "hand.0001.jpg")
+    assert {"solver", "detector"}.isdisjoint(new_job(bpy.context, only_frame=False).options.to_message())
+    settings.detector, settings.solver = "bright-spot", "flat"
+    options = new_job(bpy.context, only_frame=False).options
+    assert (options.detector, options.solver) == ("bright-spot", "flat")
     shared_worker.stop()
-    assert bpy.ops.manient.clear_cache.poll()
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split()), "to change back"
 
 
-def test_the_size_that_is_shown(registered):
-    for name in "abc":
-        (cache.cache_folder() / f"{name}.png").write_bytes(b"x" * 500)
-    assert cache.shown_size() == 1500
-    bpy.ops.manient.clear_cache()
-    assert cache.shown_size() == 0, "the old number is not shown any more"
+def test_takes_have_names_of_their_own_and_those_of_a_crashed_blender_go(registered):
+    folder = cache.cache_folder()
+    old, recent = folder / "takes-old", folder / "takes-recent"
+    for path in (old, recent):
+        path.mkdir()
+        (path / "a.take.npz").write_bytes(b"x")
+    os.utime(old, (1, 1))
+    first, second = cache.temporary_take("my clip.mp4"), cache.temporary_take("my clip.mp4")
+    assert first != second
+    assert first.name.endswith(".take.npz")
+    assert folder in first.parents
+    assert (first.parent.is_dir(), old.exists(), recent.exists()) == (True, False, True)
+
+
+def test_no_room_or_no_folder_is_one_sentence(registered, tmp_path):
+    with pytest.raises(OutputError, match=r"full.*MB free.*preferences"):
+        cache.temporary_take(needed=1 << 60)
+    (tmp_path / "file").write_text("in the way")
+    preferences.get().cache_folder = str(tmp_path / "file")
+    with pytest.raises(OutputError, match=r"cannot write here.*preferences"):
+        cache.temporary_take()
+
+
+# The options of a capture against the core's table
+
+
+@pytest.mark.parametrize(("name", "units"), [("smoothing", 1.0), ("threshold", 1.0), ("hand_length", 100.0)])
+def test_what_a_property_takes_its_option_takes(registered, name, units):
+    settings, option = bpy.context.scene.manient, OPTIONS[name]
+    shown = settings.bl_rna.properties[name]
+    for value in (shown.hard_min, shown.hard_max):
+        setattr(settings, name, value)
+        assert option.least <= option.read(getattr(settings, name) / units) <= option.most
+
+
+def test_the_panel_has_the_hands_to_choose_from_and_a_batch_every_option(registered):
+    shown = bpy.context.scene.manient.bl_rna.properties["hands"]
+    assert [item.identifier for item in shown.enum_items] == list(OPTIONS["hands"].choices())
+    assert shown.default == CaptureOptions.hands
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    assert {option.flag for option in OPTIONS.values()} <= set(parser._option_string_actions)

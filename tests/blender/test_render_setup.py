@@ -15,9 +15,8 @@ from blender_manient.scene import render_setup
 from blender_manient.scene.build import build_take
 from blender_manient.scene.matching import clear_view
 from blender_manient.scene.plate import rows_of
-from handfit_core.media.source import Source
 
-from .conftest import HEIGHT, WIDTH, world, write_png
+from .conftest import HEIGHT, WIDTH, world
 
 
 @pytest.fixture
@@ -77,21 +76,6 @@ def test_the_first_render_shows_lit_hands_in_their_picture(make_take, start_up, 
     skin = shown[hands]
     assert np.median(skin[:, 0]) > 0.45
     assert np.median(skin[:, 0] - skin[:, 2]) > 0.12
-
-
-def test_the_picture_moves_with_the_clip(make_take, start_up, tmp_path):
-    files = []
-    for number in (3, 4, 5):
-        rows = np.full((HEIGHT, WIDTH, 4), number / 10.0)
-        rows[..., 3] = 1.0
-        files.append(str(write_png(tmp_path / f"frame.{number:04d}.png", rows)))
-    take = make_take(source=Source("sequence", tuple(files)), frame_numbers=np.array([3, 4, 5])).take
-    built = build_take(take)
-    clear_view(built.camera, built.collection, bpy.context.view_layer)
-    for number in (5, 3, 4):
-        start_up.frame_set(number)
-        shown = rendered(start_up, tmp_path / "f12.png")
-        assert abs(float(np.median(shown)) - number / 10.0) < 0.02, "frame by frame as behind the camera"
 
 
 def lights(built) -> list[bpy.types.Object]:

@@ -10,7 +10,7 @@ import pytest
 
 from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
-from blender_manient.scene import see_through, store
+from blender_manient.scene import store
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import corrected_frames
@@ -141,31 +141,6 @@ def test_it_survives_a_file_without_scripts(take, tmp_path):
     np.testing.assert_allclose(
         store.clip_timing(hand.collection).source_frames([FIRST, 110]), moments([FIRST, 110], 24.0)
     )
-
-
-def test_old_files_stay_as_they_were(take):
-    """Fractional keys, as former versions made them."""
-    scene_of(24.0)
-    built = build_take(take, match_scene=True)
-    kept = built.collection.manient
-    kept.frame_offset, kept.frame_scale, kept.scene_rate = 98.6, 0.8, 0.0
-    frames = store.scene_frames(built.collection, store.kept_take(built.collection))
-    np.testing.assert_allclose(frames, 98.6 + 0.8 * FRAMES, atol=1e-4)
-    rows = store.rows_at(built.collection, take, frames)
-    np.testing.assert_array_equal(rows, np.arange(len(FRAMES)))
-
-
-def test_the_picture_over_the_hand_is_in_step_too(take):
-    scene_of(24.0)
-    built = build_take(take, match_scene=False)
-    camera = built.camera.data
-    see_through.lay_over(camera, 0.5)
-    bpy.context.scene.frame_set(FIRST + 13)
-    shown = built.camera.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.background_images
-    assert [one.display_depth for one in shown] == ["BACK", "FRONT"]
-    assert shown[0].image_user.frame_offset == shown[1].image_user.frame_offset == 4
-    see_through.take_away(camera)
-    assert len(camera.animation_data.drivers) == 1
 
 
 @pytest.fixture

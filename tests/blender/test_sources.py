@@ -24,31 +24,37 @@ def numbered(tmp_path) -> list[Path]:
     return files
 
 
-def test_one_picture_is_a_photo_unless_it_is_said_to_be_a_sequence(numbered):
-    alone = source_info.resolve(str(numbered[1]), as_sequence=False)
-    assert (alone.kind, alone.files) == ("photo", (str(numbered[1]),))
-    clip = source_info.resolve(str(numbered[1]), as_sequence=True)
-    assert (clip.kind, clip.files) == ("sequence", tuple(map(str, numbered)))
-    assert clip.numbers == [7, 8, 9, 10]
+def resolved(path, as_sequence: bool = False):
+    found = source_info.resolve(str(path), as_sequence=as_sequence)
+    return found.kind, found.files
 
 
-def test_a_folder_is_a_sequence_and_with_one_picture_a_photo(numbered, tmp_path):
-    assert source_info.resolve(str(tmp_path), as_sequence=False).kind == "sequence"
-    for file in numbered[1:]:
-        file.unlink()
-    assert source_info.resolve(str(tmp_path), as_sequence=False).files == (str(numbered[0]),)
-
-
-def test_neighbours_of_other_names_kinds_and_unnumbered_ones_do_not_count(numbered, tmp_path):
+def test_pictures_are_a_photo_or_a_sequence(numbered, tmp_path):
+    """Neighbours of other names and kinds and unnumbered ones do not count."""
+    everything = tuple(map(str, numbered))
+    assert resolved(numbered[1]) == ("photo", everything[1:2])
+    assert resolved(tmp_path) == ("sequence", everything)
     for name in ("shot_011.jpg", "shot_012b.png", "other_013.png", "shot_.png"):
         (tmp_path / name).write_bytes(b"picture")
-    assert source_info.numbered_siblings(numbered[0]) == numbered
+    assert resolved(numbered[1], as_sequence=True) == ("sequence", everything)
+    assert source_info.resolve(everything[1], as_sequence=True).numbers == [7, 8, 9, 10]
     assert source_info.numbered_siblings(tmp_path / "shot_.png") == []
-
-
-def test_a_path_relative_to_the_blend_file_is_understood(numbered, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    assert source_info.resolve("//shot_008.png", as_sequence=False).files == (str(numbered[1]),)
+    assert resolved("//shot_008.png") == ("photo", everything[1:2])
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    numbered[0].rename(alone / "a.png")
+    assert resolved(alone) == ("photo", (str(alone / "a.png"),))
+
+
+def test_clips_and_hands_of_another_program(tmp_path):
+    frames = tmp_path / "openpose"
+    frames.mkdir()
+    (frames / "clip_000000_keypoints.json").write_text("{}")
+    (tmp_path / "hands.points.json").write_text("{}")
+    (tmp_path / "clip.MP4").write_bytes(b"video")
+    for name, kind in (("clip.MP4", "video"), ("hands.points.json", "data"), ("openpose", "data")):
+        assert resolved(tmp_path / name, as_sequence=True)[0] == kind
 
 
 @pytest.mark.parametrize(
@@ -57,26 +63,20 @@ def test_a_path_relative_to_the_blend_file_is_understood(numbered, tmp_path):
         ("", "Choose a photo"),
         ("gone.png", "not there any more"),
         ("notes.txt", "neither"),
-        (".", "No pictures"),
+        ("a.take.npz", "Import > Hand Take"),
+        ("empty", "No pictures"),
+        ("x" * 5000, "choose"),
+        ("a\0b", "choose"),
+        ("~nobody-of-this-name/x.png", "choose"),
     ],
 )
-def test_what_cannot_be_captured_is_said_with_a_remedy(tmp_path, name, said):
+def test_what_cannot_be_captured_is_said_with_a_remedy(tmp_path, make_take, monkeypatch, name, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
     (tmp_path / "notes.txt").write_text("text")
+    make_take().take.save(tmp_path / "a.take.npz")
     with pytest.raises(InputError, match=said):
-        source_info.resolve(str(tmp_path / name) if name else "", as_sequence=False)
-
-
-def test_hands_of_another_program(tmp_path, make_take):
-    path = tmp_path / "hands.points.json"
-    path.write_text("{}")
-    assert source_info.resolve(str(path), as_sequence=False) == source_info.SourceFiles("data", (str(path),))
-    frames = tmp_path / "openpose"
-    frames.mkdir()
-    (frames / "clip_000000_keypoints.json").write_text("{}")
-    assert source_info.resolve(str(frames), as_sequence=False).kind == "data"
-    take = make_take().take.save(tmp_path / "a.take.npz")
-    with pytest.raises(InputError, match="Import > Hand Take"):
-        source_info.resolve(str(take), as_sequence=False)
+        source_info.resolve(name, as_sequence=False)
 
 
 def test_a_picture_size_that_no_file_tells_is_asked_for(registered, monkeypatch, tmp_path):
@@ -104,15 +104,3 @@ def test_a_picture_size_that_no_file_tells_is_asked_for(registered, monkeypatch,
     (tmp_path / "others.json").write_text("{}")
     settings.source = str(tmp_path / "others.json")
     assert tuple(settings.picture_size) == (0, 0), "a size belongs to one source"
-
-
-def test_video(tmp_path):
-    path = tmp_path / "clip.MP4"
-    path.write_bytes(b"video")
-    assert source_info.resolve(str(path), as_sequence=True).kind == "video"
-
-
-@pytest.mark.parametrize("name", ["x" * 5000, "[" * 100_000, "a\0b", "~nobody-of-this-name/x.png"])
-def test_a_name_that_no_file_can_have_is_a_sentence(name):
-    with pytest.raises(InputError, match="choose"):
-        source_info.resolve(name, as_sequence=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
@@ -25,7 +26,6 @@ from tests.drawn import drawn
 from tests.takes import correctable
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
-SECTIONS = (MANIENT_PT_source, MANIENT_PT_capture)
 BUTTONS = ("Capture", "manient.find_hands", "Capture Frame 1", "manient.add_hand")
 
 
@@ -35,33 +35,13 @@ def settings(registered):
     jobs.abandon()
 
 
-class Clock:
-    """Time that stands still until it is told to go on."""
-
-    now = 100.0
-
-    def monotonic(self) -> float:
-        return self.now
-
-
 @pytest.fixture
-def clock(monkeypatch) -> Clock:
-    made = Clock()
+def clock(monkeypatch) -> SimpleNamespace:
+    """Time that stands still until `now` is changed."""
+    made = SimpleNamespace(now=100.0)
+    made.monotonic = lambda: made.now
     monkeypatch.setattr(steady, "time", made)
     return made
-
-
-def sources(tmp_path) -> dict[str, Path]:
-    """One of each kind; nobody reads what is in them."""
-    for name in ("clip.mp4", "poses.smplx.npz"):
-        shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / name)
-    photo = Path(shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / "photo.jpg"))
-    return {
-        "photo": photo,
-        "sequence": SAMPLE,
-        "video": tmp_path / "clip.mp4",
-        "data": tmp_path / "poses.smplx.npz",
-    }
 
 
 @pytest.mark.parametrize("kind", ["photo", "sequence", "video", "data"])
@@ -71,19 +51,19 @@ def test_rows_stay_when_the_worker_answers(settings, tmp_path, kind, matching, m
     monkeypatch.setattr(
         "blender_manient.common.section.wrapped", lambda text, _: textwrap.wrap(text, 28) or [""]
     )
-    settings.source, settings.matching = str(sources(tmp_path)[kind]), matching
+    path, settings.matching = SAMPLE, matching
+    if kind != "sequence":  # nobody reads what is in it
+        name = {"photo": "photo.jpg", "video": "clip.mp4", "data": "poses.smplx.npz"}[kind]
+        path = shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / name)
+    settings.source = str(path)
     info = source_info.of(settings)
-    assert info.files is not None
     assert info.files.kind == kind
     found = []
     times = {} if kind == "photo" else {"frames": 325, "fps": 25.0, "last": 325}
-    for news in (
-        {},
-        {"width": 640, "height": 480, **times},
-        {"width": 0, "problem": "It cannot be read: mend it"},
-    ):
+    problem = {"width": 0, "problem": "It cannot be read: mend it"}
+    for news in ({}, {"width": 640, "height": 480, **times}, problem):
         vars(info).update(news)
-        pages = [drawn(section).rows for section in SECTIONS]
+        pages = [drawn(section).rows for section in (MANIENT_PT_source, MANIENT_PT_capture)]
         buttons = [pages[1].index(name) for name in BUTTONS if name in pages[1]]
         found.append([*map(len, pages), *buttons])
     assert len(buttons) == {"photo": 3, "data": 2}.get(kind, 4)
@@ -102,33 +82,24 @@ def test_what_stops_a_capture_stands_where_it_was_started(settings, clock, butto
     jobs.submit(job)
     page = drawn(MANIENT_PT_capture)
     here = before.rows.index(BUTTONS[name])
-    assert page.rows[here] == "Stop"
-    assert page.rows[: here + 1].count("Stop") == page.rows.count("Stop") == 1
-    assert page.rows[:here] == before.rows[:here]
-    assert "Stop" in page.grey, "a double click would stop it"
-    clock.now += 0.3
-    assert "Stop" in drawn(MANIENT_PT_capture).grey
-    clock.now += 0.4
-    assert "Stop" not in drawn(MANIENT_PT_capture).grey
+    assert page.rows[: here + 1] == [*before.rows[:here], "Stop"]
+    assert page.rows.count("Stop") == 1
+    for later, grey in ((0.0, True), (0.3, True), (0.4, False)):  # a double click would stop it
+        clock.now += later
+        assert ("Stop" in drawn(MANIENT_PT_capture).grey) == grey
     jobs.cancel(job)
-    page = drawn(MANIENT_PT_capture)
-    assert page.rows[here] == BUTTONS[name]
-    assert BUTTONS[name] in page.grey, "a click on Stop that comes late would begin it again"
-    clock.now += 0.7
-    assert BUTTONS[name] not in drawn(MANIENT_PT_capture).grey
+    assert drawn(MANIENT_PT_capture).rows[here] == BUTTONS[name]
+    for later, grey in ((0.0, True), (0.7, False)):  # a click on Stop that comes late would begin it again
+        clock.now += later
+        assert (BUTTONS[name] in drawn(MANIENT_PT_capture).grey) == grey
 
 
-def test_a_capture_is_stopped_once_and_what_is_finished_stays(settings, clock, monkeypatch):
+def test_a_capture_is_stopped_once_and_what_is_finished_stays(settings, clock):
     settings.source = str(SAMPLE)
-    drawn(MANIENT_PT_capture)
     job = new_job(bpy.context, only_frame=False)
     jobs.submit(job)
-    for state, stopping, said in (
-        ("capturing", False, "Stop"),
-        ("capturing", True, "Stopping"),
-        ("building", True, "Building Hands"),
-    ):
-        vars(job).update(state=state, _stopping=stopping)
+    for state, said in (("capturing", "Stop"), ("capturing", "Stopping"), ("building", "Building Hands")):
+        vars(job).update(state=state, _stopping=said != "Stop")
         drawn(MANIENT_PT_capture)
         clock.now += 10.0
         page = drawn(MANIENT_PT_capture)
@@ -137,13 +108,13 @@ def test_a_capture_is_stopped_once_and_what_is_finished_stays(settings, clock, m
     job.state = "done"
 
 
-def test_a_double_click_captures_once_and_another_source_queues(settings, tmp_path):
+def test_a_double_click_captures_once_and_another_source_queues(settings):
     settings.source = str(SAMPLE)
     jobs.submit(new_job(bpy.context, only_frame=False))
     assert jobs.is_repeated(new_job(bpy.context, only_frame=False))
     assert not jobs.is_repeated(new_job(bpy.context, only_frame=True))
     assert "Add to Queue" in drawn(MANIENT_PT_capture).rows
-    settings.source = str(sources(tmp_path)["photo"])
+    settings.source = str(SAMPLE / "hand.0001.jpg")
     assert not jobs.is_repeated(new_job(bpy.context, only_frame=False))
     jobs.cancel_all()
     settings.source = str(SAMPLE)
@@ -154,12 +125,7 @@ def test_rows_stay_while_hands_are_chosen_and_added(settings, clock, monkeypatch
     settings.source = str(SAMPLE)
     before = drawn(MANIENT_PT_capture).rows
     places = [before.index(name) for name in BUTTONS]
-
-    class Choosing:
-        class choice:
-            chosen = ()
-
-    monkeypatch.setattr(find_mode, "current", Choosing)
+    monkeypatch.setattr(find_mode, "current", SimpleNamespace(choice=SimpleNamespace(chosen=())))
     page = drawn(MANIENT_PT_capture)
     assert [page.rows[place] for place in places] == ["Capture 0 Hands", "Leave Find Hands", *BUTTONS[2:]]
     assert {"Leave Find Hands", *BUTTONS[2:]} <= set(page.grey)
@@ -207,17 +173,11 @@ def test_a_fit_is_stopped_where_it_was_begun(hand, clock, monkeypatch, operator)
         bpy.ops.manient.leave(what="FIT")
 
 
-def test_the_refine_section_keeps_its_rows_while_a_capture_runs(hand):
+def test_the_refine_section_and_the_dialog_of_a_range_keep_their_rows(hand, settings):
     before = drawn(MANIENT_PT_refine).rows
-    bpy.context.scene.manient.source = str(SAMPLE)
+    settings.source = str(SAMPLE)
     jobs.submit(new_job(bpy.context, only_frame=False))
     assert drawn(MANIENT_PT_refine).rows == before
-    jobs.abandon()
-
-
-def test_the_dialog_of_a_range_keeps_its_height(hand):
-    heights = set()
-    for first, last in ((1, 1), (3, 9), (500, 600)):
-        page = drawn(MANIENT_OT_refit_range, first=first, last=last)
-        heights.add(len(page.rows))
-    assert len(heights) == 1
+    ranges = ((1, 1), (3, 9), (500, 600))
+    pages = [drawn(MANIENT_OT_refit_range, first=first, last=last).rows for first, last in ranges]
+    assert len({len(page) for page in pages}) == 1

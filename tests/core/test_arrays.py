@@ -1,11 +1,9 @@
 """Arrays of dataclasses: there and back through messages and files, and one sentence for each that is not as
 declared."""
 
-from __future__ import annotations
-
 import io
 import json
-from dataclasses import FrozenInstanceError, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,15 +49,12 @@ def motion(**changes: Any) -> Motion:
     return replace(Motion("left", np.arange(10.0), pose, SEEN, np.arange(3)), **changes)
 
 
-def test_a_dataclass_as_any_other() -> None:
+def test_a_dataclass_as_any_other():
     assert list(declared(Motion)) == ["betas", "pose", "seen", "first", "depth", "start"]
-    assert motion().depth is None
     np.testing.assert_array_equal(motion().start, np.zeros((2, 3)))
     assert motion().start is not motion().start
     assert list(arrays_of(motion())) == ["betas", "pose", "seen", "first", "start"]
     assert list(arrays_of(motion(depth=np.zeros((ROWS, 21))), "T")) == ["pose", "seen", "depth"]
-    with pytest.raises(FrozenInstanceError):
-        motion().side = "right"  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(
@@ -74,7 +69,7 @@ def test_a_dataclass_as_any_other() -> None:
     ],
     ids=["plain", "unknown depths", "a list", "no first", "no rows", "at the bounds"],
 )
-def test_what_is_as_declared(changes: dict[str, Any]) -> None:
+def test_what_is_as_declared(changes):
     check_arrays(motion(**changes))
 
 
@@ -82,44 +77,32 @@ def test_what_is_as_declared(changes: dict[str, Any]) -> None:
     ("changes", "said"),
     [
         ({"betas": np.zeros(9)}, "betas has shape (9,), expected (10,)"),
-        ({"betas": np.zeros(())}, "betas has shape (), expected (10,)"),
-        ({"betas": None}, "betas has shape (), expected (10,)"),
         ({"betas": np.full(10, np.nan)}, "betas is not finite"),
         ({"betas": np.full(10, 1001.0)}, "betas holds numbers beyond 1000"),
-        ({"betas": np.full(10, -1001.0)}, "betas holds numbers beyond 1000"),
         ({"betas": np.full(10, "a")}, "betas holds <U1, expected floats"),
-        ({"betas": np.full(10, 1j)}, "betas holds complex128, expected floats"),
         ({"pose": np.zeros((ROWS, 44))}, f"pose has shape ({ROWS}, 44), expected ({ROWS}, 45)"),
         ({"pose": np.full((ROWS, 45), np.nan)}, "pose is not finite where the hand is seen"),
         ({"pose": np.full((ROWS, 45), [[0.0], [0.0], [np.inf], [0.0]])}, "pose holds numbers beyond 1e+09"),
-        ({"seen": np.ones(ROWS + 1, dtype=bool)}, f"seen has shape ({ROWS + 1},), expected ({ROWS},)"),
         ({"seen": np.ones(ROWS)}, "seen holds float64, expected bools"),
         ({"first": np.zeros(3)}, "first holds float64, expected whole numbers"),
-        ({"first": np.zeros((3, 1), dtype=int)}, "first has shape (3, 1), expected (N,)"),
         ({"first": np.arange(6)}, "first has 6 rows, more than 5"),
-        ({"first": np.array([-(2**63)])}, "first holds numbers beyond 1e+09"),
         ({"first": np.array([2**64 - 1], dtype=np.uint64)}, "first holds numbers beyond 1e+09"),
         ({"depth": np.zeros((ROWS + 1, 21))}, f"depth has shape ({ROWS + 1}, 21), expected ({ROWS}, 21)"),
-        ({"depth": np.full((ROWS, 21), -np.inf)}, "depth holds numbers beyond 1e+09"),
         ({"side": "both"}, "side must be left or right, not 'both'"),
         ({"fps": 0.5}, "fps must be a finite number from 1 to 100, not 0.5"),
     ],
     ids=lambda value: str(value)[:50],
 )
-def test_what_is_not(changes: dict[str, Any], said: str) -> None:
+def test_what_is_not(changes, said):
     with pytest.raises(Unfit) as caught:
         check_arrays(motion(**changes))
     assert str(caught.value) == said
-
-
-def test_sizes_that_are_known_and_errors_of_its_own() -> None:
-    check_arrays(motion(), T=ROWS)
     with pytest.raises(TakeError, match=r"^the left hand's pose has shape \(4, 45\), expected \(5, 45\)$"):
         check_arrays(motion(), TakeError, "the left hand's ", T=5)
 
 
 @pytest.mark.parametrize("depth", [None, np.ones((ROWS, 21))], ids=["absent", "present"])
-def test_they_come_back(depth: np.ndarray | None) -> None:
+def test_they_come_back(depth):
     one = motion(depth=depth)
     message = json.loads(json.dumps(packed(one), allow_nan=False))
     assert message["pose"]["dtype"] == "float32"
@@ -149,7 +132,7 @@ def test_they_come_back(depth: np.ndarray | None) -> None:
     ],
     ids=["missing", "no bools", "no whole numbers", "no floats", "too large"],
 )
-def test_what_is_refused_before_it_is_made(changes: dict[str, Any], of_messages: str, of_files: str) -> None:
+def test_what_is_refused_before_it_is_made(changes, of_messages, of_files):
     given = {name: value for name, value in (arrays_of(motion()) | changes).items() if value is not None}
     if of_messages:
         with pytest.raises(ProtocolError, match=of_messages):
@@ -160,48 +143,35 @@ def test_what_is_refused_before_it_is_made(changes: dict[str, Any], of_messages:
         run_to_completion(reading_arrays(Motion, NpzArchive(stream.getvalue(), 100_000), "hand0_"))
 
 
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"side": None}, "refit: side must be left or right, not None"),
-        ({"fps": "25"}, "refit: fps must be a finite number, not '25'"),
-    ],
-)
-def test_values_in_messages(changes: dict[str, Any], said: str) -> None:
+def test_values_in_messages():
     message = packed(motion(fps=30.0))
     assert (message["side"], message["fps"]) == ("left", 30.0)
     assert unpacked(Motion, {**message, "fps": 500})["fps"] == 500.0  # `check_arrays` refuses it
     assert "fps" not in unpacked(Motion, {name: each for name, each in message.items() if name != "fps"})
-    with pytest.raises(ProtocolError) as caught:
-        unpacked(Motion, message | changes, "refit: ")
-    assert str(caught.value) == said
+    for changes, said in (
+        ({"side": None}, "^refit: side must be left or right, not None$"),
+        ({"fps": "25"}, "^refit: fps must be a finite number, not '25'$"),
+        ({"betas": [0.0] * 10}, "^refit: betas: an array in a message must be"),
+    ):
+        with pytest.raises(ProtocolError, match=said):
+            unpacked(Motion, message | changes, "refit: ")
 
 
-def test_a_message_names_the_array_that_is_none() -> None:
-    with pytest.raises(ProtocolError, match=r"^refit: betas: an array in a message must be"):
-        unpacked(Motion, {**packed(motion()), "betas": [0.0] * 10}, "refit: ")
-
-
-@pytest.mark.parametrize("dtype", ["bool", "uint8", "int32", "int64", "float32", "float64"])
+@pytest.mark.parametrize("dtype", ["bool", "uint8", "int32", "int64", "float32", "float64", ">f8"])
 @pytest.mark.parametrize("shape", [(), (0, 3), (4,), (2, 3, 5)], ids=str)
-def test_arrays_come_back(dtype: str, shape: tuple[int, ...]) -> None:
+def test_arrays_come_back(dtype, shape):
     array = (np.random.default_rng(0).normal(size=shape) * 100).astype(dtype)
-    back = unpack(json.loads(json.dumps(pack(array))))
-    assert back.dtype == array.dtype
-    assert back.flags.writeable
-    np.testing.assert_array_equal(back, array)
-
-
-def test_nan_order_and_bytes_of_arrays() -> None:
-    array = np.array([[np.nan, 1.0, np.inf], [-0.0, 2.0, 3.0]])
-    np.testing.assert_array_equal(unpack(pack(array)), array)
-    np.testing.assert_array_equal(unpack(pack(np.asfortranarray(array).T)), array.T)
-    swapped = array.astype(">f8")
-    assert pack(swapped) == pack(array)
+    for each in (array, np.asfortranarray(array).T):
+        back = unpack(json.loads(json.dumps(pack(each))))
+        assert back.dtype == array.dtype.newbyteorder("=")
+        assert back.flags.writeable
+        np.testing.assert_array_equal(back, each)
+    odd = np.array([np.nan, np.inf, -0.0])
+    np.testing.assert_array_equal(unpack(pack(odd)), odd)
     assert pack(np.array([1], dtype=np.int32))["data"] == "AQAAAA=="  # little-endian
 
 
-def test_arrays_of_objects_are_not_packed() -> None:
+def test_arrays_of_objects_are_not_packed():
     for held in (np.array(["a"]), np.array([None]), np.array([1j])):
         with pytest.raises(ProtocolError, match="float64; not"):
             pack(held)
@@ -210,31 +180,16 @@ def test_arrays_of_objects_are_not_packed() -> None:
 @pytest.mark.parametrize(
     "change",
     [
-        {"dtype": "object"},
-        {"dtype": None},
-        {"dtype": ["float32"]},
-        {"data": "AAAA"},
-        {"data": "no base64!"},
-        {"data": None},
+        *({"dtype": dtype} for dtype in ("object", None, ["float32"])),
+        *({"data": data} for data in ("AAAA", "no base64!", None)),
+        *({"shape": shape} for shape in ([3, 2], 4, ["2"], [2.0], [True], "2", {"2": 1}, [-1])),
+        *({"shape": shape} for shape in ([2**70], [0, 2**70], [1] * 100, [2**20] * 8)),
     ],
     ids=str,
 )
-def test_damaged_arrays_are_refused(change: dict[str, Any]) -> None:
-    packed = pack(np.zeros((2, 2), dtype=np.float32))
-    with pytest.raises(ProtocolError, match="an array in a message must be"):
-        unpack(packed | change)
-    for key in change:
-        del packed[key]
-    for other in (packed, None, [1.0], "AAAA"):
-        with pytest.raises(ProtocolError, match="an array in a message must be"):
-            unpack(other)
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [[3, 2], 4, ["2"], [2.0], [True], "2", {"2": 1}, [-1], [2**70], [0, 2**70], [1] * 100, [2**20] * 8],
-    ids=str,
-)
-def test_a_shape_is_a_short_list_of_whole_numbers(shape: object) -> None:
-    with pytest.raises(ProtocolError, match="dtype, shape and data"):
-        unpack({**pack(np.zeros(2)), "shape": shape})
+def test_damaged_arrays_are_refused(change):
+    good = pack(np.zeros(2, dtype=np.float32))
+    lacking = {name: each for name, each in good.items() if name not in change}
+    for given in (good | change, lacking, None, [1.0], "AAAA"):
+        with pytest.raises(ProtocolError, match=r"an array in a message must be .*dtype, shape and data"):
+            unpack(given)

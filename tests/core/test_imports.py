@@ -3,7 +3,9 @@
 import ast
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -24,6 +26,7 @@ MODULES = {
 }
 
 
+@cache
 def imported_modules(path: Path, *, everywhere: bool = True) -> set[str]:
     """Whole names of what a file imports, each module's own name where it is one of ours. `everywhere`: also
     inside functions, else only what is loaded with the file."""
@@ -38,14 +41,10 @@ def imported_modules(path: Path, *, everywhere: bool = True) -> set[str]:
             base = package[: len(package) - node.level + 1] if node.level else []
             whole = ".".join([*base, *([node.module] if node.module else [])])
             found.update(f"{whole}.{a.name}" if f"{whole}.{a.name}" in MODULES else whole for a in node.names)
-        if everywhere or (not isinstance(node, ast.FunctionDef | ast.Lambda) and not is_for_types(node)):
+        for_types = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if everywhere or not (isinstance(node, ast.FunctionDef | ast.Lambda) or for_types):
             waiting += ast.iter_child_nodes(node)
     return found
-
-
-def is_for_types(node: ast.AST) -> bool:
-    """Whether it is an `if TYPE_CHECKING`, which is never run."""
-    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
 def local_imports(name: str, *, everywhere: bool) -> set[str]:
@@ -69,50 +68,19 @@ def imports_blender(name: str) -> bool:
     return any(m.split(".")[0] in BLENDER for m in imported_modules(MODULES[name], everywhere=False))
 
 
-def components(graph: Mapping[str, set[str]]) -> list[set[str]]:
-    """The strongly connected components: modules that reach each other, after Tarjan."""
-    order: dict[str, int] = {}
-    lowest: dict[str, int] = {}
-    path: list[str] = []
-    found: list[set[str]] = []
-
-    def visit(node: str) -> None:
-        order[node] = lowest[node] = len(order)
-        path.append(node)
-        for other in graph[node]:
-            if other not in order:
-                visit(other)
-            if other in path:
-                lowest[node] = min(lowest[node], lowest[other])
-        if lowest[node] == order[node]:
-            start = path.index(node)
-            found.append(set(path[start:]))
-            del path[start:]
-
-    for node in graph:
-        if node not in order:
-            visit(node)
-    return found
+def test_core_knows_nothing_of_blender():
+    core = [path for name, path in MODULES.items() if name.startswith("handfit_core")]
+    imported = {m.split(".")[0] for path in core for m in imported_modules(path)}
+    assert imported & {*BLENDER, "blender_manient"} == set()
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "handfit_core").rglob("*.py")), ids=lambda p: p.stem)
-def test_core_knows_nothing_of_blender(path: Path) -> None:
-    for module in imported_modules(path):
-        assert module.split(".")[0] not in (*BLENDER, "blender_manient")
-
-
-def test_no_module_imports_itself_through_others() -> None:
+def test_no_module_imports_itself_through_others():
     """Also not inside functions, where a circle only comes to light when it is called."""
     graph = {name: local_imports(name, everywhere=True) for name in MODULES}
-    assert [circle for circle in components(graph) if len(circle) > 1] == []
+    TopologicalSorter(graph).prepare()  # raises CycleError with the circle
 
 
-def test_a_circle_would_be_found() -> None:
-    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set(), "e": {"a"}}
-    assert sorted(map(sorted, components(graph))) == [["a"], ["b", "c"], ["d"], ["e"]]
-
-
-def test_blenders_process_loads_nothing_heavy_and_no_threads() -> None:
+def test_blenders_process_loads_nothing_heavy_and_no_threads():
     """Blender up to 5.0 can crash when a thread runs Python while an operator runs."""
     loaded = loaded_with(name for name in MODULES if name.startswith("blender_manient"))
     for name in loaded - {"handfit_core.media.read_ahead"}:  # which the worker alone calls
@@ -126,13 +94,7 @@ PURE = ("common.wording", "common.installation", "batch.arguments", "batch.conso
 """Modules of the add-on that work without Blender"""
 
 
-def test_pure_modules_of_the_addon_need_no_blender() -> None:
-    code = "import sys; sys.modules['bpy'] = sys.modules['mathutils'] = None\n"
-    code += "".join(f"import blender_manient.{name}\n" for name in PURE)
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-
-
-def test_modules_that_name_no_blender_need_none() -> None:
+def test_modules_that_name_no_blender_need_none():
     """But those that only put parts together which need it."""
     pure = [name for name in MODULES if name.startswith("blender_manient.") and not imports_blender(name)]
     behind = {name for name in pure if any(map(imports_blender, loaded_with([name])))}
@@ -151,7 +113,7 @@ ARROWS = {
 
 
 @pytest.mark.parametrize("room", ARROWS)
-def test_rooms_know_only_what_comes_before_them(room: str) -> None:
+def test_rooms_know_only_what_comes_before_them(room):
     known: set[str] = set()
     for path in (ROOT / "handfit_core" / room).rglob("*.py"):
         names = (m.split(".") for m in imported_modules(path))
@@ -174,7 +136,7 @@ ROOMS = (
 and those before"""
 
 
-def test_no_arrow_leads_up_in_the_addon() -> None:
+def test_no_arrow_leads_up_in_the_addon():
     rank = {room: at for at, line in enumerate(ROOMS) for room in line.split()}
     addon = {name: name.split(".")[1] for name in MODULES if name.startswith("blender_manient.")}
     assert set(addon.values()) == set(rank)
@@ -186,30 +148,31 @@ def test_no_arrow_leads_up_in_the_addon() -> None:
 @pytest.mark.parametrize(
     ("word", "room"), [("JOINT_NAMES", "rigs"), ("bone_names", "rigs"), ("export_scene.", "exporters")]
 )
-def test_bones_and_formats_are_known_in_one_place(word: str, room: str) -> None:
+def test_bones_and_formats_are_known_in_one_place(word, room):
     """Everything else asks a rig, or a format, whatever else is added to the two folders."""
     addon = ROOT / "blender_manient"
     knowing = {p.relative_to(addon).parts[0] for p in addon.rglob("*.py") if word in p.read_text("utf-8")}
     assert knowing == {room}
 
 
-def test_light_half_is_light() -> None:
-    code = (
-        "import sys, handfit_core, handfit_core.take, handfit_core.hand_model, handfit_core.media.opening, "
-        "handfit_core.solvers, handfit_core.pipeline, handfit_core.__main__\n"
-        f"heavy = sorted(set({HEAVY!r}) & set(sys.modules))\n"
-        "assert not heavy, heavy\n"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+@pytest.mark.parametrize(
+    "code",
+    [
+        "sys.modules['bpy'] = sys.modules['mathutils'] = None; import "
+        + ", ".join(f"blender_manient.{name}" for name in PURE),
+        "import handfit_core.take, handfit_core.hand_model, handfit_core.media.opening, "
+        "handfit_core.solvers, handfit_core.pipeline, handfit_core.__main__; "
+        f"assert not set({HEAVY!r}) & set(sys.modules)",
+        # Or the worker could not tell NumPy's OpenBLAS how many threads it may have.
+        "import handfit_core; assert 'numpy' not in sys.modules; handfit_core.Take",
+    ],
+    ids=["the add-on's pure modules need no Blender", "the light half is light", "without NumPy"],
+)
+def test_loads(code):
+    subprocess.run([sys.executable, "-c", f"import sys; {code}"], check=True, cwd=ROOT)
 
 
-def test_the_package_loads_without_numpy() -> None:
-    """Or the worker could not tell NumPy's OpenBLAS how many threads it may have."""
-    code = "import sys, handfit_core; assert 'numpy' not in sys.modules; handfit_core.Take"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
-
-
-def test_capturing_and_fitting_again_need_no_torch() -> None:
+def test_capturing_and_fitting_again_need_no_torch():
     """From pictures to a take, and from the take to a corrected range."""
     code = """
 import sys

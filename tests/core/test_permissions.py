@@ -1,116 +1,57 @@
 """The manifest's permissions are exactly what the add-on and the core use."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
-import pytest
+from tests.conftest import ROOT
+from tests.core.test_imports import MODULES, imported_modules
 
-ROOT = Path(__file__).resolve().parents[2]
-NETWORK = {
-    *(
-        "socket",
-        "socketserver",
-        "ssl",
-        "ftplib",
-        "smtplib",
-        "imaplib",
-        "poplib",
-        "telnetlib",
-        "xmlrpc",
-        "http",
-    ),
-    *("urllib.request", "urllib3", "requests", "httpx", "aiohttp", "websockets", "webbrowser", "asyncio"),
-}
+NETWORK = set(
+    "socket socketserver ssl ftplib smtplib imaplib poplib telnetlib xmlrpc http urllib urllib3 requests "
+    "httpx aiohttp websockets webbrowser asyncio".split()
+)
 SOUND = {"sounddevice", "pyaudio", "aud"}
-PERMISSIONS = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))["permissions"]
+NODES = [node for path in MODULES.values() for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
-def trees() -> Iterator[tuple[Path, ast.AST]]:
-    for package in ("blender_manient", "handfit_core"):
-        for path in sorted((ROOT / package).rglob("*.py")):
-            yield path, ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+def importers(names: set[str]) -> set[str]:
+    """The modules of ours that import any of those packages."""
+    found = {name: imported_modules(path) - {"urllib.parse"} for name, path in MODULES.items()}
+    return {name for name, modules in found.items() if names & {m.partition(".")[0] for m in modules}}
 
 
-def modules(node: ast.AST) -> set[str]:
-    """What an import statement names: the modules, and what could be modules in them."""
-    if isinstance(node, ast.Import):
-        return {alias.name for alias in node.names}
-    if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-        return {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return set()
-
-
-def imports_any_of(names: set[str]) -> list[str]:
-    return [
-        f"{path.relative_to(ROOT).as_posix()}: {module}"
-        for path, nodes in trees()
-        for node in nodes
-        for module in sorted(modules(node))
-        if any(f"{module}.".startswith(f"{name}.") for name in names)
-    ]
-
-
-def uses_attribute(name: str) -> list[str]:
-    return [
-        f"{path.name}:{node.lineno}"
-        for path, nodes in trees()
-        for node in nodes
-        if isinstance(node, ast.Attribute) and node.attr == name
-    ]
+def uses_attribute(name: str) -> bool:
+    return any(isinstance(node, ast.Attribute) and node.attr == name for node in NODES)
 
 
 def test_reasons_are_as_blender_wants_them():
-    for reason in PERMISSIONS.values():
+    permissions = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))["permissions"]
+    assert set(permissions) == {"files", "clipboard"}
+    for reason in permissions.values():
         assert 0 < len(reason) <= 64
         assert not reason.endswith(".")
-    assert set(PERMISSIONS) == {"files", "clipboard"}
-
-
-def test_the_clipboard_is_used():
     assert uses_attribute("clipboard")
 
 
 def test_nothing_in_the_zip_talks_to_the_network():
     """Only `send` does, which a checkout has: see test_core_wheel for what is in the zip. Blender and the
     worker hold a pair of sockets that were connected when they were made."""
-    assert imports_any_of(NETWORK) == [
-        "handfit_core/interchange/send.py: socket",
-        "handfit_core/worker/process.py: socket",
-    ]
-    worker = (ROOT / "handfit_core" / "worker" / "process.py").read_text(encoding="utf-8")
-    assert not re.search(r"\b(bind|listen|connect|create_connection|create_server)\(", worker)
-    assert imports_any_of({"handfit_core.interchange.send"}) == [
-        "handfit_core/__main__.py: handfit_core.interchange.send",
-        "handfit_core/__main__.py: handfit_core.interchange.send.add_send_command",
-    ]
-    assert uses_attribute("url_open") == []
-    assert uses_attribute("url_open_preset") == []
+    send, worker = "handfit_core.interchange.send", "handfit_core.worker.process"
+    assert importers(NETWORK) == {send, worker}
+    text = MODULES[worker].read_text(encoding="utf-8")
+    assert not re.search(r"\b(bind|listen|connect|create_connection|create_server)\(", text)
+    assert {name for name, path in MODULES.items() if send in imported_modules(path)} == {
+        "handfit_core.__main__"
+    }
+    assert not uses_attribute("url_open")
+    assert not uses_attribute("url_open_preset")
 
 
 def test_nothing_listens_or_looks():
-    assert imports_any_of(SOUND) == []
-    # OpenCV takes a number for a camera, a path for a file.
-    numbers = [
-        f"{path.name}:{node.lineno}"
-        for path, nodes in trees()
-        for node in nodes
-        if isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Attribute)
-        and node.func.attr == "VideoCapture"
-        and (not node.args or isinstance(node.args[0], ast.Constant))
-    ]
-    assert numbers == []
-    assert uses_attribute("VideoCapture")
-
-
-@pytest.mark.parametrize("module", ["urllib.request", "http.client", "socket"])
-def test_the_search_finds_what_it_looks_for(module):
-    """A search that finds nothing could be a search that cannot find."""
-    for text in (f"import {module}", f"from {module} import x"):
-        names = modules(ast.parse(text).body[0])
-        assert {name for name in names if name in NETWORK or name.split(".")[0] in NETWORK}
+    """OpenCV takes a number for a camera, a path for a file."""
+    assert importers(SOUND) == set()
+    calls = [node for node in NODES if isinstance(node, ast.Call)]
+    videos = [call for call in calls if ast.unparse(call.func).endswith("VideoCapture")]
+    assert videos
+    assert not [call for call in videos if not call.args or isinstance(call.args[0], ast.Constant)]

@@ -8,7 +8,10 @@ import pytest
 
 from handfit_core import registry
 from handfit_core.errors import OptionError
+from handfit_core.options import CaptureOptions
+from handfit_core.paper import EXPERIMENTS
 from handfit_core.registry import Registry
+from handfit_core.solvers import SOLVERS, get_solver, solver_names
 
 GROUP = "handfit.toys"
 
@@ -31,24 +34,18 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         del sys.modules[name]
 
 
-def test_plug_ins_come_behind_the_built_in_parts_and_load_when_they_are_asked_for(installed) -> None:
-    installed("toys_good", "from pathlib import Path\nTOY = Path('toy')", blocks="TOY")
+def test_plug_ins_load_when_they_are_asked_for(installed, monkeypatch):
+    installed("toys_good", "from pathlib import Path\nTOY = Path('toy')", blocks="TOY", apples="TOY")
     toys = Registry(GROUP, "toy", Path, {})
-    assert toys.names() == ("blocks",)
+    assert toys.names() == ("apples", "blocks")
     assert "toys_good" not in sys.modules
     assert toys.get("blocks") is toys.get("blocks") is toys.all()["blocks"]
     assert str(toys.get("blocks")) == "toy"
-
-
-def test_nobody_looks_for_plug_ins_where_a_built_in_part_is_asked_for(monkeypatch) -> None:
+    with pytest.raises(OptionError, match=r"there is no toy 'ball'; choose one of apples, blocks"):
+        toys.get("ball")
+    # Nobody looks for them where a built-in part is asked for.
     monkeypatch.setattr(registry, "entry_points", lambda **_: pytest.fail("looked for"))
     assert Registry(GROUP, "toy", object, {"home": "pathlib:Path"}).get("home") is Path
-
-
-def test_a_name_that_nobody_has_lists_those_that_there_are(installed) -> None:
-    installed("toys_good", "TOY = 1", blocks="TOY", apples="TOY")
-    with pytest.raises(OptionError, match=r"there is no toy 'ball'; choose one of apples, blocks"):
-        Registry(GROUP, "toy", int, {}).get("ball")
 
 
 @pytest.mark.parametrize(
@@ -61,7 +58,7 @@ def test_a_name_that_nobody_has_lists_those_that_there_are(installed) -> None:
         ("TOY = 'a text'", r"TypeError: it is a str and no int"),
     ],
 )
-def test_a_broken_plug_in_is_named_once_and_left_out(installed, caplog, source: str, reason: str) -> None:
+def test_a_broken_plug_in_is_named_once_and_left_out(installed, caplog, source, reason):
     installed("toys_bad", source, wagon="TOY")
     installed("toys_good", "TOY = 1", blocks="TOY")
     toys = Registry(GROUP, "toy", int, {})
@@ -74,7 +71,7 @@ def test_a_broken_plug_in_is_named_once_and_left_out(installed, caplog, source: 
         toys.get("wagon")
 
 
-def test_no_plug_in_takes_the_name_of_another_part(installed, caplog) -> None:
+def test_no_plug_in_takes_the_name_of_another_part(installed, caplog):
     installed("toys_good", "from pathlib import Path\nTOY = Path('mine')", home="TOY")
     with caplog.at_level(logging.WARNING):
         names = Registry(GROUP, "toy", object, {"home": "pathlib:Path"}).names()
@@ -82,6 +79,19 @@ def test_no_plug_in_takes_the_name_of_another_part(installed, caplog) -> None:
     assert "home of the package toys_good is left out, as its name is taken" in caplog.text
 
 
-def test_a_built_in_part_that_cannot_be_imported_raises_what_it_raised() -> None:
+def test_a_built_in_part_that_cannot_be_imported_raises_what_it_raised():
     with pytest.raises(ImportError):
         Registry(GROUP, "toy", object, {"torch": "a_package_that_is_missing:X"}).all()
+
+
+def test_solvers(monkeypatch):
+    """Without torch the paper's say what is needed, and are still named: another Python may have it."""
+    assert set(solver_names()) >= {"fast", "fast-per-frame", *EXPERIMENTS}
+    assert CaptureOptions.solver in solver_names()
+    assert {name for name, solver in SOLVERS.all().items() if solver.needs} == set(EXPERIMENTS)
+    assert all(callable(get_solver(name)) for name in solver_names())
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(OptionError, match="paper-a needs torch, which is not installed: install it"):
+        get_solver("paper-a")
+    assert "paper-a" in solver_names()
+    assert callable(get_solver("fast"))

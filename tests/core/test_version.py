@@ -1,7 +1,5 @@
 """The version stands in blender_manifest.toml alone: in a checkout, in a wheel, beside old leftovers."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -12,9 +10,10 @@ from pathlib import Path
 import pytest
 
 import handfit_core
+from tests.conftest import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
-METADATA = "Metadata-Version: 2.1\nName: handfit-core\nVersion: {}\n"
+METADATA = "Metadata-Version: 2.1\nName: handfit-core\nVersion: 3.2.1\n"
+WHEEL = "handfit_core-3.2.1.dist-info/METADATA"
 
 
 @pytest.fixture
@@ -33,37 +32,31 @@ def version_of(package: Path) -> str:
     return done.stdout.strip()
 
 
-def test_it_is_the_manifests() -> None:
+def test_it_stands_in_the_manifest_alone():
     manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))
     assert handfit_core.__version__ == manifest["version"]
-
-
-def test_it_stands_nowhere_else() -> None:
-    code = (ROOT / "handfit_core" / "version.py").read_text(encoding="utf-8")
-    assert not re.search(r'=\s*"\d', code)
+    assert not re.search(r'=\s*"\d', (ROOT / "handfit_core" / "version.py").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert "version" not in project
     assert project["dynamic"] == ["version"]
 
 
-def test_manifest_beside_the_package_wins_over_an_old_egg_info(package: Path) -> None:
-    (package.parent / "blender_manifest.toml").write_text('id = "manient"\nversion = "7.8.9"\n')
-    old = package.parent / "handfit_core.egg-info"
-    old.mkdir()
-    (old / "PKG-INFO").write_text(METADATA.format("0.0.1"))
-    assert version_of(package) == "7.8.9"
-
-
-@pytest.mark.parametrize("other", ['id = "another"\nversion = "5.0.0"\n', "not = [toml", None])
-def test_installed_package_has_its_wheels_version(package: Path, other: str | None) -> None:
+@pytest.mark.parametrize(
+    ("manifest", "info", "expected"),
+    [
+        ('id = "manient"\nversion = "7.8.9"\n', "handfit_core.egg-info/PKG-INFO", "7.8.9"),  # which is old
+        ('id = "another"\nversion = "5.0.0"\n', WHEEL, "3.2.1"),
+        ("not = [toml", WHEEL, "3.2.1"),
+        (None, WHEEL, "3.2.1"),
+        (None, None, "unknown"),
+    ],
+    ids=["a checkout", "beside another extension's manifest", "beside nonsense", "a wheel", "a copy"],
+)
+def test_what_it_is(package, manifest, info, expected):
     """Blender's site-packages is shared by all extensions: another one's manifest is not ours."""
-    if other is not None:
-        (package.parent / "blender_manifest.toml").write_text(other)
-    info = package.parent / "handfit_core-3.2.1.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(METADATA.format("3.2.1"))
-    assert version_of(package) == "3.2.1"
-
-
-def test_copied_package_imports_without_a_version(package: Path) -> None:
-    assert version_of(package) == "unknown"
+    if manifest is not None:
+        (package.parent / "blender_manifest.toml").write_text(manifest)
+    if info is not None:
+        (package.parent / info).parent.mkdir()
+        (package.parent / info).write_text(METADATA)
+    assert version_of(package) == expected

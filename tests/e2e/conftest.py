@@ -7,7 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.source import Source
+from tests.takes import take_of, track_of
 
 ROOT = Path(__file__).resolve().parents[2]
 CHROOT = os.environ.get("HANDFIT_BLENDER_CHROOT")
@@ -43,3 +48,19 @@ def in_blender(request, tmp_path):
         )
 
     return run
+
+
+@pytest.fixture
+def take_file(tmp_path):
+    """take_file(name, frames) -> path of a saved take of a right hand."""
+
+    def make(name: str = "wave", frames: int = 5) -> Path:
+        t = np.linspace(0, 1, frames)
+        orient = np.stack([0.3 + t, t * 0, t], -1)
+        pose = np.tile(np.tile([0.0, 0.0, 0.4], 15), (frames, 1)) * t[:, None]
+        camera = Intrinsics.assumed(320, 240)
+        hand = track_of("right", orient, pose, np.tile([0.0, 0.0, 0.6], (frames, 1)), camera)
+        take = take_of([hand], camera, 320, 240, source=Source("photo", (str(tmp_path / "gone.png"),)))
+        return take.save(tmp_path / f"{name}.take.npz")
+
+    return make

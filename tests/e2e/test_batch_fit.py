@@ -4,33 +4,20 @@ from __future__ import annotations
 
 import functools
 import json
-import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.source import Source
-from tests.capturing import can_capture
-from tests.takes import take_of, track_of
-
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = ROOT / "scripts" / "batch_fit.py"
-SAMPLES = Path(os.environ.get("HANDFIT_SAMPLES", ROOT.parent / "shared" / "samples"))
 TIMEOUT = 1200
 
-needs_capture = pytest.mark.skipif(
-    not SAMPLES.is_dir() or not can_capture(),
-    reason="needs the samples, and a Python with SciPy, OpenCV and MediaPipe in HANDFIT_PYTHON",
-)
 needs_signals = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
 
@@ -53,22 +40,6 @@ def wheel(tmp_path):
     return run
 
 
-@pytest.fixture
-def take_file(tmp_path):
-    """take_file(name, frames) -> path of a saved take of a right hand."""
-
-    def make(name: str = "wave", frames: int = 5) -> Path:
-        t = np.linspace(0, 1, frames)
-        orient = np.stack([0.3 + t, t * 0, t], -1)
-        pose = np.tile(np.tile([0.0, 0.0, 0.4], 15), (frames, 1)) * t[:, None]
-        camera = Intrinsics.assumed(320, 240)
-        hand = track_of("right", orient, pose, np.tile([0.0, 0.0, 0.6], (frames, 1)), camera)
-        take = take_of([hand], camera, 320, 240, source=Source("photo", (str(tmp_path / "gone.png"),)))
-        return take.save(tmp_path / f"{name}.take.npz")
-
-    return make
-
-
 def report(folder: Path) -> list[dict]:
     content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert (content["format"], content["version"]) == ("handfit-batch", 1)
@@ -80,29 +51,21 @@ def times(folder: Path) -> dict[str, int]:
     return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
 
 
-def read_back(path: Path) -> dict:
-    """What a fresh Blender finds in a result file."""
-    operators = {
-        ".blend": "wm.open_mainfile",
-        ".glb": "import_scene.gltf",
-        ".fbx": "import_scene.fbx",
-        ".bvh": "import_anim.bvh",
-    }
+IMPORTERS = {".glb": "import_scene.gltf", ".fbx": "import_scene.fbx", ".bvh": "import_anim.bvh"}
+
+
+def read_back(path: Path) -> str:
+    """The armatures that a fresh Blender finds in a result file: bones, and whether they have an action."""
     code = (
-        "import bpy, json, sys\n"
+        "import bpy, sys\n"
         "bpy.ops.wm.read_factory_settings(use_empty=True)\n"
-        f"bpy.ops.{operators[path.suffix]}(filepath=sys.argv[1])\n"
+        f"bpy.ops.{IMPORTERS[path.suffix]}(filepath=sys.argv[1])\n"
         "rigs = [o for o in bpy.data.objects if o.type == 'ARMATURE']\n"
-        "print('FOUND', json.dumps({'rigs': len(rigs), 'bones': sorted(len(r.data.bones) for r in rigs),\n"
-        " 'suffixes': sorted(r.data.bones[0].name[-2:] for r in rigs),\n"
-        " 'animated': all(r.animation_data and r.animation_data.action for r in rigs),\n"
-        " 'frames': [bpy.context.scene.frame_start, bpy.context.scene.frame_end],\n"
-        " 'pictures': [bpy.path.abspath(i.filepath) for i in bpy.data.images if i.filepath]}))\n"
+        "print('FOUND', *((len(r.data.bones), bool(r.animation_data.action)) for r in rigs))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True, timeout=TIMEOUT
-    )
-    return json.loads(next(x for x in done.stdout.splitlines() if x.startswith("FOUND"))[6:])
+    command = [sys.executable, "-c", code, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=TIMEOUT)
+    return next(line for line in done.stdout.splitlines() if line.startswith("FOUND"))
 
 
 def test_takes_become_files(batch, take_file, tmp_path):
@@ -122,9 +85,8 @@ def test_takes_become_files(batch, take_file, tmp_path):
         assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
         ours = [f"{name}.json", f"{name}.export.json"]
         assert sorted(times(out / name)) == sorted([*ours, *(f"{name}{ending}" for ending in endings)])
-    for suffix in (".glb", ".fbx", ".bvh"):
-        found = read_back(out / "wave" / f"wave{suffix}")
-        assert (found["rigs"], found["bones"], found["animated"]) == (1, [16], True), suffix
+    for suffix in IMPORTERS:
+        assert read_back(out / "wave" / f"wave{suffix}") == "FOUND (16, True)", suffix
 
 
 def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
@@ -217,12 +179,7 @@ def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path, monkey
     ("options", "expected"),
     [
         (["--hand-length=5"], "between 50 and 300 mm"),
-        (["--intrinsics=1,2,3"], "FX,FY,CX,CY"),
-        (["--detector=x"], "no detector 'x'"),
-        (["--solver=magic"], "paper-a"),
         (["--format=blend,obj"], "there is no export format 'obj'; choose from blend"),
-        (["--jobs=0"], "at least 1 is needed"),
-        (["--output=file/out"], "cannot write here"),
         (["--python=no-python"], "cannot start the Python 'no-python'"),
         (["--cluster=slurm"], "there is no option --cluster any more; "),
     ],
@@ -249,18 +206,8 @@ def test_a_folder_may_be_called_as_a_command(wheel, tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_keeps_what_is_finished(take_file, tmp_path, number):
     takes = [take_file(f"wave{n}", frames=200) for n in range(6)]
-    command = [
-        sys.executable,
-        SCRIPT,
-        *takes,
-        "-o",
-        "out",
-        "--format",
-        "blend,glb",
-        "--jobs",
-        "1",
-        "--no-sheet",
-    ]
+    options = "-o out --format blend,glb --jobs 1 --no-sheet".split(" ")
+    command = [sys.executable, SCRIPT, *takes, *options]
     running = subprocess.Popen(list(map(str, command)), cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not (tmp_path / "out/wave0/wave0.export.json").exists():
@@ -271,73 +218,3 @@ def test_ctrl_c_keeps_what_is_finished(take_file, tmp_path, number):
     assert "what was finished is kept" in said
     statuses = [entry["status"] for entry in report(tmp_path / "out")]
     assert (statuses[0], statuses[-1]) == ("ok", "pending")
-
-
-@needs_capture
-def test_photos_and_videos(batch, tmp_path):
-    photos = sorted(p for p in (SAMPLES / "photos").iterdir() if p.suffix in (".jpg", ".png"))[:2]
-    videos = sorted((SAMPLES / "videos").glob("*.mp4"))[:1]
-    (tmp_path / "text.jpg").write_text("these are words")
-    out = tmp_path / "out"
-    done = batch(*photos, *videos, "text.jpg", "-o", out, "--frames", "1-30")
-    assert done.returncode == 1
-    entries = {e["name"]: e for e in report(out)}
-    assert entries["text"]["status"] == "failed"
-    for source in (*photos, *videos):
-        entry = entries[source.stem]
-        assert entry["status"] == "ok", entry["error"]
-        assert entry["frames"] == (30 if source in videos else 1)
-        assert max(hand["detected"] for hand in entry["hands"]) >= 1
-        assert all(0 < hand["mean_error_of_hand"] < 0.1 for hand in entry["hands"])
-        sheet = f"{source.stem}/{source.stem}.sheet.jpg"
-        assert sheet in entry["files"]
-        assert f'src="./{sheet}"' in (out / "overview.html").read_text(encoding="utf-8")
-        for suffix in (".blend", ".glb"):
-            found = read_back(out / source.stem / f"{source.stem}{suffix}")
-            assert found["rigs"] == len(entry["hands"])
-            assert found["animated"]
-            if suffix == ".blend":
-                assert found["frames"] == [1, entry["frames"]]
-                assert [Path(p).resolve() for p in found["pictures"]] == [source.resolve()]
-
-
-@needs_capture
-def test_two_hands_in_one_photo_are_two_rigs_of_the_right_sides(batch, tmp_path):
-    """The bundled right hand beside its mirror image, which is a left hand."""
-    photo = tmp_path / "both.png"
-    code = (
-        "import cv2, sys, numpy as np\n"
-        "right = cv2.imread(sys.argv[1])[:, 120:520]\n"
-        "cv2.imwrite(sys.argv[2], np.hstack([right[:, ::-1], right]))\n"
-    )
-    python = os.environ.get("HANDFIT_PYTHON", sys.executable)
-    sample = ROOT / "samples" / "rendered_hand" / "hand.0001.jpg"
-    subprocess.run([python, "-c", code, str(sample), str(photo)], check=True)
-    done = batch(photo, "-o", tmp_path / "out", "--format", "blend,glb,bvh")
-    assert done.returncode == 0, done.stdout + done.stderr
-    (entry,) = report(tmp_path / "out")
-    assert sorted(hand["side"] for hand in entry["hands"]) == ["left", "right"]
-    for suffix in (".blend", ".glb"):
-        found = read_back(tmp_path / "out" / "both" / f"both{suffix}")
-        assert found["suffixes"] == [".L", ".R"]
-    for side, ending in (("left", ".L"), ("right", ".R")):
-        found = read_back(tmp_path / "out" / "both" / f"both_{side}.bvh")
-        assert found["suffixes"] == [ending]
-
-
-@needs_capture
-def test_a_folder_of_numbered_pictures_is_one_sequence(batch, tmp_path):
-    folder = tmp_path / "shots"
-    folder.mkdir()
-    photo = SAMPLES / "photos" / "thumb_up.jpg"
-    for number in (7, 8, 10):
-        shutil.copy(photo, folder / f"shot.{number:03d}.jpg")
-    done = batch(folder, "-o", tmp_path / "out", "--format", "blend")
-    assert done.returncode == 0, done.stdout + done.stderr
-    (entry,) = report(tmp_path / "out")
-    assert (entry["name"], entry["frames"]) == ("shots", 3)
-    assert read_back(tmp_path / "out" / "shots" / "shots.blend")["frames"] == [7, 10]
-    done = batch(folder, "-o", tmp_path / "out2", "--format", "bvh", "--separate", "--flat")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert [e["name"] for e in report(tmp_path / "out2")] == ["shot.007", "shot.008", "shot.010"]
-    assert (tmp_path / "out2" / "shot.007.bvh").is_file()

@@ -9,8 +9,8 @@ import numpy as np
 
 from tests.hostile import takes
 from tests.hostile.engine import Case, Place
-from tests.hostile.mutations import MUTATIONS, mutated, told
-from tests.hostile.npz import DEEP, VALUES, header_lies, lies
+from tests.hostile.mutations import mutants, told
+from tests.hostile.npz import DEEP, VALUES, header_lies, lies, some
 
 CORRECTION: dict[str, Any] = {
     "version": 1,
@@ -33,72 +33,68 @@ NUMBERS = {
     "minus": -1, "huge": 2**31 - 1, "infinity": float("inf"), "nan": float("nan"), "zero": 0, "large": 1e30,
 }  # fmt: skip
 RAW: dict[str, Any] = {
-    "text": "x",
-    "number": 5,
-    "float": 1e300,
-    "list": [1, 2],
-    "dict": {"a": 1},
-    "empty": "",
+    "text": "x", "number": 5, "float": 1e300, "list": [1, 2], "dict": {"a": 1}, "empty": "",
+}  # fmt: skip
+PROPERTIES: dict[str, str] = {
+    "hand": "is_hand side capture mesh track betas corrections locked show_confidence own_colors",
+    "capture": "is_capture take digest camera frame_offset frame_scale source_take source_digest scene_rate",
+    "scene": "source spread hands",
 }
-
-HAND = "is_hand side capture mesh track betas corrections locked show_confidence own_colors".split()
-CAPTURE = (
-    "is_capture take digest camera frame_offset frame_scale source_take source_digest scene_rate".split()
-)
+"""Which of an owner's properties hold each of RAW"""
+OTHERS: dict[str, tuple[str, str]] = {
+    "marks": ("action", "[manient_corrections]"),
+    "manient_all_keys": ("action", "[manient_all_keys]"),
+    "manient_simplified": ("action", "[manient_simplified]"),
+    "manient_below": ("action", "[manient_below]"),
+    "pose": ("pose", "[manient_pose]"),
+    "pose-side": ("pose", "[manient_pose][side]"),
+    "pose-hand_pose": ("pose", "[manient_pose][hand_pose]"),
+}
+"""Properties that belong to no group and do so too"""
 
 
 def _blend(name: str, *changes: tuple[str, str, Any], known: bool = False) -> Case:
     return Case(f"blend-{name}", "blender.blend", lambda _: {"changes": changes}, known=known)
 
 
+def _holding(case: Case) -> Case:
+    """A file that keeps the take of another case, which is called x-NAME."""
+
+    def make(place: Place) -> dict[str, Any]:
+        return {"changes": [], "take": case.make(place)["path"]}
+
+    return Case(f"blend-take{case.name[1:]}", "blender.blend", make, known=case.known)
+
+
 def cases() -> Iterator[Case]:
-    for owner, name in (
-        ("hand", "side"), ("hand", "corrections"), ("hand", "own_colors"), ("capture", "take"), ("capture", "digest"),
-        ("scene", "source"), ("scene", "model_path"),
+    for owner, names, values in (
+        ("hand", "side corrections own_colors", TEXTS), ("capture", "take digest", TEXTS),
+        ("scene", "source model_path", TEXTS), ("hand", "track", NUMBERS), ("capture", "frame_offset frame_scale", NUMBERS),
     ):  # fmt: skip
-        for text, value in TEXTS.items():
-            more = (("hand", "show_confidence", True),) if name == "own_colors" else ()
-            yield _blend(f"{owner}-{name}-{text}", *more, (owner, name, value))
-    for owner, name in (("hand", "track"), ("capture", "frame_offset"), ("capture", "frame_scale")):
-        for number, value in NUMBERS.items():
-            yield _blend(f"{owner}-{name}-{number}", (owner, name, value))
+        for name in names.split():
+            shown = [("hand", "show_confidence", True)] if name == "own_colors" else []
+            for kind, value in values.items():
+                yield _blend(f"{owner}-{name}-{kind}", *shown, (owner, name, value))
     yield _blend("betas-huge", ("hand", "betas", [1e30] * 10))
     yield _blend("betas-nan", ("hand", "betas", [float("nan")] * 10), known=True)
     yield _blend("no-capture", ("hand", "capture", None))
     yield _blend("mesh-is-itself", ("hand", "mesh", "hand"))
     yield _blend("camera-is-a-hand", ("capture", "camera", "hand"))
-    for owner, names in (("hand", HAND), ("capture", CAPTURE), ("scene", ("source", "spread", "hands"))):
-        for raw, value in RAW.items():
-            yield _blend(f"{owner}-group-{raw}", (owner, "[manient]", value))
-            for name in names:
-                yield _blend(f"{owner}-{name}-raw-{raw}", (owner, f"[manient][{name}]", value))
     for raw, value in RAW.items():
-        yield _blend(f"marks-{raw}", ("action", "[manient_corrections]", value))
-        for name in ("manient_all_keys", "manient_simplified", "manient_below"):
-            yield _blend(f"{name}-{raw}", ("action", f"[{name}]", value))
-        yield _blend(f"pose-{raw}", ("pose", "[manient_pose]", value))
-        for name in ("side", "hand_pose"):
-            yield _blend(f"pose-{name}-{raw}", ("pose", f"[manient_pose][{name}]", value))
+        for owner, names in PROPERTIES.items():
+            yield _blend(f"{owner}-group-{raw}", (owner, "[manient]", value))
+            for name in names.split():
+                yield _blend(f"{owner}-{name}-raw-{raw}", (owner, f"[manient][{name}]", value))
+        for name, (owner, place) in OTHERS.items():
+            yield _blend(f"{name}-{raw}", (owner, place, value))
     of_frame = ("pins", "touches", "spread", "rotation", "location", "start_rotation", "start_location")
     for path in (("version",), ("frames",), ("frames", "3"), *(("frames", "3", name) for name in of_frame)):
         for lie, text in VALUES.items():
             changes = [("hand", "corrections", told(CORRECTION, path, text))]
             yield _blend(f"correction-{path[-1]}-{lie}", *changes)
-    taken = [
-        *lies("x", "x", takes.one_hand, "take.npz"),
-        *header_lies("x", "x", takes.one_hand, "take.npz", takes.HEADER),
-    ]
-    for case in taken:
-        if case.known or sum(case.name.encode()) % 6 == 0:
-
-            def kept(place: Place, made=case.make) -> dict[str, Any]:
-                return {"changes": [], "take": made(place)["path"]}
-
-            yield Case(f"blend-take{case.name[1:]}", "blender.blend", kept, known=case.known)
-    for mutation in MUTATIONS:
-
-        def damaged(place: Place, mutation=mutation) -> dict[str, Any]:
-            data = mutated(takes.good_bytes(), mutation, place.rng)
-            return {"changes": [], "take": str(place.write("take.npz", data))}
-
-        yield Case(f"blend-take-{mutation.__name__}", "blender.blend", damaged)
+    kept = ("x", "core.take", takes.one_hand, "take.npz")
+    for case in (*lies(*kept), *header_lies(*kept, takes.HEADER)):
+        if case.known or some(case.name, 6):
+            yield _holding(case)
+    for case in mutants("x", "core.take", takes.good_bytes, "take.npz", 1):
+        yield _holding(case)

@@ -1,9 +1,9 @@
 """Running hostile cases: one at a time, in a child process that may die of them.
 
 A child (child.py) is kept as long as it behaves and is started anew after a crash, a limit, or when it has
-grown. The limits are watched from outside, so that native code cannot escape them: the peak of resident memory,
-which the kernel counts, and time. How fast a machine is decides no case: the limits of time are many times
-what any case needs, and only end what would never end.
+grown. The kernel watches the limits, so that native code cannot escape them: the peak of resident memory,
+which it counts, and time. How fast a machine is decides no case: the limits of time are many times what any
+case needs, and only end what would never end.
 """
 
 from __future__ import annotations
@@ -21,8 +21,7 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,11 +35,25 @@ SILENT_SECONDS = 1200.0
 """After so long on the clock without an answer, a case is taken to wait for what never comes."""
 MOST_BYTES = 1_000_000_000
 """Peak of resident memory, the libraries' own included."""
-_KILL_BYTES = 1_400_000_000
 _GROWN_BYTES = 650_000_000
 """A child that is as large after a case is started anew, so that no case pays for the ones before it."""
 RESULTS = "result"
 """The only folder of a case in which anything may appear or change."""
+ODD: dict[str, Callable[[Path], object]] = {
+    "pipe": os.mkfifo,
+    "socket": lambda path: os.mknod(path, stat.S_IFSOCK | 0o600),
+    "folder": Path.mkdir,
+    "folder-with-pipe": lambda path: (path.mkdir(), os.mkfifo(path / f"MANO_RIGHT{path.suffix}")),
+    "zeros": lambda path: path.symlink_to("/dev/zero"),
+    "memory": lambda path: path.symlink_to("/proc/self/mem"),
+    "circle": lambda path: path.symlink_to(path.name),
+    "circle-of-folders": lambda path: (path.mkdir(), (path / "in").symlink_to(path.parent)),
+    "link": lambda path: path.symlink_to("../../kept.npz"),
+    "gone": lambda path: path.symlink_to("nowhere"),
+    "unreadable": lambda path: (path.write_bytes(b"x"), path.chmod(0)),
+    "sparse": lambda path: (path.touch(), os.truncate(path, 1 << 36)),
+}
+"""What may lie in the place of a file"""
 
 
 @dataclass(frozen=True)
@@ -64,7 +77,7 @@ class Case:
 
     name: str
     door: str
-    """`core.take`: the door `take` of core_doors.py."""
+    """`core.take`: the door `take` of core.py."""
     make: Callable[[Place], dict[str, Any]]
     """Writes the files of the case and returns the door's arguments."""
     refused: bool = False
@@ -95,6 +108,22 @@ def file_case(
     return Case(name, door, make, refused, known)
 
 
+def table(
+    stem: str,
+    door: str,
+    file: str | Callable[[str], str],
+    contents: Mapping[str, Callable[[], bytes]],
+    *,
+    known: Collection[str] = (),
+    **options: Any,
+) -> Iterator[Case]:
+    """A `file_case` for each of `contents`, named STEM-NAME; `file` may depend on the name. `known`: names."""
+    for name, data in contents.items():
+        called = file if isinstance(file, str) else file(name)
+        made = lambda _, data=data: data()  # noqa: E731
+        yield file_case(f"{stem}-{name}", door, called, made, known=name in known, **options)
+
+
 class Doorkeeper:
     """Runs cases and tells what went wrong in each."""
 
@@ -120,8 +149,7 @@ class Doorkeeper:
             place = Place(folder, random.Random(f"{SEED} {case.name}"), self.port)
             arguments = case.make(place)
             before = _contents(folder)
-            child = self._child(case.door.partition(".")[0])
-            faults = self._watched(child, case, folder, arguments)
+            faults = [*self._asked(case, folder, arguments), *self._connected()]
             after = _contents(folder)
             for name in sorted(before.keys() | after.keys()):
                 if before.get(name) != after.get(name):
@@ -131,67 +159,43 @@ class Doorkeeper:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _child(self, kind: str) -> _Child:
-        child = self._children.get(kind)
-        if child is None or not child.fresh():
-            if child is not None:
-                child.kill()
-            child = self._children[kind] = _Child(kind, self._base)
-        return child
-
-    def _watched(self, child: _Child, case: Case, folder: Path, arguments: dict[str, Any]) -> list[str]:
-        child.ask(case.door.partition(".")[2], folder, arguments)
-        faults: list[str] = []
-        answer: dict[str, Any] | None = None
-        cpu, until = child.cpu(), time.monotonic() + SILENT_SECONDS
-        while answer is None and not faults:
-            ready, _, _ = select.select([child.answers, self._listener], [], [], 0.02)
-            if self._listener in ready:
-                faults += self._connected()
-            elif ready:
-                line = child.answers.readline()
-                answer = json.loads(line) if line.endswith(b"\n") else None
-                if answer is None:
-                    faults.append(f"the process ended {child.ending()}: {child.said()[-300:]!r}")
-            elif child.memory("VmHWM") > _KILL_BYTES:
-                faults.append("memory beyond all bounds")
-            elif child.cpu() - cpu > CPU_SECONDS:
-                faults.append(f"computes for more than {CPU_SECONDS:g} s")
-            elif time.monotonic() > until:
-                faults.append(f"hangs: no answer within {SILENT_SECONDS:g} s")
-        faults += self._connected()
-        # Without the pages of libraries, which differ by a hundred MB with how the system happens to map them.
-        if (peak := child.memory("VmHWM") - child.memory("RssFile")) > MOST_BYTES:
-            faults.append(f"memory: {peak // 1_000_000} MB")
-        if answer is None:
-            child.kill()
-            return faults
-        if answer["verdict"] == "fault":
-            faults.append(answer["text"])
-        elif answer["verdict"] == "sentence" and not _is_sentence(answer["text"]):
-            faults.append(f"no sentence: {answer['text'][:300]!r}")
-        elif answer["verdict"] == "result" and case.refused:
-            faults.append("accepted, although it must be refused")
+    def _asked(self, case: Case, folder: Path, arguments: dict[str, Any]) -> Iterator[str]:
+        kind, _, door = case.door.partition(".")
+        if kind not in self._children:
+            self._children[kind] = _Child(kind, self._base)
+        child, text = self._children[kind], ""
+        try:
+            answer = child.ask(door, folder, arguments)
+            text = answer["text"]
+            if answer["peak"] > MOST_BYTES:
+                yield f"memory: {answer['peak'] // 1_000_000} MB"
+            if answer["verdict"] == "fault":
+                yield text
+            elif answer["verdict"] == "sentence" and not _is_sentence(text):
+                yield f"no sentence: {text[:300]!r}"
+            elif answer["verdict"] == "result" and case.refused:
+                yield "accepted, although it must be refused"
+            if answer["now"] > _GROWN_BYTES:
+                self._children.pop(kind).kill()
+        except EOFError as error:
+            self._children.pop(kind).kill()
+            yield f"{error}: {child.said()[-300:]!r}"
         said = child.said()
         if "Traceback (most recent call last)" in said or "Fatal Python error" in said:
-            faults.append(f"stderr: {said[-600:]}")
-        return faults
+            yield f"stderr: {said[-600:]}"
 
-    def _connected(self) -> list[str]:
-        count = 0
+    def _connected(self) -> Iterator[str]:
         with contextlib.suppress(BlockingIOError):
-            while True:
-                connection, _ = self._listener.accept()
-                connection.close()
-                count += 1
-        return ["opened a connection"] if count else []
+            self._listener.accept()[0].close()
+            yield "opened a connection"
+            yield from self._connected()
 
 
 class _Child:
     """A process of child.py."""
 
     def __init__(self, kind: str, base: Path) -> None:
-        self._log = open(base / f"{kind}.log", "a+b")  # appended to, so that it can be cut between cases
+        self._log = base / f"{kind}.log"
         environment = {
             **os.environ,
             **dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"), "1"),
@@ -199,63 +203,47 @@ class _Child:
             "PYTHONFAULTHANDLER": "1",
             "TMPDIR": str(base),
         }
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.hostile.child", f"tests.hostile.{kind}_doors"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._log,
-            cwd=ROOT,
-            env=environment,
-            start_new_session=True,
-        )
+        with self._log.open("ab") as log:  # appended to, so that it can be cut between cases
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tests.hostile.child", f"tests.hostile.{kind}"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                cwd=ROOT,
+                env=environment,
+                start_new_session=True,
+            )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._requests, self.answers = self._process.stdin, self._process.stdout
-        if self.answers.readline() != b'"ready"\n':
+        self._requests, self._answers = self._process.stdin, self._process.stdout
+        if self._answers.readline() != b'"ready"\n':
             raise RuntimeError(f"the child {kind!r} did not start: {self.said()}")
 
-    def fresh(self) -> bool:
-        """Whether it lives and is no larger than a child that has just begun to work."""
-        return self._process.poll() is None and self.memory("VmRSS") < _GROWN_BYTES
-
-    def ask(self, door: str, folder: Path, arguments: dict[str, Any]) -> None:
-        self._log.truncate(0)
-        Path(f"/proc/{self._process.pid}/clear_refs").write_text("5")  # the peak begins anew
-        ask = {"door": door, "folder": str(folder), "arguments": arguments}
+    def ask(self, door: str, folder: Path, arguments: dict[str, Any]) -> dict[str, Any]:
+        """The child's answer; EOFError, with what became of it, where there is none."""
+        os.truncate(self._log, 0)
+        ask = {"door": door, "folder": str(folder), "arguments": arguments, "cpu_seconds": CPU_SECONDS}
         self._requests.write(json.dumps(ask).encode("ascii") + b"\n")
         self._requests.flush()
-
-    def memory(self, field: str) -> int:
-        """Bytes of a field of /proc/PID/status; 0 once it is gone."""
-        with contextlib.suppress(OSError):
-            for line in Path(f"/proc/{self._process.pid}/status").read_text().splitlines():
-                if line.startswith(field):
-                    return int(line.split()[1]) * 1024
-        return 0
-
-    def cpu(self) -> float:
-        """Seconds that it and its ended children have computed."""
-        with contextlib.suppress(OSError):
-            fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-            return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
-        return 0.0
+        if not select.select([self._answers], [], [], SILENT_SECONDS)[0]:
+            raise EOFError(f"hangs: no answer within {SILENT_SECONDS:g} s")
+        line = self._answers.readline()
+        if not line.endswith(b"\n"):
+            code = self._process.wait()
+            how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+            raise EOFError(f"the process ended {how}")
+        return json.loads(line)
 
     def said(self) -> str:
         """What it wrote on stderr during this case."""
-        self._log.seek(0)
-        return self._log.read().decode("utf-8", errors="replace")
-
-    def ending(self) -> str:
-        code = self._process.wait()
-        return f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        return self._log.read_text("utf-8", errors="replace")
 
     def kill(self) -> None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        for stream in (self._requests, self.answers, self._log):
-            with contextlib.suppress(BrokenPipeError):
-                stream.close()
+        self._requests.close()
+        self._answers.close()
 
 
 def _is_sentence(text: str) -> bool:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from functools import partial
 from random import Random
 from typing import Any
 
-from tests.hostile.engine import Case, Place, file_case
+from tests.hostile.engine import Case, file_case
 
 EXTREMES = (0, 1, *((1 << bits) - 1 for bits in (7, 8, 15, 16, 31, 32, 63, 64)), 0x80, 0x80000000)
 
@@ -70,14 +69,9 @@ def mutants(
 ) -> Iterator[Case]:
     """Cases for one good file: `count` of each mutation. The door gets its path and `arguments`."""
     for mutation in MUTATIONS:
+        made = lambda place, mutation=mutation: mutated(good(), mutation, place.rng)  # noqa: E731
         for number in range(count):
-            name = f"{stem}-{mutation.__name__}-{number}"
-            made = partial(_mutant, good, mutation)
-            yield file_case(name, door, file, made, **arguments)
-
-
-def _mutant(good: Callable[[], bytes], mutation: Callable[[bytearray, Random], None], place: Place) -> bytes:
-    return mutated(good(), mutation, place.rng)
+            yield file_case(f"{stem}-{mutation.__name__}-{number}", door, file, made, **arguments)
 
 
 def told(content: Any, path: tuple[str | int, ...], text: str) -> str:
@@ -87,3 +81,8 @@ def told(content: Any, path: tuple[str | int, ...], text: str) -> str:
         inner = inner[key]
     inner[path[-1]] = "@@"
     return json.dumps(content).replace('"@@"', text)
+
+
+def system_call() -> bytes:
+    """A pickle that runs something, whose trace is a file."""
+    return b"cos\nsystem\n(Vtouch canary\ntR."

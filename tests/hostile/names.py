@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tests.hostile import models, pictures, recordings, takes, videos
-from tests.hostile.engine import Case, Place
+from tests.hostile.engine import ODD, Case, Place
 
 CONTENTS: dict[str, tuple[str, Callable[[], bytes], str, dict[str, Any]]] = {
     "video": (".mp4", videos.good_bytes, "core.media", {}),
@@ -65,51 +65,19 @@ FILES = {
 """Names under which good files lie; relative ones, so that nothing stands before them."""
 
 
-def _good(place: Place, name: str, kind: str) -> dict[str, Any]:
+def _good(kind: str, pattern: str, place: Place) -> dict[str, Any]:
     suffix, data, _, arguments = CONTENTS[kind]
-    file = name.format(suffix=suffix, upper=suffix.upper(), port=place.port)
+    file = pattern.format(suffix=suffix, upper=suffix.upper(), port=place.port)
     place.write(file, data())
     return {"path": file, **arguments}
 
 
-def _fifo(folder: Path, file: str) -> None:
-    os.mkfifo(folder / file)
+def _no_file(kind: str, create: Callable[[Path], object], place: Place) -> dict[str, Any]:
+    suffix, _, _, arguments = CONTENTS[kind]
+    path = place.folder / f"MANO_RIGHT{suffix}"
+    create(path)
+    return {"path": str(path), **arguments}
 
-
-def _loop(folder: Path, file: str) -> None:
-    (folder / file).symlink_to(file)
-
-
-def _device(folder: Path, file: str) -> None:
-    (folder / file).symlink_to("/dev/zero")
-
-
-def _unreadable(folder: Path, file: str) -> None:
-    (folder / file).write_bytes(b"x")
-    (folder / file).chmod(0)
-
-
-def _sparse(folder: Path, file: str) -> None:
-    (folder / file).touch()
-    os.truncate(folder / file, 3 << 30)
-
-
-NO_FILES: dict[str, Callable[[Path, str], None]] = {
-    "fifo": _fifo,
-    "loop": _loop,
-    "zeros-without-end": _device,
-    "unreadable": _unreadable,
-    "sparse-3-gb": _sparse,
-    "folder": lambda folder, file: (folder / file).mkdir(),
-    "folder-with-fifo": lambda folder, file: (
-        (folder / file).mkdir(),
-        _fifo(folder / file, f"MANO_RIGHT{file[-4:]}"),
-    )[0],
-    "dangling": lambda folder, file: (folder / file).symlink_to("nowhere"),
-    "memory": lambda folder, file: (folder / file).symlink_to("/proc/self/mem"),
-    "tree-loop": lambda folder, file: ((folder / file).mkdir(), (folder / file / "in").symlink_to(folder))[0],
-}
-"""What a name may lead to that is no file with data."""
 
 TEXTS = {
     "nothing": "", "nul": "a\0b", "surrogate": "\ud800", "too-long": "x" * 5000, "deep": "a/" * 3000, "dot": ".",
@@ -119,23 +87,15 @@ TEXTS = {
 
 
 def cases() -> Iterator[Case]:
-    for kind, (suffix, _, door, arguments) in CONTENTS.items():
+    for kind, (_, _, door, arguments) in CONTENTS.items():
         in_blender = door.startswith("blender")
         for name, pattern in FILES.items():
             known = kind in ("video", "footage") and name in ("http-0", "tcp-0")
             if not in_blender or ":" in pattern or "%" in pattern:
-                make = lambda place, pattern=pattern, kind=kind: _good(place, pattern, kind)  # noqa: E731
-                yield Case(f"name-{kind}-{name}", door, make, known=known)
-        for name, create in NO_FILES.items():
-
-            def none(
-                place: Place, create=create, file=f"MANO_RIGHT{suffix}", more=arguments
-            ) -> dict[str, Any]:
-                create(place.folder, file)
-                return {"path": str(place.folder / file), **more}
-
-            known = (kind, name) in {("model", "fifo"), ("pickle", "fifo")}
-            yield Case(f"no-file-{kind}-{name}", door, none, refused=not in_blender, known=known)
+                yield Case(f"name-{kind}-{name}", door, partial(_good, kind, pattern), known=known)
+        for name, create in ODD.items():
+            known, make = name == "pipe" and kind in ("model", "pickle"), partial(_no_file, kind, create)
+            yield Case(f"no-file-{kind}-{name}", door, make, refused=not in_blender, known=known)
         for name, text in TEXTS.items():
             if not in_blender or name not in ("surrogate", "nul"):
                 make = lambda _, text=text, more=arguments: {"path": text, **more}  # noqa: E731

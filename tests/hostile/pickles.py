@@ -12,16 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from tests.hostile.engine import Case, file_case
+from tests.hostile.engine import Case, table
 from tests.hostile.mutations import mutants
+from tests.hostile.npz import ARRAY_LIES
 from tests.imitation_mano import imitation_arrays, write_mano_pickle
 
 FILE = "MANO_RIGHT.pkl"
 COMMAND = b"touch canary"
-
-
-def system_call() -> bytes:
-    return b"cos\nsystem\n(V" + COMMAND + b"\ntR."
 
 
 @cache
@@ -141,14 +138,8 @@ _BOMBS: dict[str, Callable[[], bytes]] = {
 
 
 _LIES: dict[str, Callable[[np.ndarray], Any]] = {
-    "nan": lambda a: np.full(a.shape, np.nan),
-    "infinity": lambda a: np.full(a.shape, np.inf),
-    "huge": lambda a: np.full(a.shape, 1e300),
-    "whole": lambda a: np.full(a.shape, -(2**62), np.int64),
-    "empty": lambda a: np.zeros((0, *a.shape[1:])),
-    "flat": lambda a: a.ravel(),
-    "scalar": lambda _: np.array(1.0),
-    "text": lambda _: "words",
+    **ARRAY_LIES,
+    "words": lambda _: "words",
     "none": lambda _: None,
     "list": lambda _: [[1.0, 2.0]],
     "objects": lambda _: np.array([1, "x", None], dtype=object),
@@ -161,10 +152,6 @@ def _lying(key: str, lie: str) -> bytes:
     if key == "J_regressor" and np.shape(arrays[key]) != (16, 778):  # no sparse matrix could be made of it
         arrays[key] = np.zeros((3, 5))
     return _written(arrays)
-
-
-def _case(name: str, data: Callable[[], bytes], **options: bool) -> Case:
-    return file_case(f"pickle-{name}", "core.model", FILE, lambda _: data(), **options, side="right")
 
 
 KNOWN = ("deep-tuple-as-key", "deep-tuple-in-set", "encode-flood-kept", "colliding-keys")
@@ -180,8 +167,8 @@ def harms() -> Iterator[tuple[str, Callable[[], bytes]]]:
 
 def cases() -> Iterator[Case]:
     yield from mutants("pickle", "core.model", mano, FILE, 16, side="right")
-    for name, made in harms():
-        yield _case(name, made, refused=True, known=name.removeprefix("bomb-") in KNOWN)
-    for key in sorted(imitation_arrays("right").keys() - {"J", "hands_coeffs"}):
-        for lie in _LIES:
-            yield _case(f"{key}-{lie}", partial(_lying, key, lie))
+    known = {f"bomb-{name}" for name in KNOWN}
+    yield from table("pickle", "core.model", FILE, dict(harms()), refused=True, known=known, side="right")
+    keys = sorted(imitation_arrays("right").keys() - {"J", "hands_coeffs"})
+    lies = {f"{key}-{lie}": partial(_lying, key, lie) for key in keys for lie in _LIES}
+    yield from table("pickle", "core.model", FILE, lies, side="right")

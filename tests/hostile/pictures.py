@@ -5,13 +5,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 
 import cv2
 import numpy as np
 
-from tests.hostile.engine import Case, file_case
+from tests.hostile.engine import Case, table
 from tests.hostile.mutations import mutants
+from tests.hostile.npz import some
 
 DOOR = "core.media"
 PLATE = "blender.import_of"
@@ -45,11 +46,8 @@ def jpeg(width: int, height: int) -> bytes:
 def png(
     width: int, height: int, depth: int = 8, colour: int = 0, rows: bytes = bytes(1000), interlace: int = 0
 ) -> bytes:
-    header = struct.pack(">2I5B", width, height, depth, colour, 0, 0, interlace)
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        _chunk(kind, data)
-        for kind, data in ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
-    )
+    header = _chunk(b"IHDR", struct.pack(">2I5B", width, height, depth, colour, 0, 0, interlace))
+    return b"\x89PNG\r\n\x1a\n" + header + _chunk(b"IDAT", zlib.compress(rows, 9)) + _chunk(b"IEND", b"")
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
@@ -80,9 +78,8 @@ def tiff(width: int, height: int, bits: int = 8, samples: int = 1, **other: int)
     tags = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: samples, 278: height, 279: 4000}
     tags |= {int(tag[1:]): value for tag, value in other.items()}
     entries = b"".join(struct.pack("<HHII", tag, 4, 1, value) for tag, value in sorted(tags.items()))
-    return (
-        b"II*\0" + struct.pack("<I", 4008) + bytes(4000) + struct.pack("<H", len(tags)) + entries + bytes(4)
-    )
+    strip = b"II*\0" + struct.pack("<I", 4008) + bytes(4000)
+    return strip + struct.pack("<H", len(tags)) + entries + bytes(4)
 
 
 def bmp(width: int, height: int, bits: int = 24, compression: int = 0) -> bytes:
@@ -101,17 +98,15 @@ def exif(entries: list[tuple[int, int, int, int]], following: int = 0, order: by
     """A JPEG whose EXIF directory has these entries (tag, type, count, value)."""
     mark = "<" if order == b"II" else ">"
     block = order + struct.pack(f"{mark}HI", 42, 8) + struct.pack(f"{mark}H", len(entries))
-    block += b"".join(struct.pack(f"{mark}HHII", *entry) for entry in entries) + struct.pack(
-        f"{mark}I", following
-    )
+    block += b"".join(struct.pack(f"{mark}HHII", *entry) for entry in entries)
+    block += struct.pack(f"{mark}I", following)
     segment = b"Exif\0\0" + block
     return b"\xff\xd8\xff\xe1" + struct.pack(">H", len(segment) + 2) + segment + encoded("jpg")[2:]
 
 
 _SIZES = (
-    *((32000, 32000), (65500, 16000), (65535, 65535), (30000, 30000)),
-    *((1, 65535), (65535, 1), (0, 0), (0, 5)),
-)
+    (32000, 32000), (65500, 16000), (65535, 65535), (30000, 30000), (1, 65535), (65535, 1), (0, 0), (0, 5),
+)  # fmt: skip
 _LARGER = (*_SIZES, (2**31 - 1, 2**31 - 1), (2**31 - 1, 1), (2**32 - 1, 2**32 - 1), (1 << 20, 1 << 10))
 
 HEADERS: dict[str, Callable[[], bytes]] = {
@@ -146,27 +141,29 @@ HEADERS: dict[str, Callable[[], bytes]] = {
 }  # fmt: skip
 _KNOWN = ("jpg-32000x32000", "png-true-zeros", "gif-30000x30000", "png-IDAT-says-2-gb", "png-frame-beyond")
 _SLIM = ((5000, 1), (1, 65500), (65535, 2), (3, 20000), (1, 1))
+SUFFIXES = ("jpg", "png", "webp", "bmp", "tif", "jp2", "ppm", "pgm", "hdr", "gif")
+DISGUISES = ("png-as-mp4", "jpg-as-png", "gif-as-jpg", "webp-as-mov", "png-as-npz", "bmp-as-nothing")
+
+
+def _file(header: str) -> str:
+    return f"picture.{header.split('-')[0].replace('exif', 'jpg')}"
 
 
 def cases() -> Iterator[Case]:
-    for suffix in ("jpg", "png", "webp", "bmp", "tif", "jp2", "ppm", "pgm", "hdr", "gif"):
-        good = "tiff" if suffix == "tif" else suffix
-        yield from mutants(suffix, DOOR, lambda good=good: encoded(good), f"picture.{suffix}", 4)
-        plate = f"plate-{suffix}", PLATE, lambda good=good: encoded(good), f"a.{suffix}", 1
-        yield from mutants(*plate, kind="photo")
+    for suffix in SUFFIXES:
+        good = partial(encoded, suffix.replace("tif", "tiff"))
+        yield from mutants(suffix, DOOR, good, f"picture.{suffix}", 4)
+        yield from mutants(f"plate-{suffix}", PLATE, good, f"a.{suffix}", 1, kind="photo")
     good_exif = [(0x112, 3, 1, 6), (0x8769, 4, 1, 38), (0xA405, 3, 1, 35)]
     yield from mutants("exif", DOOR, lambda: exif(good_exif), "picture.jpg", 4)
-    for name, data in HEADERS.items():
-        file, made = f"picture.{name.split('-')[0].replace('exif', 'jpg')}", lambda _, data=data: data()
-        yield file_case(f"picture-{name}", DOOR, file, made, known=name in _KNOWN)
-        if sum(name.encode()) % 3 == 0 or name in _KNOWN:  # as a take names it, in Blender
-            yield file_case(f"plate-{name}", PLATE, file, made, kind="photo")
-    for width, height in _SLIM:
-        for verb in ("capture", "find"):
-            made = lambda _, w=width, h=height: slim(w, h)  # noqa: E731
-            name, refused = f"slim-{verb}-{width}x{height}", verb == "capture"
-            yield file_case(name, f"core.{verb}", "a.png", made, refused=refused, known=width == 5000)
-    for names in ("png mp4", "jpg png", "gif jpg", "webp mov", "png npz", "bmp "):
-        right, wrong = names.split(" ")
-        made = lambda _, right=right: encoded(right)  # noqa: E731
-        yield file_case(f"picture-{right}-as-{wrong or 'nothing'}", DOOR, f"x.{wrong}", made)
+    yield from table("picture", DOOR, _file, HEADERS, known=_KNOWN)
+    shown = {name: data for name, data in HEADERS.items() if some(name, 3) or name in _KNOWN}
+    yield from table("plate", PLATE, _file, shown, kind="photo")  # as a take names it, in Blender
+    slims = {f"{width}x{height}": partial(slim, width, height) for width, height in _SLIM}
+    for verb in ("capture", "find"):
+        refused = verb == "capture"
+        yield from table(f"slim-{verb}", f"core.{verb}", "a.png", slims, refused=refused, known=["5000x1"])
+    for disguise in DISGUISES:
+        right, _, wrong = disguise.partition("-as-")
+        file, content = f"x.{wrong.replace('nothing', '')}", {disguise: partial(encoded, right)}
+        yield from table("picture", DOOR, file, content)

@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from tests.core.interchange.every_format import keypoint_files, other_files
-from tests.hostile.engine import Case, Place, file_case
+from tests.hostile.engine import ODD, Case, Place, file_case, table
 from tests.hostile.mutations import MUTATIONS, mutants, mutated, told
-from tests.hostile.npz import VALUES, lies, npy_lies, raw_member
+from tests.hostile.npz import VALUES, lies, npy_lies, raw_member, some
 from tests.hostile.pickles import harms
-from tests.hostile.records import ODD
 
 DOOR = "core.recording"
 
@@ -37,9 +36,9 @@ class Good:
     def stem(self) -> str:
         return f"{self.reader}-{self.given.replace('/', '-').replace('.', '-')}"
 
-    def laid_out(self, place: Place, changed: dict[str, bytes] | None = None) -> dict[str, Any]:
-        """All its files, some with other bytes, in the place of a case; the arguments of the door."""
-        for name, data in (self.files | (changed or {})).items():
+    def laid_out(self, place: Place) -> dict[str, Any]:
+        """All its files, in the place of a case; the arguments of the door."""
+        for name, data in self.files.items():
             place.write(name, data)
         return {"path": str(place.folder / self.given)}
 
@@ -131,17 +130,8 @@ BONES: dict[str, tuple[str, str]] = {
 """What in a BVH is replaced, each time that it is there but for `deep` and `wide`"""
 
 ODD_NAMES = (
-    "9" * 15,
-    "9" * 200,
-    "-1",
-    "0",
-    "a_99999999999999999999",
-    "\u0661",
-    "x" * 200,
-    "a\nb",
-    "\udcff",
-    "%n",
-)
+    "9" * 15, "9" * 200, "-1", "0", "a_99999999999999999999", "\u0661", "x" * 200, "a\nb", "\udcff", "%n",
+)  # fmt: skip
 """What files of a folder may be called besides"""
 
 
@@ -160,15 +150,11 @@ def _places(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[st
     """Where something stands, one of each kind: the first of a list, and of what numbers name."""
     if path:
         yield path
-    items = list(
-        content.items()
-        if isinstance(content, dict)
-        else enumerate(content)
-        if isinstance(content, list)
-        else ()
-    )
-    numbered = isinstance(content, list) or all(str(key).isdigit() for key, _ in items)
-    for key, value in items[: 1 if numbered else None]:
+    if not isinstance(content, dict | list):
+        return
+    items = content if isinstance(content, dict) else dict(enumerate(content))
+    numbered = all(str(key).isdigit() for key in items)
+    for key, value in list(items.items())[: 1 if numbered else None]:
         yield from _places(value, (*path, key))
 
 
@@ -192,9 +178,22 @@ def crowd(people: int, spread: int, place: Place) -> bytes:
     return json.dumps({"version": 1.3, "people": each}).encode()
 
 
-def _some(name: str, part: int) -> bool:
-    """Whether this is one of a part of the cases, which are more than anybody waits for."""
-    return sum(name.encode("utf-8", "replace")) % part == 0
+def _crowds() -> Iterator[Case]:
+    for people in (400, 2000, 2001, 20_000):
+        for spread in (1, 3000, 60_000):
+            name, file = f"crowd-{people}-within-{spread}", "a_000000000000_keypoints.json"
+            few, known = people <= 2000, people == 2000 and spread == 3000
+            made = partial(crowd, people, spread)
+            yield file_case(name, DOOR, file, made, refused=not few, known=known, good=few)
+
+
+def _other_bones(pattern: str, text: str, once: bool) -> bytes:
+    return re.sub(pattern, text, content("bvh").decode(), count=int(once)).encode()
+
+
+def _hands(count: int) -> bytes:
+    """A .npy that has so many frames."""
+    return raw_member(f"({count}, 21, 3)", "'<f4'", bytes(count * 252))
 
 
 def cases() -> Iterator[Case]:
@@ -203,127 +202,114 @@ def cases() -> Iterator[Case]:
             yield from _of_file(good, good.files[good.given])
         else:
             yield from _of_folder(good)
-    for kinds, ending in ((JSONS, "json"), (TABLES, "csv")):
-        for name, data in kinds.items():
-            yield file_case(f"{ending}-{name}", DOOR, f"a_0.{ending}", lambda _, data=data: data())
-    yield file_case("jsonl-lines", DOOR, "a.jsonl", lambda _: JSONS["lines"]())
-    for people in (400, 2000, 2001, 20_000):
-        for spread in (1, 3000, 60_000):
-            made = lambda place, people=people, spread=spread: crowd(people, spread, place)  # noqa: E731
-            name, file = f"crowd-{people}-within-{spread}", "a_000000000000_keypoints.json"
-            few, known = people <= 2000, people == 2000 and spread == 3000
-            yield file_case(name, DOOR, file, made, refused=not few, known=known, good=few)
-    for name, data in harms():
-        known = name == "runs-reduce-os.system"
-        if known or _some(name, 2):
-            yield file_case(
-                f"recording-{name}", DOOR, "hamer.pkl", lambda _, data=data: data(), refused=True, known=known
-            )
-        if _some(name, 3):
-            in_npy = lambda _, data=data: raw_member("()", "'|O'", data())  # noqa: E731
-            yield file_case(f"recording-npy-{name}", DOOR, "a.mano.npy", in_npy, refused=True)
-    for name, data in LONG_BONES.items():
-        yield file_case(f"bvh-{name}", DOOR, "a.bvh", lambda _, data=data: data())
-    for count in (50_000, 150_000, 1_000_000):
-        hands = lambda _, count=count: raw_member(f"({count}, 21, 3)", "'<f4'", bytes(count * 252))  # noqa: E731
-        yield file_case(f"freemocap-{count}", DOOR, "mediapipe_left_hand_3d_xyz.npy", hands, refused=True)
-    bvh = content("bvh").decode()
-    for name, (pattern, text) in BONES.items():
-        changed = partial(
-            lambda p, t, n, _: re.sub(p, t, bvh, count=n).encode(),
-            pattern,
-            text,
-            int(name in ("deep", "wide")),
-        )
-        yield file_case(f"bvh-{name}", DOOR, "a.bvh", changed)
+    yield from table("json", DOOR, "a_0.json", JSONS)
+    yield from table("csv", DOOR, "a_0.csv", TABLES)
+    yield from table("jsonl", DOOR, "a.jsonl", {"lines": JSONS["lines"]})
+    yield from _crowds()
+    harmful = "runs-reduce-os.system"
+    pickles = {name: data for name, data in harms() if name == harmful or some(name, 2)}
+    yield from table("recording", DOOR, "hamer.pkl", pickles, refused=True, known=[harmful])
+    arrays = {
+        name: partial(lambda data: raw_member("()", "'|O'", data()), data)
+        for name, data in harms()
+        if some(name, 3)
+    }
+    yield from table("recording-npy", DOOR, "a.mano.npy", arrays, refused=True)
+    yield from table("bvh", DOOR, "a.bvh", LONG_BONES)
+    frames = {str(count): partial(_hands, count) for count in (50_000, 150_000, 1_000_000)}
+    yield from table("freemocap", DOOR, "mediapipe_left_hand_3d_xyz.npy", frames, refused=True)
+    bones = {
+        name: partial(_other_bones, pattern, text, name in ("deep", "wide"))
+        for name, (pattern, text) in BONES.items()
+    }
+    yield from table("bvh", DOOR, "a.bvh", bones)
 
 
 def _of_file(good: Good, data: bytes) -> Iterator[Case]:
-    name = Path(good.given).name
+    name, lying = Path(good.given).name, {}
     yield file_case(f"{good.stem}-good", DOOR, name, lambda _: data, known=True, good=True)
     yield from mutants(good.stem, DOOR, lambda: data, name, 3)
     held = _lines(data, name)
     if held is not None:
         for path in _places(held):
-            for value, text in NUMBERS.items():
-                case = f"{good.stem}-{'-'.join(map(str, path))}-{value}"
-                if _some(case, 11):
-
-                    def lie(_: Place, path=path, text=text) -> bytes:
-                        if not name.endswith(".jsonl"):
-                            return told(held, path, text).encode()
-                        lines = [json.dumps(line) for line in held]
-                        lines[0] = told(held[0], path[1:], text) if path[1:] else text
-                        return "\n".join(lines).encode()
-
-                    yield file_case(case, DOOR, name, lie)
+            lying |= {
+                f"{'-'.join(map(str, path))}-{value}": partial(_lying, held, path, text, name)
+                for value, text in NUMBERS.items()
+            }
     elif name.endswith(".csv"):
         rows = [line.split(",") for line in data.decode().splitlines()]
         for column in sorted({0, 1, 2, 3, 4, len(rows[0]) // 2, len(rows[0]) - 1}):
-            for value, text in CELLS.items():
-                case = f"{good.stem}-{column}-{value}"
-                if _some(case, 2):
-
-                    def cell(_: Place, column=column, text=text) -> bytes:
-                        row = [*rows[1][:column], text, *rows[1][column + 1 :]]
-                        return "\n".join(map(",".join, (rows[0], row, *rows[2:]))).encode("utf-8")
-
-                    yield file_case(case, DOOR, name, cell)
+            lying |= {
+                f"{column}-{value}": partial(_cell, rows, column, text) for value, text in CELLS.items()
+            }
     elif name.endswith(".npz"):
-        with TemporaryDirectory() as folder:
-            file = Path(folder, name)
-            file.write_bytes(data)
-            with np.load(file, allow_pickle=True) as archive:
-                arrays = {key: archive[key] for key in archive.files}
+        with np.load(io.BytesIO(data), allow_pickle=True) as archive:
+            arrays = {key: archive[key] for key in archive.files}
         for case in lies(good.stem, DOOR, lambda: arrays, name, ours=False):
-            if _some(case.name, 3):
+            if some(case.name, 3):
                 yield replace(case, known=False)
     elif name.endswith(".npy") and b"'|O'" not in data[:100]:
         array = np.load(io.BytesIO(data))
         yield from npy_lies(good.stem, DOOR, lambda: array, name)
+    part = 2 if name.endswith(".csv") else 11
+    chosen = {lie: made for lie, made in lying.items() if some(f"{good.stem}-{lie}", part)}
+    yield from table(good.stem, DOOR, name, chosen)
+
+
+def _lying(held: Any, path: tuple[str | int, ...], text: str, name: str) -> bytes:
+    """JSON with that text where `path` leads, or lines of it."""
+    if not name.endswith(".jsonl"):
+        return told(held, path, text).encode()
+    lines = [json.dumps(line) for line in held]
+    lines[0] = told(held[0], path[1:], text) if path[1:] else text
+    return "\n".join(lines).encode()
+
+
+def _cell(rows: list[list[str]], column: int, text: str) -> bytes:
+    """A table with that text in its first row."""
+    row = [*rows[1][:column], text, *rows[1][column + 1 :]]
+    return "\n".join(map(",".join, (rows[0], row, *rows[2:]))).encode("utf-8")
 
 
 def _of_folder(good: Good) -> Iterator[Case]:
-    yield Case(f"{good.stem}-good", DOOR, lambda place: {**good.laid_out(place), "good": True}, known=True)
-    for file in good.files:
-        stem = f"{good.stem}-{Path(file).stem}"
-        for mutation in MUTATIONS:
-            if _some(f"{stem}-{mutation.__name__}", 2):
-
-                def mutant(place: Place, file=file, mutation=mutation) -> dict[str, Any]:
-                    return good.laid_out(place, {file: mutated(good.files[file], mutation, place.rng)})
-
-                yield Case(f"{stem}-{mutation.__name__}", DOOR, mutant)
     files = list(good.files)
-    for kind, put in ODD.items():
-        for place_of in ("first", "last", "all"):
 
-            def odd(place: Place, put=put, place_of=place_of) -> dict[str, Any]:
-                arguments = good.laid_out(place)
-                for file in {"first": files[:1], "last": files[-1:], "all": files}[place_of]:
-                    (place.folder / file).unlink()
-                    put(place.folder / file)
-                return arguments
+    def case(name: str, change: Callable[[Place, Path], object], known: bool = False) -> Case:
+        """The folder's files, and then what `change` does to them and beside the last of them."""
 
-            yield Case(
-                f"{good.stem}-{place_of}-is-a-{kind}", DOOR, odd, known=kind == "pipe" and place_of == "all"
-            )
-    for number, called in enumerate(ODD_NAMES):
-
-        def besides(place: Place, called=called) -> dict[str, Any]:
+        def make(place: Place) -> dict[str, Any]:
             arguments = good.laid_out(place)
-            last = place.folder / files[-1]
-            name = os.fsencode(f"{called}{last.suffix}")
-            Path(os.fsdecode(os.path.join(os.fsencode(last.parent), name))).write_bytes(last.read_bytes())  # noqa: PTH118
+            change(place, place.folder / files[-1])
             return arguments
 
-        yield Case(f"{good.stem}-besides-{number}", DOOR, besides)
+        return Case(f"{good.stem}-{name}", DOOR, make, known=known)
 
-    def many(place: Place) -> dict[str, Any]:
-        arguments = good.laid_out(place)
-        last = place.folder / files[-1]
+    def damage(file: str, mutation: Callable, place: Place, _: Path) -> None:
+        place.write(file, mutated(good.files[file], mutation, place.rng))
+
+    def replaced(chosen: list[str], put: Callable[[Path], object], place: Place, _: Path) -> None:
+        for file in chosen:
+            (place.folder / file).unlink()
+            put(place.folder / file)
+
+    def beside(called: str, _: Place, last: Path) -> None:
+        name = os.fsencode(f"{called}{last.suffix}")
+        Path(os.fsdecode(os.path.join(os.fsencode(last.parent), name))).write_bytes(last.read_bytes())  # noqa: PTH118
+
+    def many(_: Place, last: Path) -> None:
         for number in range(3000):
             (last.parent / f"x_{number:06}{last.suffix}").touch()
-        return arguments
 
-    yield Case(f"{good.stem}-with-3000-more", DOOR, many)
+    yield Case(f"{good.stem}-good", DOOR, lambda place: {**good.laid_out(place), "good": True}, known=True)
+    for file in files:
+        for mutation in MUTATIONS:
+            name = f"{Path(file).stem}-{mutation.__name__}"
+            if some(f"{good.stem}-{name}", 2):
+                yield case(name, partial(damage, file, mutation))
+    for kind, put in ODD.items():
+        for which, chosen in {"first": files[:1], "last": files[-1:], "all": files}.items():
+            known = kind == "pipe" and which == "all"
+            yield case(f"{which}-is-a-{kind}", partial(replaced, chosen, put), known)
+    for number, called in enumerate(ODD_NAMES):
+        yield case(f"besides-{number}", partial(beside, called))
+    yield case("with-3000-more", many)

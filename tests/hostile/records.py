@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterator
-from functools import partial
-from pathlib import Path
 from typing import Any
 
-from tests.hostile.engine import RESULTS, Case, Place
+from tests.hostile.engine import ODD, RESULTS, Case, Place
 from tests.hostile.mutations import MUTATIONS, mutated, told
 from tests.hostile.npz import VALUES
 
@@ -27,6 +24,7 @@ NAMES = {
     "dot": ".", "long": "x" * 5000, "slashes": "a/" * 3000 + "b", "record": "a.json", "link": "link/" + SECRET,
 }  # fmt: skip
 """What a result may be called"""
+CONTENTS = {"nothing": b"", "words": b"words", "deep": b"[" * 200_000 + b"]" * 200_000}
 
 
 def good(status: str = "ok") -> dict[str, Any]:
@@ -40,71 +38,43 @@ def good(status: str = "ok") -> dict[str, Any]:
     return {"key": "key", "run": "", "result": result, "files": {"a.txt": 3}, "formats": {}}
 
 
-def _pipe(path: Path) -> None:
-    os.mkfifo(path)
+def _naming(result: str) -> bytes:
+    return json.dumps({**good(), "files": {result: 3}}).encode()
 
 
-def _sparse(path: Path) -> None:
-    with path.open("wb") as stream:
-        stream.truncate(1 << 36)
+def _case(
+    name: str, data: Callable[[Place], bytes], odd: tuple[str, Callable] | None = None, known: bool = False
+) -> Case:
+    """A folder of results with that record; `odd`: what lies where, beside the record or in its place."""
 
+    def make(place: Place) -> dict[str, Any]:
+        place.write(RECORD, data(place))
+        place.write(f"{RESULTS}/a/a.txt", b"abc")
+        folder = place.folder / RESULTS / "a"
+        (folder / "link").symlink_to("../..")
+        if odd:
+            (folder / odd[0]).unlink(missing_ok=True)
+            odd[1](folder / odd[0])
+        return {"path": str(place.folder / RESULTS)}
 
-ODD: dict[str, Callable[[Path], None]] = {
-    "pipe": _pipe,
-    "folder": lambda path: path.mkdir(),
-    "device": lambda path: path.symlink_to("/dev/zero"),
-    "link": lambda path: path.symlink_to(Path("../..") / SECRET),
-    "circle": lambda path: path.symlink_to(path.name),
-    "gone": lambda path: path.symlink_to("nowhere"),
-    "sparse": _sparse,
-}
-"""What may lie in the place of a file"""
-
-
-def laid_out(place: Place, record: bytes) -> dict[str, Any]:
-    """A folder of results with that record; the arguments of the door `results`."""
-    place.write(RECORD, record)
-    place.write(f"{RESULTS}/a/a.txt", b"abc")
-    (place.folder / RESULTS / "a" / "link").symlink_to("../..")
-    return {"path": str(place.folder / RESULTS)}
+    return Case(f"record-{name}", "core.results", make, known=known)
 
 
 def cases() -> Iterator[Case]:
     for status in ("ok", "failed"):
         for mutation in MUTATIONS:
+            damaged = lambda place, m=mutation, s=status: mutated(json.dumps(good(s)).encode(), m, place.rng)  # noqa: E731
             for number in range(6):
-
-                def mutant(place: Place, status=status, mutation=mutation) -> dict[str, Any]:
-                    return laid_out(place, mutated(json.dumps(good(status)).encode(), mutation, place.rng))
-
-                yield Case(f"record-{status}-{mutation.__name__}-{number}", "core.results", mutant)
+                yield _case(f"{status}-{mutation.__name__}-{number}", damaged)
         for field in FIELDS.split():
             path = tuple(int(key) if key.isdigit() else key.replace("&", ".") for key in field.split("."))
             for value, text in VALUES.items():
-
-                def lie(place: Place, status=status, path=path, text=text) -> dict[str, Any]:
-                    return laid_out(place, told(good(status), path, text).encode())
-
-                name = f"record-{status}-{field.replace('.', '-').replace('&', '-')}-{value}"
-                yield Case(name, "core.results", lie)
+                lie = lambda _, p=path, t=text, s=status: told(good(s), p, t).encode()  # noqa: E731
+                yield _case(f"{status}-{field.replace('.', '-').replace('&', '-')}-{value}", lie)
     for kind, put in ODD.items():
-
-        def odd(place: Place, put=put) -> dict[str, Any]:
-            arguments = laid_out(place, b"")
-            (place.folder / RECORD).unlink()
-            put(place.folder / RECORD)
-            return arguments
-
-        yield Case(f"record-is-a-{kind}", "core.results", odd, known=kind == "pipe")
-
-        def result_is(place: Place, put=put) -> dict[str, Any]:
-            arguments = laid_out(place, json.dumps({**good(), "files": {"odd": 3}}).encode())
-            put((place.folder / RECORD).parent / "odd")
-            return arguments
-
-        yield Case(f"record-result-is-a-{kind}", "core.results", result_is)
+        yield _case(f"is-a-{kind}", lambda _: b"", ("a.json", put), kind == "pipe")
+        yield _case(f"result-is-a-{kind}", lambda _: _naming("odd"), ("odd", put))
     for kind, called in NAMES.items():
-        record = json.dumps({**good(), "files": {called: 3}}).encode()
-        yield Case(f"record-names-{kind}", "core.results", partial(laid_out, record=record))
-    for kind, record in {"nothing": b"", "words": b"words", "deep": b"[" * 200_000 + b"]" * 200_000}.items():
-        yield Case(f"record-holds-{kind}", "core.results", partial(laid_out, record=record))
+        yield _case(f"names-{kind}", lambda _, called=called: _naming(called))
+    for kind, data in CONTENTS.items():
+        yield _case(f"holds-{kind}", lambda _, data=data: data)

@@ -15,9 +15,10 @@ from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from tests.hostile.engine import Case
 from tests.hostile.mutations import mutants
-from tests.hostile.npz import header_lies, lies
+from tests.hostile.npz import header_lies, lies, some
 from tests.takes import take_of, track_of
 
+FILE = "a.take.npz"
 FRAMES = 6
 _FIELDS = (
     "format version source source.kind source.files source.orientation fps width height intrinsics intrinsics.fx "
@@ -54,12 +55,12 @@ def one_hand() -> dict[str, np.ndarray]:
 
 
 def cases() -> Iterator[Case]:
-    yield from mutants("take", "core.take", good_bytes, "a.take.npz", 12)
-    yield from lies("take", "core.take", one_hand, "a.take.npz")
-    yield from header_lies("take", "core.take", one_hand, "a.take.npz", HEADER)
-    # The same doors as an artist opens them, where Blender builds what it reads.
-    yield from mutants("import", "blender.import_take", good_bytes, "a.take.npz", 2)
-    for case in (*lies("import", "blender.import_take", one_hand, "a.take.npz"),
-                 *header_lies("import", "blender.import_take", one_hand, "a.take.npz", HEADER)):  # fmt: skip
-        if case.known or sum(case.name.encode()) % 5 == 0:
+    yield from mutants("take", "core.take", good_bytes, FILE, 12)
+    yield from lies("take", "core.take", one_hand, FILE)
+    yield from header_lies("take", "core.take", one_hand, FILE, HEADER)
+    # As an artist opens them, where Blender builds what it reads.
+    door = "blender.import_take"
+    yield from mutants("import", door, good_bytes, FILE, 2)
+    for case in (*lies("import", door, one_hand, FILE), *header_lies("import", door, one_hand, FILE, HEADER)):
+        if case.known or some(case.name, 5):
             yield case

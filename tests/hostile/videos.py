@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 
-from tests.hostile.engine import Case, Place, file_case
+from tests.hostile.engine import Case, Place, file_case, table
 from tests.hostile.mutations import EXTREMES, mutants
 
 DOOR = "core.media"
@@ -44,9 +44,7 @@ FIELDS = {
 def with_field(data: bytes, atom: bytes, offset: int, value: int, every: bool = False) -> bytes:
     changed, at = bytearray(data), data.find(atom)
     while at >= 0:
-        changed[at + 4 + offset - 4 * (offset <= 0) : at + 8 + offset - 4 * (offset <= 0)] = struct.pack(
-            ">I", value
-        )
+        struct.pack_into(">I", changed, at + (offset if offset <= 0 else offset + 4), value)
         at = data.find(atom, at + 4) if every else -1
     return bytes(changed)
 
@@ -59,20 +57,18 @@ def _claims_frames(count: int) -> bytes:
     return with_field(with_field(data, b"stsz", 4, 1), b"stsc", 12, count)
 
 
-def _avi(offset: int, value: int) -> bytes:
+def _avi(*fields: tuple[bytes, int, int]) -> bytes:
+    """An AVI with other values of four bytes: behind a name, at an offset."""
     data = bytearray(good_bytes("avi"))
-    at = data.index(b"avih") + 8 + offset
-    data[at : at + 4] = struct.pack("<I", value)
+    for name, offset, value in fields:
+        struct.pack_into("<I", data, data.index(name) + offset, value)
     return bytes(data)
 
 
 def _slim(width: int, height: int, both: bool) -> bytes:
     """An AVI whose stream, and perhaps its header, tells of another size."""
-    data = bytearray(good_bytes("avi"))
-    struct.pack_into("<2i", data, data.index(b"strf") + 12, width, height)
-    if both:
-        struct.pack_into("<2i", data, data.index(b"avih") + 40, width, height)
-    return bytes(data)
+    header = ((b"avih", 40, width), (b"avih", 44, height)) if both else ()
+    return _avi((b"strf", 12, width), (b"strf", 16, height), *header)
 
 
 HLS = b"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n%s\n#EXT-X-ENDLIST\n"
@@ -102,42 +98,49 @@ def _atom(name: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data) + 8) + name + data
 
 
+def _playlist(build: Callable[[bytes], bytes], target: str, place: Place) -> bytes:
+    place.write("other.mp4", good_bytes())
+    return build(target.format(port=place.port).encode())
+
+
 def cases() -> Iterator[Case]:
     for suffix in CODECS:
-        yield from mutants(suffix, DOOR, lambda suffix=suffix: good_bytes(suffix), f"clip.{suffix}", 5)
-        footage = f"footage-{suffix}", PLATE, lambda suffix=suffix: good_bytes(suffix), f"clip.{suffix}", 1
-        yield from mutants(*footage, kind="video")
-    for field, (atom, offset) in FIELDS.items():
-        for value in sorted({value & 0xFFFFFFFF for value in EXTREMES if value in (0, 1) or value > 0x7FFF}):
-
-            def lie(_: Place, atom=atom, offset=offset, value=value) -> bytes:
-                return with_field(good_bytes(), atom, offset, value, True)
-
-            yield file_case(f"mp4-{field}-{value:x}", DOOR, "clip.mp4", lie)
-    for count in (10**6, 10**8, 2**31 - 1):
-        made = lambda _, count=count: _claims_frames(count)  # noqa: E731
-        yield file_case(f"video-mp4-claims-{count}-frames", DOOR, "clip.mp4", made, known=True)
-    for offset in (0, 4, 16, 24, 28, 32, 36):
-        for value in (0, 65535, 2**31 - 1, 2**32 - 1):
-            made = lambda _, o=offset, v=value: _avi(o, v)  # noqa: E731
-            yield file_case(f"video-avi-{offset}-{value:x}", DOOR, "clip.avi", made)
-    for width, height in ((5000, 1), (1, 5000), (65535, 2), (100_000, 1), (1, 100_000)):
-        for both in (True, False):
-            made = lambda _, w=width, h=height, both=both: _slim(w, h, both)  # noqa: E731
-            name = f"slim-avi-{width}x{height}-{'both' if both else 'one'}"
-            yield file_case(name, "core.capture", "clip.avi", made, refused=True, known=width == 5000)
+        good = partial(good_bytes, suffix)
+        yield from mutants(suffix, DOOR, good, f"clip.{suffix}", 5)
+        yield from mutants(f"footage-{suffix}", PLATE, good, f"clip.{suffix}", 1, kind="video")
+    values = sorted({value & 0xFFFFFFFF for value in EXTREMES if value in (0, 1) or value > 0x7FFF})
+    fields = {
+        f"{field}-{value:x}": partial(
+            lambda a, o, v: with_field(good_bytes(), a, o, v, True), atom, offset, value
+        )
+        for field, (atom, offset) in FIELDS.items()
+        for value in values
+    }
+    yield from table("mp4", DOOR, "clip.mp4", fields)
+    frames = {f"{count}-frames": partial(_claims_frames, count) for count in (10**6, 10**8, 2**31 - 1)}
+    yield from table("video-mp4-claims", DOOR, "clip.mp4", frames, known=frames)
+    headers = {
+        f"{offset}-{value:x}": partial(_avi, (b"avih", 8 + offset, value))
+        for offset in (0, 4, 16, 24, 28, 32, 36)
+        for value in (0, 65535, 2**31 - 1, 2**32 - 1)
+    }
+    yield from table("video-avi", DOOR, "clip.avi", headers)
+    slims = {
+        f"{width}x{height}-{'both' if both else 'one'}": partial(_slim, width, height, both)
+        for width, height in ((5000, 1), (1, 5000), (65535, 2), (100_000, 1), (1, 100_000))
+        for both in (True, False)
+    }
+    known = ("5000x1-both", "5000x1-one")
+    yield from table("slim-avi", "core.capture", "clip.avi", slims, refused=True, known=known)
     for kind, build in PLAYLISTS.items():
-        for suffix in ("mp4", "gif", "mkv", "m3u8"):
-            if suffix != "mp4" and "hls" not in kind and kind != "concat":
-                continue
+        followed = "hls" in kind or kind == "concat"
+        for suffix in ("mp4", "gif", "mkv", "m3u8") if followed else ("mp4",):
             for target in TARGETS:
-
-                def playlist(place: Place, build=build, target=target) -> bytes:
-                    place.write("other.mp4", good_bytes())
-                    return build(target.format(port=place.port).encode())
-
                 name = f"list-{kind}-{target.partition(':')[0].replace('.', '-')}-{suffix}"
-                if "hls" in kind or kind == "concat":
-                    yield file_case(f"footage-{name}", PLATE, f"list.{suffix}", playlist, kind="video")
-                known = name in ("list-hls-other-mp4-mp4", "list-hls-http-mp4")
-                yield file_case(name, DOOR, f"list.{suffix}", playlist, refused=True, known=known)
+                known, data = (
+                    name in ("list-hls-other-mp4-mp4", "list-hls-http-mp4"),
+                    partial(_playlist, build, target),
+                )
+                yield file_case(name, DOOR, f"list.{suffix}", data, refused=True, known=known)
+                if followed:
+                    yield file_case(f"footage-{name}", PLATE, f"list.{suffix}", data, kind="video")

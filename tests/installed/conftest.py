@@ -8,13 +8,13 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-
-from tests.installed.sealed import Sealed
 
 if importlib.util.find_spec("bpy") is None:
     pytest.skip("needs one of the bpy wheels", allow_module_level=True)
@@ -32,9 +32,25 @@ def zipped() -> Path:
     return Path(path).resolve()
 
 
-@pytest.fixture(scope="module")
-def sealed(tmp_path_factory) -> Iterator[Sealed]:
-    """Such a machine; it, with some GB of disk, goes after the module's tests."""
-    base = tmp_path_factory.mktemp("sealed")
-    yield Sealed(base)
-    shutil.rmtree(base)
+@pytest.fixture(scope="session")
+def without_network() -> tuple[str, ...]:
+    """The command that runs another one without network."""
+    for command in (("unshare", "--net"), ("unshare", "--map-root-user", "--net")):
+        if shutil.which("unshare") and not subprocess.run([*command, "true"], check=False).returncode:
+            return command
+    pytest.skip("the network cannot be cut off here: unshare --net needs root, or user namespaces")
+
+
+@pytest.fixture(scope="session")
+def processes_with() -> Callable[[str], list[str]]:
+    """processes_with(NAME=VALUE) -> command lines of processes that have this in their environment."""
+
+    def processes(variable: str) -> list[str]:
+        found = []
+        for folder in (f for f in Path("/proc").iterdir() if f.name.isdigit()):
+            with suppress(OSError):  # it has ended meanwhile, or belongs to somebody else
+                if variable.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                    found.append((folder / "cmdline").read_bytes().replace(b"\0", b" ").decode().strip())
+        return found
+
+    return processes

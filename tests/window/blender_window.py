@@ -11,12 +11,12 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).resolve().parent
+IN_CHROOT = str(ROOT / "scripts" / "chroot_blender.sh")
 START_TIMEOUT = 120.0
 """seconds until Blender must answer: compiling shaders without a graphics card takes its time"""
 QUIT_TIMEOUT = 30.0
@@ -34,19 +34,6 @@ class WindowFailure(AssertionError):
 
 class BlenderCrash(WindowFailure):
     """A signal ended Blender."""
-
-    @property
-    def in_addon(self) -> bool:
-        """Whether Blender was running Python of the add-on's."""
-        return ADDON_FRAME.search(str(self)) is not None
-
-
-@dataclass(frozen=True)
-class Played:
-    """What a scenario returned, and how long the add-on kept the main thread (inside/meter.py)."""
-
-    value: Any
-    blocked: dict[str, Any]
 
 
 class BlenderWindow:
@@ -77,40 +64,35 @@ class BlenderWindow:
         self._starts = 0
         self._number = 0
         self._folder = folder
-        self.crashes: list[BlenderCrash] = []
-        """Those after which a scenario was played again; conftest.py shows them at the end of the run"""
+        self.crash: BlenderCrash | None = None
+        """After which a scenario was played again; conftest.py shows it at the end of the run"""
 
-    def play(self, scenario: str, timeout: float = 120.0, **arguments: Any) -> Played:
+    def play(self, scenario: str, timeout: float = 400.0, **arguments: Any) -> None:
         """Play scenarios.MODULE.FUNCTION; WindowFailure with its traceback where it fails.
 
         Where a signal ends Blender while no Python of the add-on's runs, the scenario gets a second
-        Blender, once in a run. In two of many runs Debian's 4.3.2 died behind controls.animated: of SIGFPE
-        in MEM_freeN, given a pointer to no block of its own, and of SIGSEGV in the drawing of an icon,
-        where blf_batch_draw could not read its glyph cache. Nobody could make it do that again or tell who
-        had written there: Valgrind finds nothing in the add-on's part of it, nor does in the window an
-        allocator that checks whether what was freed is written to.
+        Blender, once in a run: in two of many runs Debian's 4.3.2 died in code of its own, of a pointer or
+        a glyph cache that nobody could find the add-on to have touched.
         """
         try:
-            return self._play(scenario, timeout, arguments)
+            self._play(scenario, timeout, arguments)
         except BlenderCrash as crash:
-            if crash.in_addon or self.crashes:
+            if ADDON_FRAME.search(str(crash)) or self.crash:
                 raise
-            print(f"Played again, since Blender crashed: {crash}", file=sys.stderr)
-            self.crashes.append(crash)
-        return self._play(scenario, timeout, arguments)
+            self.crash = crash
+            self._play(scenario, timeout, arguments)
 
-    def _play(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> Played:
+    def _play(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> None:
         if self._process is None or self._process.poll() is not None:
             self._start()
         printed = len(self._printed())
-        answer = self._ask(scenario, timeout, arguments)
-        if not answer["ok"]:
-            raise WindowFailure(f"{answer['error']}\n{answer['details']}\n{self.log()}")
+        if error := self._ask(scenario, timeout, arguments):
+            raise WindowFailure(f"{error}\n{self.log()}")
         news = self._printed()[printed:]
         if any(sign in news for sign in SIGNS_OF_DEFECTS):
-            # What goes wrong in a panel's draw() or a timer is printed, and nothing more.
-            raise WindowFailure(f"{scenario} made Blender print\n{_once(news)}\n{answer['value']}")
-        return Played(answer["value"], answer["blocked"])
+            # What goes wrong in a panel's draw() or a timer is printed with every redraw, and nothing more.
+            once = "\n".join(dict.fromkeys(news.splitlines()))
+            raise WindowFailure(f"{scenario} made Blender print\n{once}")
 
     def quit(self) -> list[str]:
         """Quit Blender as an artist does; the command lines of processes that it left behind."""
@@ -141,9 +123,10 @@ class BlenderWindow:
         self._number = 0
         self._folder = self._base / f"blender-{self._starts}"
         self._folder.mkdir(parents=True)
+        start = [str(HERE / "start_blender.sh"), str(self._folder), *map(str, self._size)]
         with (self._folder / "log").open("wb") as log:
             self._process = subprocess.Popen(
-                self._command(),
+                [IN_CHROOT, self._chroot, *start],
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
@@ -151,15 +134,10 @@ class BlenderWindow:
                 start_new_session=True,
             )
 
-    def _command(self) -> list[str]:
-        return [str(ROOT / "scripts" / "chroot_blender.sh"), self._chroot, *self._start_script(HERE)]
-
-    def _start_script(self, here: Path) -> list[str]:
-        """The command inside the chroot; `here` has start_blender.sh and what it needs."""
-        return [str(here / "start_blender.sh"), str(self._folder), *map(str, self._size)]
-
     def _environment(self) -> dict[str, str]:
-        shaders = shader_cache()
+        # Compiled shaders are kept: without a graphics card they take minutes.
+        shaders = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "handfit-window-shaders"
+        shaders.mkdir(parents=True, exist_ok=True)
         bind = ":".join(filter(None, [str(self._reachable), str(shaders), os.environ.get("CHROOT_BIND")]))
         found = {**os.environ, "CHROOT_BIND": bind, "MESA_SHADER_CACHE_DIR": str(shaders)}
         if self._profile is None:
@@ -167,7 +145,8 @@ class BlenderWindow:
         found.pop("HANDFIT_PYTHON", None)
         return {**found, "BLENDER_USER_RESOURCES": str(self._profile), "MANIENT_ADDON": INSTALLED}
 
-    def _ask(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> dict[str, Any]:
+    def _ask(self, scenario: str, timeout: float, arguments: dict[str, Any]) -> str:
+        """What went wrong, or nothing."""
         assert self._process is not None
         self._write_request(scenario, arguments)
         path = self._folder / f"result-{self._number}.json"
@@ -179,8 +158,10 @@ class BlenderWindow:
                 self.stop()
                 raise WindowFailure(f"{scenario} was not through after {timeout:g} s\n{self.log()}")
             time.sleep(0.02)
-        self._keep_screenshots()
-        return json.loads(path.read_text(encoding="utf-8"))
+        self._kept.mkdir(parents=True, exist_ok=True)
+        for picture in (self._folder / "screenshots").glob("*.png"):
+            shutil.copy(picture, self._kept / picture.name)
+        return json.loads(path.read_text(encoding="utf-8"))["error"]
 
     def _death(self, scenario: str, code: int) -> WindowFailure:
         """With Blender's own backtrace where it has written one."""
@@ -192,46 +173,22 @@ class BlenderWindow:
     def _write_request(self, scenario: str, arguments: dict[str, Any]) -> None:
         self._number += 1
         path = self._folder / f"request-{self._number}.json"
-        request = {"scenario": scenario, "arguments": {k: _plain(v) for k, v in arguments.items()}}
         temporary = path.with_suffix(".part")
-        temporary.write_text(json.dumps(request), encoding="utf-8")
+        request = {"scenario": scenario, "arguments": arguments}
+        temporary.write_text(json.dumps(request, default=str), encoding="utf-8")
         temporary.replace(path)
-
-    def _keep_screenshots(self) -> None:
-        self._kept.mkdir(parents=True, exist_ok=True)
-        for picture in (self._folder / "screenshots").glob("*.png"):
-            shutil.copy(picture, self._kept / picture.name)
 
 
 def installed_profile(chroot: str, zipped: Path, folder: Path) -> Path:
     """A new user's folder below `folder`, into which Blender's own command line has installed the zip."""
     profile = folder / "profile"
     profile.mkdir()
-    blender = [str(ROOT / "scripts" / "chroot_blender.sh"), chroot, "blender", "--command"]
+    install = ["extension", "install-file", "-r", "user_default", "--enable", str(zipped)]
+    bind = {"BLENDER_USER_RESOURCES": str(profile), "CHROOT_BIND": f"{profile}:{zipped.parent}"}
     subprocess.run(
-        [*blender, "extension", "install-file", "-r", "user_default", "--enable", str(zipped)],
+        [IN_CHROOT, chroot, "blender", "--command", *install],
         check=True,
         timeout=START_TIMEOUT,
-        env={
-            **os.environ,
-            "BLENDER_USER_RESOURCES": str(profile),
-            "CHROOT_BIND": f"{profile}:{zipped.parent}",
-        },
+        env={**os.environ, **bind},
     )
     return profile
-
-
-def shader_cache() -> Path:
-    """Where compiled shaders are kept, which takes minutes without a graphics card."""
-    path = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "handfit-window-shaders"
-    path.mkdir(parents=True, exist_ok=True)
-    return path
-
-
-def _once(text: str) -> str:
-    """Without the lines that came before: a panel's error comes with every redraw."""
-    return "\n".join(dict.fromkeys(text.splitlines()))
-
-
-def _plain(value: Any) -> Any:
-    return str(value) if isinstance(value, Path) else value

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,6 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
 from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES
-from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
 from tests.takes import correctable, take_of, track_of
@@ -23,58 +25,84 @@ from tests.takes import correctable, take_of, track_of
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
 
-def write_clip(
-    python: str, path: Path, frames: int, blank_from: int | None = None, fps: float = 25.0, bar: int = 0
-) -> None:
-    """A video of the bundled hand, to and fro; its frames from `blank_from` on show nothing. Where `bar` is
-    not 0, a white bar of so many pixels along the upper edge grows from the left by a part of the width with
-    each frame. `python` has OpenCV."""
-    blank = frames if blank_from is None else blank_from
-    arguments = [str(RENDERED_HAND), str(path), *map(str, (frames, blank, fps, bar))]
-    subprocess.run([python, "-c", _WRITE_CLIP, *arguments], check=True, timeout=120)
+@dataclass(frozen=True)
+class Inputs:
+    """Files that are made in `folder` when they are asked for."""
 
+    folder: Path
 
-def write_long_take(path: Path, frames: int, away: float = 0.6) -> Path:
-    """Two hands, as a take file: again and again the same hundred frames. `frames`: hundreds; `away`: metres
-    from the camera, which make them small and leave them where they are in the picture."""
-    t = np.linspace(0.0, 2 * np.pi, 100)
-    camera = Intrinsics.assumed(1280, 720)
-    tracks = []
+    @property
+    def photo(self) -> Path:
+        """One picture with a right hand."""
+        return Path(shutil.copy(RENDERED_HAND / "hand.0001.jpg", self.folder / "hand.jpg"))
 
-    def again(values: np.ndarray) -> np.ndarray:
-        return np.concatenate([values] * (frames // len(t)))
+    @property
+    def portrait(self) -> Path:
+        """The same hand in a picture of 300 x 480 pixels."""
+        code = "cv2.imwrite(sys.argv[2], cv2.imread(sys.argv[1])[:, 160:460])"
+        return self._written("portrait.jpg", code, RENDERED_HAND / "hand.0001.jpg")
 
-    for side in SIDES:
-        orient = np.stack([0.3 * np.sin(t), 0.2 * np.cos(t), t * 0], axis=-1)
-        bend = 0.4 + 0.4 * np.sin(t)
-        pose = np.tile([0.0, 0.0, 1.0 if side == "right" else -1.0], 15) * bend[:, None]
-        transl = np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0.6 + 0 * t], axis=-1) * (away / 0.6)
-        tracks.append(track_of(side, again(orient), again(pose), again(transl), camera))
-    take = take_of(tracks, camera, 1280, 720, source=Source("video", ("gone.mp4",)))
-    return take.save(path)
+    @property
+    def four_hands(self) -> Path:
+        """A picture of two right hands and two left ones."""
+        code = "hand = cv2.imread(sys.argv[1]); row = np.hstack([hand, hand[:, ::-1]])\n"
+        code += "cv2.imwrite(sys.argv[2], np.vstack([row, row]))"
+        return self._written("four.jpg", code, RENDERED_HAND / "hand.0007.jpg")
 
+    @property
+    def words(self) -> Path:
+        """A file that is no picture."""
+        path = self.folder / "broken.jpg"
+        path.write_text("these are words")
+        return path
 
-def write_far_take(path: Path) -> Path:
-    """Two hands far away, which can be corrected: some 40 of the picture's 1280 pixels."""
-    return correctable(Take.load(write_long_take(path, 100, away=5.2))).save(path)
+    @property
+    def take(self) -> Path:
+        """A take of the bundled hand."""
+        return RENDERED_HAND / "truth.take.npz"
+
+    def clip(self, frames: int, blank_from: int | None = None) -> Path:
+        """A video of the bundled hand, to and fro; from `blank_from` on it shows nothing."""
+        return self._written("clip.mp4", _WRITE_CLIP, RENDERED_HAND, frames, blank_from)
+
+    def two_hands(self, away: float = 0.6) -> Path:
+        """A take of two moving hands over a hundred frames, which can be corrected; `away` metres from the
+        camera, which make them small and leave them where they are in the picture."""
+        t = np.linspace(0.0, 2 * np.pi, 100)
+        camera = Intrinsics.assumed(1280, 720)
+        tracks = []
+        for side in SIDES:
+            orient = np.stack([0.3 * np.sin(t), 0.2 * np.cos(t), t * 0], axis=-1)
+            bend = 0.4 + 0.4 * np.sin(t)
+            pose = np.tile([0.0, 0.0, 1.0 if side == "right" else -1.0], 15) * bend[:, None]
+            transl = np.stack([0.1 * np.sin(t), 0.1 * np.cos(t), 0.6 + 0 * t], axis=-1) * (away / 0.6)
+            tracks.append(track_of(side, orient, pose, transl, camera))
+        take = take_of(tracks, camera, 1280, 720, source=Source("video", ("gone.mp4",)))
+        return correctable(take).save(self.folder / "two.take.npz")
+
+    def drawing(self) -> dict[str, object]:
+        """A drawing of a robot's hand, and where its keypoints are."""
+        path = self.folder / "robot.png"
+        return {"source": path, "truth": write_robot_hand(path).tolist()}
+
+    def _written(self, name: str, code: str, *arguments: object) -> Path:
+        """A file that Python code writes, to sys.argv[2], where OpenCV is."""
+        python, path = os.environ.get("HANDFIT_PYTHON", sys.executable), self.folder / name
+        source, *others = map(str, arguments)
+        command = [python, "-c", f"import sys, cv2, numpy as np\n{code}", source, str(path), *others]
+        subprocess.run(command, check=True, timeout=120)
+        return path
 
 
 _WRITE_CLIP = """
-import pathlib, sys
-import cv2, numpy as np
-folder, output, frames, blank = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
-fps, bar = float(sys.argv[5]), int(sys.argv[6])
+import pathlib
+folder, output, frames, blank = sys.argv[1:]
 pictures = [cv2.imread(str(p)) for p in sorted(pathlib.Path(folder).glob("*.jpg"))]
 pictures += pictures[-2:0:-1]
-height, width = pictures[0].shape[:2]
-writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), fps, (width, height))
-for i in range(frames):
-    picture = pictures[i % len(pictures)].copy() if i < blank else np.full_like(pictures[0], 90)
-    if bar:
-        picture[:bar] = 0
-        picture[:bar, : round((i + 1) * width / frames)] = 255
-        cv2.putText(picture, str(i + 1), (10, bar + 60), cv2.FONT_HERSHEY_SIMPLEX, 2.0, (255, 255, 255), 4)
-    writer.write(picture)
+writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
+for i in range(int(frames)):
+    shown = pictures[i % len(pictures)]
+    writer.write(shown if blank == "None" or i < int(blank) else np.full_like(shown, 90))
 writer.release()
 """
 

@@ -15,9 +15,6 @@ folder=$2 width=$3 height=$4
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 
 mount -t proc proc /proc
-# A disk that is soon full.
-mkdir -p /tmp/small_disk
-mount -t tmpfs -o size=64k tmpfs /tmp/small_disk
 
 mkfifo /tmp/display
 Xvfb -displayfd 3 -screen 0 "${width}x${height}x24" -nolisten tcp 3>/tmp/display >/tmp/xvfb.log 2>&1 &

@@ -11,21 +11,18 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
+from handfit_core.evaluate.report import tables
 from handfit_core.evaluate.report.plots import write_plots
 from handfit_core.evaluate.report.sheets import Sheet, write_sheets
 from handfit_core.evaluate.report.tables import (
     best_method,
-    comparison_tables,
     count,
     error_metric,
-    experiments_table,
     group_table,
     main_table,
     methods_of,
     metrics_shown,
     numbers_of,
-    others_table,
-    published_note,
     text_of,
 )
 from handfit_core.evaluate.scores import Evaluation
@@ -34,7 +31,7 @@ from handfit_core.files import written_whole
 
 REPORT_FILES = (
     *("index.html", "table.md", "table.csv", "per_hand.csv", "comparisons.csv", "by_tag.md", "problems.csv"),
-    *("setup.json", "pck.svg", "pck_pa.svg", "per_joint.svg", "per_view.svg"),
+    *("setup.json", "pck.svg", "pck_pa.svg", "per_joint.svg"),
     *("worst.jpg", "best.jpg", "missed.jpg"),
 )
 """Every name that a report may use. Those that one does not need are removed, so that none is from before"""
@@ -122,24 +119,10 @@ def _page(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    # Examples of each kind of problem on the page; `problems.csv` has them all
-    return environment.from_string(template.read_text(encoding="utf-8")).render(
-        sheets=sheets,
-        evaluation=evaluation,
-        headline=headline(evaluation),
-        count=count,
-        problems=sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1])),
-        examples=10,
-        main=main_table(evaluation),
-        published=experiments_table(evaluation),
-        others=others_table(evaluation),
-        published_note=published_note(evaluation),
-        comparisons=comparison_tables(evaluation),
-        groups=group_table(evaluation),
-        metric=error_metric(evaluation),
-        plots=plots,
-        files=numbers,
-    )
+    by_number = sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1]))
+    environment.globals |= {**vars(tables), "headline": headline}
+    page = environment.from_string(template.read_text(encoding="utf-8"))
+    return page.render(evaluation=evaluation, problems=by_number, plots=plots, sheets=sheets, files=numbers)
 
 
 __all__ = ["REPORT_FILES", "write_report"]

@@ -16,10 +16,9 @@ from handfit_core.evaluate.report.tables import (
     error_metric,
     focus_of,
     methods_of,
-    sorted_values,
 )
 from handfit_core.evaluate.scores import Evaluation, Scores
-from handfit_core.evaluate.summary import hand_means, pck
+from handfit_core.evaluate.summary import pck
 from handfit_core.files import written_whole
 from handfit_core.skeleton import FINGERS, KEYPOINT_NAMES
 
@@ -42,13 +41,12 @@ Line = tuple[Scores, np.ndarray, np.ndarray, str]
 def write_plots(folder: Path, evaluation: Evaluation) -> dict[str, tuple[str, str]]:
     """Write every plot that the evaluation has numbers for, as SVG: file -> title and caption. Raises
     OutputError."""
-    plots = {"pck.svg": pck_plot, "pck_pa.svg": pa_pck_plot, "per_joint.svg": joint_plot}
     drawn = {}
     # Whatever the user's matplotlibrc says.
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_SETTINGS)
-        for file, draw in {**plots, "per_view.svg": view_plot}.items():
+        for file, draw in (("pck.svg", pck_plot), ("pck_pa.svg", pa_pck_plot), ("per_joint.svg", joint_plot)):
             if made := draw(evaluation):
                 figure, *drawn[file] = made
                 with written_whole(folder / file) as beside:
@@ -118,35 +116,10 @@ def joint_plot(evaluation: Evaluation) -> Drawn | None:
         f"Mean error of each point over detected hands; {metric.alignment.split(';')[0]}. From the palm "
         "outwards, 4 is the fingertip. Baselines are left out."
     )
-    figure = _figure(evaluation, lines, _error_axes(evaluation), 9.0, marker="o")
+    error = {"ylabel": f"mean {'PA error' if metric.key == 'pa_mpjpe' else 'EPE'} ({metric.unit})"}
+    figure = _figure(evaluation, lines, error, 9.0, marker="o")
     figure.axes[0].set_xticks(list(ticks), list(ticks.values()), rotation=60, ha="right")
     return figure, "Error per joint", caption
-
-
-def view_plot(evaluation: Evaluation) -> Drawn | None:
-    """Mean error by how the camera sees the palm; None where no view is known."""
-    methods, metric = methods_of(evaluation), error_metric(evaluation)
-    if not methods or set(methods[0].hands["view"]) <= {"unknown"}:
-        return None
-    seen = methods[0].hands["view"]
-    views = sorted_values(seen)
-    offsets = np.linspace(-0.2, 0.2, len(methods))
-    means = [pd.Series(hand_means(s, metric.key)).groupby(seen).mean()[views].to_numpy() for s in methods]
-    places = np.arange(len(views))
-    lines = [(s, places + off, y, s.method) for s, off, y in zip(methods, offsets, means, strict=True)]
-    markers = {"marker": "o", "linewidth": 0}
-    figure = _figure(evaluation, lines, _error_axes(evaluation), 2.0 + 2.0 * len(views), **markers)
-    figure.axes[0].set_xticks(places, [f"{view}\n{(seen == view).sum()} hands" for view in views])
-    caption = (
-        f"Mean over detected hands; {metric.alignment.split(';')[0]}. The camera sees the palm, the back of "
-        "the hand, or its edge (the palm's plane within 30 degrees of the line of sight)."
-    )
-    return figure, "Error per view", caption
-
-
-def _error_axes(evaluation: Evaluation) -> dict[str, str]:
-    metric = error_metric(evaluation)
-    return {"ylabel": f"mean {'PA error' if metric.key == 'pa_mpjpe' else 'EPE'} ({metric.unit})"}
 
 
 def _figure(

@@ -1,7 +1,5 @@
 """A clip with two hands, made of the pictures of the sample."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

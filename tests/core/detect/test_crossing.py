@@ -1,7 +1,5 @@
 """The rendered hand and its mirror image pass each other: both are found, and each stays itself."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ WIDTH = 640
 
 @pytest.mark.usefixtures("landmark_model")
 @pytest.mark.parametrize(("frames", "scale"), [(24, 1.0), (12, 0.25)])
-def test_crossing_hands_keep_their_sides(frames: int, scale: float, tmp_path: Path) -> None:
+def test_crossing_hands_keep_their_sides(frames, scale, tmp_path):
     places = np.linspace(0, WIDTH, frames).round().astype(int)
     for t, x in enumerate(places):
         hand = picture(t)

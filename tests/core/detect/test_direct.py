@@ -4,6 +4,7 @@ import logging
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,22 +14,21 @@ from handfit_core import capture, sources
 from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.crops import Crop
-from handfit_core.detect.detector import Detector, DetectorSettings, Quality, Region
+from handfit_core.detect.detector import Detector, DetectorSettings, Region
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import distance
-from handfit_core.detect.networks import NETWORK, Networks, crop_around
+from handfit_core.detect.networks import Networks, crop_around
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.stills import StillFinder
 from handfit_core.detection import find_in_frame
-from handfit_core.errors import LandmarkModelError, NoHandFoundError, OptionError
+from handfit_core.errors import NoHandFoundError, OptionError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions, region_of
 from handfit_core.skeleton import other_side
 from tests.child import peak_megabytes
-from tests.conftest import ROOT
+from tests.core.detect import clips as sample
+from tests.core.detect.clips import SAMPLE
 
-SAMPLE = ROOT / "samples" / "rendered_hand"
 BLACK = np.zeros((480, 640, 3), dtype=np.uint8)
 GRAPH = CaptureOptions(max_hands=1, detector="mediapipe")
 
@@ -55,12 +55,12 @@ def plain() -> Iterator[Detector]:
 
 
 def picture(number: int) -> np.ndarray:
-    """Of the 24 of the sample, and then the last again."""
-    return read_picture(SAMPLE / f"hand.{min(number, 24):04}.jpg")[0]
+    """Frame `number` of the sample."""
+    return sample.picture(number - 1)
 
 
-def clip_finder(networks: Networks, most: int | None = 2) -> ClipFinder:
-    return ClipFinder(DetectorSettings(max_hands=most, video=True), networks)
+def clip_finder(networks: Networks) -> ClipFinder:
+    return ClipFinder(DetectorSettings(max_hands=2, video=True), networks)
 
 
 def as_the_graph_cuts(crop: Crop) -> Crop:
@@ -70,7 +70,7 @@ def as_the_graph_cuts(crop: Crop) -> Crop:
     return Crop(crop.linear, crop.offset - crop.linear @ half + half, crop.size)
 
 
-def test_landmarks_are_those_of_the_graph(networks: Networks) -> None:
+def test_landmarks_are_those_of_the_graph(networks):
     """It finds them from those of the frame before."""
     with open_detector(GRAPH, video=True) as graph:
         (before,) = graph.find(picture(1), 0.0)
@@ -88,55 +88,26 @@ def test_landmarks_are_those_of_the_graph(networks: Networks) -> None:
             before = expected
 
 
-@pytest.mark.parametrize("turn", [0.0, 1.0, np.pi, -2.0])
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_a_palm_leads_to_its_hand(networks: Networks, plain: Detector, turn: float, mirrored: bool) -> None:
-    rgb = picture(5)
-    (expected,) = plain.find(rgb)
-    height, width = rgb.shape[:2]
-    whole = Crop.of_square(
-        np.array([width / 2, height / 2]), 1.3 * width, NETWORK.palm_input_px, turn=turn, mirrored=mirrored
-    )
-    palms = networks.detect_palms(rgb, whole, 0.5)
-    assert len(palms) > 0
-    assert palms.is_of(0, expected)
-    assert distance(networks.predict(rgb, palms.crop(0)).hand, expected) < 0.06
-    assert palms.crop(0).size == NETWORK.hand_input_px
-
-
-def test_a_damaged_model(tmp_path: Path, landmark_model: Path) -> None:
-    for content in (b"", b"no zip", landmark_model.read_bytes()[:100_000]):
-        (tmp_path / "damaged.task").write_bytes(content)
-        with pytest.raises(LandmarkModelError, match=r"damaged\.task: .* --force"):
-            Networks(tmp_path / "damaged.task")
-
-
-def moved(hand: HandDetection, by: np.ndarray) -> HandDetection:
-    return HandDetection(hand.side, hand.score, hand.keypoints + [*by, 0.0], hand.world)
-
-
 @pytest.mark.parametrize("quarter_turns", range(4))
-def test_a_hand_that_fills_the_picture(stills: Detector, plain: Detector, quarter_turns: int) -> None:
+def test_a_hand_that_fills_the_picture(stills, plain, quarter_turns):
     rgb = picture(13)
     (whole,) = plain.find(rgb)
-    start = whole.keypoints_2d.min(axis=0).astype(int)
-    (left, top), (right, bottom) = start, whole.keypoints_2d.max(axis=0).astype(int)
+    (left, top), (right, bottom) = (f(whole.keypoints_2d, axis=0).astype(int) for f in (np.min, np.max))
     cut = np.rot90(rgb[top:bottom, left:right], quarter_turns)
     assert plain.find(cut) == ()
     (hand,) = stills.find(cut)
     assert hand.side == whole.side
-    expected, world = whole.keypoints_2d - start, whole.world.copy()
-    width = right - left
-    for _ in range(quarter_turns):
-        expected = np.stack([expected[:, 1], width - expected[:, 0]], axis=-1)
-        world[:, :2] = np.stack([world[:, 1], -world[:, 0]], axis=-1)
-        width = bottom - top if width == right - left else right - left
+    turn = np.eye(3)
+    turn[:2, :2] = np.linalg.matrix_power([[0, 1], [-1, 0]], quarter_turns)
+    middle = np.array([(right - left) / 2.0, (bottom - top) / 2.0])
+    about = whole.keypoints_2d - [left, top] - middle
+    expected = about @ turn[:2, :2].T + (middle[::-1] if quarter_turns % 2 else middle)
     assert np.linalg.norm(hand.keypoints_2d - expected, axis=-1).mean() < 0.06 * whole.extent
-    assert np.linalg.norm(hand.world - world, axis=-1).mean() < 0.015  # metres
+    assert np.linalg.norm(hand.world - whole.world @ turn.T, axis=-1).mean() < 0.015  # metres
     assert np.abs(hand.keypoints[:, 2] - whole.keypoints[:, 2]).mean() < 0.1 * whole.extent
 
 
-def test_a_small_hand_in_a_large_picture(stills: Detector, plain: Detector) -> None:
+def test_a_small_hand_in_a_large_picture(stills, plain):
     small = cv2.resize(picture(1), (160, 120), interpolation=cv2.INTER_AREA)
     (large_hand,) = plain.find(picture(1))
     far = np.full((960, 1280, 3), 120, dtype=np.uint8)
@@ -147,40 +118,25 @@ def test_a_small_hand_in_a_large_picture(stills: Detector, plain: Detector) -> N
     assert np.linalg.norm(hand.keypoints_2d - expected, axis=-1).mean() < 0.06 * large_hand.extent / 4
 
 
-def test_pictures_without_hands(stills: Detector) -> None:
+def test_pictures_without_hands(stills):
     noise = np.random.default_rng(0).integers(0, 255, (300, 400, 3), dtype=np.uint8)
     assert stills.find(BLACK) == ()
     assert stills.find(noise) == ()
     assert stills.find(None) == ()
 
 
-def test_a_still_has_test_time_augmentation(stills: Detector, plain: Detector) -> None:
+def test_a_still_has_test_time_augmentation(stills, plain, monkeypatch):
+    """A large, likely hand takes no tiles, no predictions for its parts, one refinement and six views."""
+    counts = runs_of(stills, monkeypatch)
     (once,), (mean,) = plain.find(picture(5)), stills.find(picture(5))
+    assert counts == {"predict": 7, "detect_palms": len(search.SEARCH.whole_picture_crops)}
     assert once.spread is None
-    assert mean.spread is not None
-    assert mean.spread.shape == (21, 3)
     assert 0.0 < mean.spread.mean() < 0.05 * once.extent
     assert mean.side == once.side
     assert distance(mean, once) < 0.05
 
 
-def test_a_large_likely_hand_costs_little(stills: StillFinder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """No tiles, no predictions for parts of it, one refinement and six predictions."""
-    counts = runs_of(stills, monkeypatch)
-    for number in (1, 13, 24):
-        assert len(stills.find(picture(number))) == 1
-    assert counts == {"predict": 3 * 7, "detect_palms": 3 * len(search.SEARCH.whole_picture_crops)}
-
-
-def test_the_second_hand_of_a_pair_is_searched_near_the_first(stills: Detector) -> None:
-    """Her lower hand is no palm in the whole picture, nor in any tile."""
-    rgb, _ = read_picture(ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg")
-    upper, lower = stills.find(rgb)
-    assert np.abs(upper.keypoints_2d.mean(axis=0) - [319, 907]).max() < 20
-    assert np.abs(lower.keypoints_2d.mean(axis=0) - [179, 950]).max() < 20
-
-
-def test_a_picture_of_100_megapixels(tmp_path: Path) -> None:
+def test_a_picture_of_100_megapixels(tmp_path):
     """Palms are searched in a smaller copy; the hand is a tenth of it."""
     whole = np.full((10_000, 10_000, 3), 120, dtype=np.uint8)
     whole[3000:3960, 4000:5280] = cv2.resize(picture(1)[..., ::-1], (1280, 960))
@@ -210,29 +166,30 @@ def runs_of(finder: ClipFinder | StillFinder, monkeypatch: pytest.MonkeyPatch) -
     return counts
 
 
-def test_a_tracked_hand_costs_one_prediction_a_frame(
-    networks: Networks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with clip_finder(networks) as finder:
+@pytest.mark.parametrize(
+    ("quality", "predictions"), [("draft", 1), ("standard", 1), ("best", search.NETWORK.augmentation_crops)]
+)
+def test_what_a_tracked_hand_costs(quality, predictions, monkeypatch):
+    """In each frame, and a search for others every now and then."""
+    with Networks(quality=quality) as chosen, clip_finder(chosen) as finder:
         finder.find(picture(1))
         counts = runs_of(finder, monkeypatch)
-        for number in range(2, 1 + clips.TRACKING.search_interval):
-            assert len(finder.find(picture(number))) == 1
-        assert counts == {"predict": clips.TRACKING.search_interval - 1, "detect_palms": 0}
-        finder.find(picture(1 + clips.TRACKING.search_interval))
-        assert counts == {"predict": clips.TRACKING.search_interval, "detect_palms": 1}
+        finder.find(picture(2))
+        ((hand,),) = finder.frames[1:]
+        assert counts == {"predict": predictions, "detect_palms": 0}
+        assert (hand.spread is None) == (predictions == 1)
+        assert (hand.keypoints_2020 is None) == (chosen._hand_2020 is None)
+        if quality == "standard":
+            for number in range(3, 2 + clips.TRACKING.search_interval):
+                assert counts == {"predict": number - 2, "detect_palms": 0}
+                assert len(finder.find(picture(number))) == 1
+            assert counts == {"predict": clips.TRACKING.search_interval, "detect_palms": 1}
 
 
-def two_networks(networks: Networks) -> Networks:
+def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(networks, monkeypatch):
     if networks._hand_2020 is None:
         pytest.skip("without the landmark network of December 2020 nothing differs")
-    return networks
-
-
-def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(
-    networks: Networks, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with clip_finder(two_networks(networks)) as finder:
+    with clip_finder(networks) as finder:
         finder.find(picture(1))
         finder.find(picture(2))
         ((once,),) = finder.frames[1:]
@@ -249,57 +206,19 @@ def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(
     np.testing.assert_array_equal(hand.keypoints_2020, once.keypoints_2020)
 
 
-def test_a_box_leaves_other_hands_as_both_networks_have_them(networks: Networks) -> None:
-    rgb = np.ascontiguousarray(four_hands()[..., ::-1])
-    with clip_finder(two_networks(networks), most=3) as finder:
-        finder.find(rgb)
-        others = finder.frames[0]
-        corner, size = others[0].keypoints_2d.min(axis=0), np.ptp(others[0].keypoints_2d, axis=0)
-        shown = finder.detect_in_box(rgb, (*corner, *size))
-        assert shown is not None
-        assert [hand.keypoints_2020 is not None for hand in finder.frames[0]] == [True] * len(others)
-        np.testing.assert_array_equal(shown.keypoints, others[0].keypoints)
-
-
-@pytest.mark.parametrize(
-    ("quality", "predictions"), [("draft", 1), ("best", search.NETWORK.augmentation_crops)]
-)
-def test_predictions_of_a_tracked_hand_by_quality(
-    quality: Quality, predictions: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with Networks(quality=quality) as chosen, clip_finder(chosen) as finder:
-        finder.find(picture(1))
-        counts = runs_of(finder, monkeypatch)
-        finder.find(picture(2))
-        ((hand,),) = finder.frames[1:]
-    assert counts == {"predict": predictions, "detect_palms": 0}
-    assert (hand.spread is None) == (predictions == 1)
-    assert (hand.keypoints_2020 is None) == (chosen._hand_2020 is None)
-
-
-def test_a_draft_of_a_photo_has_no_augmentation(stills: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
-    (sure,) = stills.find(picture(1))
-    with StillFinder(DetectorSettings(quality="draft")) as draft:
-        counts = runs_of(draft, monkeypatch)
-        (hand,) = draft.find(picture(1))
-    assert counts["predict"] <= search.SEARCH.max_passes
-    assert hand.spread is None
-    assert hand.side == sure.side
-    assert distance(hand, sure) < 0.1
-
-
-def test_any_number_of_threads_finds_the_same(networks: Networks) -> None:
-    """Crops run at the same time, and what nobody asks for is left undone."""
-    rgb = four_hands()[..., ::-1]
-    box = [0.0, 0.0, 640.0, 480.0]
-    found = []
+def test_any_number_of_threads_finds_the_same():
+    rgb, found = four_hands()[..., ::-1], []
     for threads in (1, 3):
         with StillFinder(DetectorSettings(max_hands=None)) as finder:
             finder._networks.threads = threads
-            hands = [*finder.find(rgb), finder.detect_in_box(rgb, box)]
+            hands = [*finder.find(rgb), finder.detect_in_box(rgb, [0.0, 0.0, 640.0, 480.0])]
             found.append([(h.side, h.certainty, *h.keypoints.ravel(), *h.world.ravel()) for h in hands if h])
     assert found[0] == found[1]
     assert len(found[0]) >= 4
+
+
+def test_crops_at_the_same_time(networks):
+    """What nobody asks for is left undone, and an error comes at its place."""
     done = []
     networks.threads = 2
     each = networks.map(lambda _, item: done.append(item) or item, range(1000))
@@ -310,13 +229,13 @@ def test_any_number_of_threads_finds_the_same(networks: Networks) -> None:
         list(networks.map(lambda _, item: 1 // item, [2, 1, 0, 1]))
 
 
-def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -> None:
+def test_a_hand_that_jumps_is_found_again(networks, plain):
     jump = np.array([120, 80])
     frames = [picture(n) for n in range(1, 8)]
     truth = [plain.find(rgb)[0] for rgb in frames]
     for i in (3, 4):
         frames[i] = np.roll(frames[i], tuple(jump[::-1]), axis=(0, 1))
-        truth[i] = moved(truth[i], jump)
+        truth[i] = replace(truth[i], keypoints=truth[i].keypoints + [*jump, 0.0])
     with clip_finder(networks) as finder:
         for rgb in frames:
             finder.find(rgb)
@@ -325,7 +244,7 @@ def test_a_hand_that_jumps_is_found_again(networks: Networks, plain: Detector) -
     assert all(distance(hands[0], expected) < 0.1 for hands, expected in zip(found, truth, strict=True))
 
 
-def test_a_new_hand_is_tracked_back(networks: Networks) -> None:
+def test_a_new_hand_is_tracked_back(networks):
     """The second one comes in after the search of the first frame, and before the next."""
     with_both = [
         np.hstack([picture(n), picture(n)[:, ::-1]]) for n in range(1, 2 + clips.TRACKING.search_interval)
@@ -344,24 +263,9 @@ def test_a_new_hand_is_tracked_back(networks: Networks) -> None:
         assert {hand.side for hand in hands} == {"left", "right"}
 
 
-def test_a_hand_behind_another_is_found_as_soon_as_that_one_has_passed(networks: Networks) -> None:
-    """The mirror image moves over the hand, covers it, and goes on."""
-    width, step = 640, 80
-    frames = []
-    for i, left in enumerate([*range(width, 0, -step), 0, 0, *range(-step, -width, -step)]):
-        frame = np.hstack([picture(i + 1)] * 3)
-        frame[:, :width] = frame[:, 2 * width :] = picture(1)[:, :1]
-        frame[:, width + left : 2 * width + left] = picture(i + 1)[:, ::-1]
-        frames.append(frame)
-    with clip_finder(networks) as finder:
-        found = [len(finder.find(rgb)) for rgb in frames]
-        behind = found.index(1)
-        assert behind < clips.TRACKING.search_interval - 8
-        assert found[behind + 2 :].index(2) < 8
-        assert [len(hands) for hands in finder.frames[:behind]] == [2] * behind
-
-
-def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hand_that_has_left_costs_little(networks, monkeypatch):
+    """In time, and in memory for past frames."""
+    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_past_bytes=3 * BLACK.nbytes))
     with clip_finder(networks) as finder:
         finder.find(picture(1))
         counts = runs_of(finder, monkeypatch)
@@ -371,13 +275,6 @@ def test_a_hand_that_has_left_costs_little(networks: Networks, monkeypatch: pyte
         assert counts["predict"] < 20
         assert not finder.tracked
         assert not finder._lost
-
-
-def test_past_frames_are_bounded_in_bytes(networks: Networks, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_past_bytes=3 * BLACK.nbytes))
-    with clip_finder(networks) as finder:
-        for _ in range(6):
-            finder.find(BLACK)
         assert len(finder._past) == 3
 
 
@@ -389,44 +286,31 @@ def four_hands() -> np.ndarray:
     return np.vstack([row, row])
 
 
-def told(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [record.getMessage() for record in caplog.records if "were seen" in record.getMessage()]
-
-
-def test_a_photo_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    cv2.imwrite(str(tmp_path / "four.jpg"), four_hands())
-    with caplog.at_level(logging.WARNING, "handfit"):
-        assert len(capture(tmp_path / "four.jpg").hands) == 4
-        assert not told(caplog)
-        assert len(capture(tmp_path / "four.jpg", max_hands=3).hands) == 3
-        assert len(capture(tmp_path / "four.jpg", hands="left").hands) == 1
-    assert told(caplog) == [
-        "4 hands were seen, and the 3 surest were captured: draw boxes around others (--region, or Find "
-        "Hands in Blender), or allow more (--max-hands)",
-        "2 left hands were seen, and the surest was captured: take hands 'auto' to capture others",
-    ]
-
-
-def test_a_crowd_is_captured_with_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sources, "CROWD", 3)
-    cv2.imwrite(str(tmp_path / "four.jpg"), four_hands())
-    with caplog.at_level(logging.WARNING, "handfit"):
-        assert len(capture(tmp_path / "four.jpg").hands) == 4
-        capture(tmp_path / "four.jpg", max_hands=4)
-    (said,) = [record.getMessage() for record in caplog.records]
-    assert said == "4 hands are captured, and building so many takes long: --max-hands 3 keeps the surest"
-
-
-def test_a_clip_of_four_hands(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_four_hands(tmp_path, caplog, monkeypatch):
+    """All hands of a photo are captured, and two of a clip; what was left out, and a crowd, is said."""
     for number in range(1, 4):
         cv2.imwrite(str(tmp_path / f"four.{number:04d}.png"), four_hands())
-    with caplog.at_level(logging.WARNING, "handfit"):
-        take = capture(str(tmp_path / "four.%04d.png"))
-    assert len(take.hands) == 2
-    (sentence,) = told(caplog)
-    assert sentence.startswith("4 hands were seen")
+    photo = tmp_path / "four.0001.png"
+
+    def captured(source: str | Path, **options: Any) -> tuple[int, list[str]]:
+        caplog.clear()
+        return len(capture(source, **options).hands), [record.getMessage() for record in caplog.records]
+
+    assert captured(photo) == (4, [])
+    count, (said,) = captured(photo, max_hands=3)
+    assert count == 3
+    assert said == (
+        "4 hands were seen, and the 3 surest were captured: draw boxes around others (--region, or Find "
+        "Hands in Blender), or allow more (--max-hands)"
+    )
+    count, (said,) = captured(photo, hands="left")
+    assert (count, said.partition(":")[0]) == (1, "2 left hands were seen, and the surest was captured")
+    count, (said,) = captured(tmp_path)
+    assert (count, said.partition(",")[0]) == (2, "4 hands were seen")
+    monkeypatch.setattr(sources, "CROWD", 3)
+    count, (said,) = captured(photo)
+    assert said == "4 hands are captured, and building so many takes long: --max-hands 3 keeps the surest"
+    assert captured(photo, max_hands=4) == (4, [])
 
 
 def box_around(hand: HandDetection, by: float = 10.0) -> list[float]:
@@ -434,7 +318,7 @@ def box_around(hand: HandDetection, by: float = 10.0) -> list[float]:
     return [*low, *(high - low)]
 
 
-def test_a_hand_in_a_box_is_found_however_unsure(plain: Detector, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_hand_in_a_box_is_found_however_unsure(plain, caplog):
     (expected,) = plain.find(picture(7))
     photo = SAMPLE / "hand.0007.jpg"
     with pytest.raises(NoHandFoundError, match=r"draw a box .*--region.* Find Hands"):
@@ -451,7 +335,7 @@ def test_a_hand_in_a_box_is_found_however_unsure(plain: Detector, caplog: pytest
     assert said.startswith("no hand was found in the region 1,1,40,40: draw the box")
 
 
-def test_chosen_hands_and_no_others_are_captured(tmp_path: Path) -> None:
+def test_chosen_hands_and_no_others_are_captured(tmp_path):
     """Boxes about hands that are found mean those hands, wherever they are in the ranking, and a side that
     somebody gives is believed."""
     photo = tmp_path / "four.jpg"
@@ -476,16 +360,18 @@ def test_chosen_hands_and_no_others_are_captured(tmp_path: Path) -> None:
     assert [distance(hand, hands[0]) < 0.06 for hand in shown] == [True]
 
 
-def test_where_no_region_has_a_hand_nothing_is_captured() -> None:
+def test_where_no_region_has_a_hand_nothing_is_captured():
     photo = SAMPLE / "hand.0007.jpg"
     with pytest.raises(NoHandFoundError, match="not in the region that was drawn either"):
         capture(photo, regions=[(1, 1, 40, 40)], only_regions=True)
     assert find_in_frame(photo, CaptureOptions(regions=(Region(1, 1, 40, 40),), only_regions=True))[1] == ()
     with pytest.raises(OptionError, match="give a region"):
         capture(photo, only_regions=True)
+    with pytest.raises(OptionError, match="the detector direct can"):
+        capture(photo, detector="mediapipe", regions=["1,2,30,40"])
 
 
-def test_a_tracked_hand_is_chosen_in_any_frame(tmp_path: Path) -> None:
+def test_a_tracked_hand_is_chosen_in_any_frame(tmp_path):
     """Of two hands in a clip, the one whose box is given; the frame is searched as a photo is."""
     for number in range(1, 8):
         two = np.hstack([picture(number), picture(number)[:, ::-1]])
@@ -502,9 +388,7 @@ def test_a_tracked_hand_is_chosen_in_any_frame(tmp_path: Path) -> None:
     assert (hand.keypoints_2d[..., 0] < 640).all()
 
 
-def test_a_box_starts_a_track_both_ways(
-    plain: Detector, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_box_starts_a_track_both_ways(plain, caplog, monkeypatch):
     """Also farther back than hands that turn up by themselves are tracked."""
     monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, backtrack_frames=4))
     last = 20
@@ -521,8 +405,3 @@ def test_a_box_starts_a_track_both_ways(
         assert off < 0.06 * seen.extent
     said = [record.getMessage() for record in caplog.records]
     assert said == ["the region in frame 400 was not looked at: that frame is not used"]
-
-
-def test_the_graph_cannot_detect_in_boxes() -> None:
-    with pytest.raises(OptionError, match="the detector direct can"):
-        capture(SAMPLE / "hand.0007.jpg", detector="mediapipe", regions=["1,2,30,40"])

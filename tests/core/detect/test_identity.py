@@ -1,6 +1,6 @@
 """Detections of posed hands whose truth is known: tracks stay on their hands over the whole clip."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ class Scene:
     dropped: float = 0.03
     """share of detections that are missing"""
     faces: float = 0.0
-    """share of frames in which something begins to be taken for a hand, for a few frames"""
+    """share of frames in which something is taken for a hand"""
 
     def found(self, seed: int) -> tuple[list[list[HandDetection]], dict[int, int]]:
         """Detections of each frame, in any order, and whose they are, by the `id` of their keypoints."""
@@ -36,7 +36,7 @@ class Scene:
         waves = 2 * np.pi * t[:, None, None] / rng.uniform(1.2, 3.0, (count, 1, 3, 2))
         ways = 320 + self.reach * np.sin(waves + rng.uniform(0, 6, (count, 1, 3, 2))).mean(axis=2)
         right = rng.uniform(-0.5, 0.5, (21, 3)) * SIZE
-        frames, whose, lasting, spot = [], {}, 0, np.zeros(2)
+        frames, whose = [], {}
         for row in range(len(t)):
             there = []
             for i, side in enumerate(self.sides):
@@ -50,11 +50,8 @@ class Scene:
                 named = side if rng.random() < 0.95 else other_side(side)
                 there.append(HandDetection(named, 0.9, points, points / 1000, right_side=sure))
                 whose[points.tobytes()] = i
-            if lasting == 0 and rng.random() < self.faces:
-                lasting, spot = int(rng.integers(1, 6)), rng.uniform(220, 420, 2)
-            if lasting > 0:
-                lasting -= 1
-                points = right[::-1] + [*spot, 0.0]
+            if rng.random() < self.faces:
+                points = right[::-1] + [*rng.uniform(220, 420, 2), 0.0]
                 there.append(HandDetection(SIDES[row % 2], 0.5, points, points / 1000, right_side=0.6))
                 whose[points.tobytes()] = -1
             frames.append([there[i] for i in rng.permutation(len(there))])
@@ -65,13 +62,13 @@ SCENES = {
     "small fast hands": Scene(),
     "one side in doubt": Scene(unsure=0.35),
     "often lost": Scene(dropped=0.25),
-    "a face taken for a hand": Scene(faces=0.03),
+    "a face taken for a hand": Scene(faces=0.1),
     "two left hands": Scene(("left", "left"), fps=12.0),
 }
 
 
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_tracks_stay_on_their_hands(scene: Scene) -> None:
+def test_tracks_stay_on_their_hands(scene):
     kept = seen = 0
     for seed in range(4):
         frames, whose = scene.found(seed)
@@ -87,20 +84,7 @@ def test_tracks_stay_on_their_hands(scene: Scene) -> None:
     assert kept > 0.96 * seen
 
 
-def test_a_hand_alone_in_the_picture_is_not_shared_between_two() -> None:
-    """The left hand is behind the right one for long, and both are taken for right hands."""
-    frames, whose = Scene(fps=25.0, seconds=4.0, reach=10.0, unsure=0.9, dropped=0.0).found(0)
-    frames[:10] = frames[-10:] = [
-        [replace(hand, keypoints=hand.keypoints + [400.0, 0.0, 0.0]), hand]
-        for hand in (frame[0] for frame in frames[:10])
-    ]
-    longest = max(
-        link_tracks(Detections.of(frames), len(frames)), key=lambda track: int(track.detected.sum())
-    )
-    assert [whose.get(points.tobytes()) for points in longest.detections.keypoints] == [0] * len(frames)
-
-
-def test_given_sides_are_kept() -> None:
+def test_given_sides_are_kept():
     """The hands meet and seem to pass; the given sides say that they parted again."""
     shape = np.random.default_rng(3).uniform(-30, 30, (21, 3))
 

@@ -1,7 +1,5 @@
 """What a detection says about its side."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -29,7 +27,7 @@ def detection(side: Side, right_side: float | None = None, score: float = 0.8) -
         (0.0, SURE_SIDE_SCORE, 1.0),
     ],
 )
-def test_the_likelier_side(side: Side, probability: float | None, score: float, named: float) -> None:
+def test_the_likelier_side(side, probability, score, named):
     d = detection(side, probability, score)
     hands = Detections.of([[d]])
     assert d.side == side  # what the detector said stays
@@ -38,7 +36,7 @@ def test_the_likelier_side(side: Side, probability: float | None, score: float, 
     assert votes == pytest.approx({side: score * named, other_side(side): score * (1.0 - named)})
 
 
-def test_columns_of_frames() -> None:
+def test_columns_of_frames():
     """Small columns that nobody filled say so, large ones are absent."""
     shown = HandDetection("right", 0.7, POINTS + 1.0, POINTS, POINTS, shown=True, corrected=("left", TABLE))
     hands = Detections.of([[detection("left")], [], [shown, detection("right", 0.3)]])
@@ -60,12 +58,7 @@ def test_columns_of_frames() -> None:
     assert (len(none), none.rows_by_frame) == (0, [])
 
 
-def test_arrays_of_another_shape_are_refused() -> None:
-    with pytest.raises(ValueError, match="world has the shape"):
-        Detections.of([[HandDetection("left", 0.5, POINTS, POINTS[:20])]])
-
-
-def test_extent_and_track() -> None:
+def test_extent_and_track():
     assert detection("left").extent == 60.0
     track = Track("left", Detections.of([[], [detection("left")]]), frame_count=3)
     np.testing.assert_array_equal(track.detected, [False, True, False])

@@ -1,3 +1,5 @@
+"""The landmark models' files: where they are sought, how they are assembled, and what is said of others."""
+
 import hashlib
 import io
 import logging
@@ -5,215 +7,169 @@ import struct
 import tarfile
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from handfit_core.detect import landmark_model
-from handfit_core.detect.landmark_model import is_calibrated
+from handfit_core.detect import landmark_model as module
+from handfit_core.detect.detector import DetectorSettings
+from handfit_core.detect.landmark_model import NETWORK_2020, TASK
+from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+from handfit_core.detect.networks import Networks
 from handfit_core.errors import LandmarkModelError
 
 
 @pytest.fixture
-def empty_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def cache(tmp_path, monkeypatch):
+    """An empty cache, and a network of 2020 that is the bytes `network`."""
     monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "cache"))
-    for name in (landmark_model.TASK.variable, landmark_model.NETWORK_2020.variable):
+    for name in (TASK.variable, NETWORK_2020.variable):
         monkeypatch.delenv(name, raising=False)
+    digest = hashlib.sha256(b"network").hexdigest()
+    monkeypatch.setattr(module, "NETWORK_2020", replace(NETWORK_2020, sha256=digest))
+    (tmp_path / "cache").mkdir()
     return tmp_path / "cache"
 
 
-def test_missing_file_says_what_to_do(empty_cache: Path) -> None:
+def test_order_of_places(cache, monkeypatch, tmp_path):
     with pytest.raises(LandmarkModelError, match=r"fetch_landmark_model.py"):
-        landmark_model.landmark_model_path()
+        module.landmark_model_path()
     with pytest.raises(LandmarkModelError, match=r"no such landmark model"):
-        landmark_model.landmark_model_path(empty_cache / "x.task")
-
-
-def test_order_of_places(empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    cached = empty_cache / landmark_model.TASK.name
-    cached.parent.mkdir(parents=True)
-    cached.write_bytes(b"a")
-    assert landmark_model.landmark_model_path() == cached
-    named = tmp_path / "named.task"
-    named.write_bytes(b"b")
+        module.landmark_model_path(cache / "x.task")
+    cached, named = cache / TASK.name, tmp_path / "named.task"
+    for path in (cached, named):
+        path.write_bytes(b"a")
+    assert module.landmark_model_path() == cached
     monkeypatch.setenv("HANDFIT_LANDMARK_MODEL", str(named))
-    assert landmark_model.landmark_model_path() == named
-    assert landmark_model.landmark_model_path(cached) == cached
+    assert module.landmark_model_path() == named
+    assert module.landmark_model_path(cached) == cached
 
 
-def test_another_wheel_is_refused(tmp_path: Path) -> None:
-    wheel = tmp_path / "mediapipe.whl"
-    wheel.write_bytes(b"something else")
+def test_entries_are_stored_aligned_and_reproducible(tmp_path, monkeypatch):
+    wheel = tmp_path / "a.whl"
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+        for i, (_, member) in enumerate(TASK.entries):
+            archive.writestr(member, bytes([i]) * (1001 + i))
     with pytest.raises(LandmarkModelError, match="sha256"):
-        landmark_model.assemble(wheel, tmp_path / "out.task")
+        module.assemble(wheel, tmp_path / "out.task")
     assert not (tmp_path / "out.task").exists()
     with pytest.raises(LandmarkModelError, match="cannot be read"):
-        landmark_model.assemble(tmp_path / "gone.whl", tmp_path / "out.task")
-
-
-def imitation_wheel(path: Path) -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as wheel:
-        for i, (_, member) in enumerate(landmark_model.TASK.entries):
-            wheel.writestr(member, bytes([i]) * (1001 + i))
-    return path
-
-
-def test_entries_are_stored_aligned_and_reproducible(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    wheel = imitation_wheel(tmp_path / "a.whl")
-    monkeypatch.setattr(
-        landmark_model,
-        "TASK",
-        replace(landmark_model.TASK, wheel_sha256=hashlib.sha256(wheel.read_bytes()).hexdigest()),
-    )
-    task = landmark_model.assemble(wheel, tmp_path / "one.task")
-    again = landmark_model.assemble(wheel, tmp_path / "two.task")
-    assert task.read_bytes() == again.read_bytes()
+        module.assemble(tmp_path / "gone.whl", tmp_path / "out.task")
+    digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    monkeypatch.setattr(module, "TASK", replace(TASK, wheel_sha256=digest))
+    task = module.assemble(wheel, tmp_path / "one.task")
     data = task.read_bytes()
+    assert data == module.assemble(wheel, tmp_path / "two.task").read_bytes()
     with zipfile.ZipFile(task) as archive:
-        assert [i.filename for i in archive.infolist()] == [name for name, _ in landmark_model.TASK.entries]
+        assert [i.filename for i in archive.infolist()] == [name for name, _ in TASK.entries]
         for i, info in enumerate(archive.infolist()):
             assert info.compress_type == zipfile.ZIP_STORED
-            name_length, extra_length = struct.unpack_from("<HH", data, info.header_offset + 26)
-            start = info.header_offset + 30 + name_length + extra_length
+            start = info.header_offset + 30 + sum(struct.unpack_from("<HH", data, info.header_offset + 26))
             assert start % 4 == 0
             assert data[start : start + 1001 + i] == bytes([i]) * (1001 + i)
 
 
-def test_networks_are_known_by_their_bytes(landmark_model: Path, tmp_path: Path) -> None:
+def test_networks_are_known_by_their_bytes(landmark_model, tmp_path):
     with zipfile.ZipFile(landmark_model) as task:
         networks = {name: task.read(name) for name in task.namelist()}
     palms, hand = networks
-
-    def zipped(changed: dict[str, bytes]) -> Path:
-        with zipfile.ZipFile(path := tmp_path / "other.task", "w", zipfile.ZIP_DEFLATED) as task:
+    path = tmp_path / "other.task"
+    for changed, calibrated in (
+        (networks | {"more.txt": b"more"}, True),
+        (networks | {hand: networks[hand][:-1] + b"!"}, False),
+        ({palms: networks[hand], hand: networks[palms]}, False),
+        ({hand: networks[hand]}, False),
+    ):
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as task:
             for name, content in changed.items():
                 task.writestr(name, content)
-        return path
-
-    assert is_calibrated(landmark_model)
-    assert is_calibrated(zipped(networks | {"more.txt": b"more"}))
-    assert not is_calibrated(zipped(networks | {hand: networks[hand][:-1] + b"!"}))
-    assert not is_calibrated(zipped({palms: networks[hand], hand: networks[palms]}))
-    assert not is_calibrated(zipped({hand: networks[hand]}))
-    (damaged := tmp_path / "damaged.task").write_bytes(landmark_model.read_bytes()[:100_000])
-    assert not is_calibrated(damaged)
+        assert module.is_calibrated(path) == calibrated
+    assert module.is_calibrated(landmark_model)
+    path.write_bytes(landmark_model.read_bytes()[:100_000])
+    assert not module.is_calibrated(path)
 
 
-def test_damaged_file_is_one_line(tmp_path: Path) -> None:
-    from handfit_core.detect.detector import DetectorSettings
-    from handfit_core.detect.mediapipe_tasks import MediaPipeHands
+@pytest.mark.parametrize("content", [b"", b"PK nonsense", bytes(100_000)], ids=["empty", "text", "zeros"])
+def test_damaged_files_are_one_line(content, tmp_path):
+    path = tmp_path / "damaged.task"
+    path.write_bytes(content)
+    for opened in (Networks, lambda path: MediaPipeHands(DetectorSettings(landmark_model=path))):
+        with pytest.raises(LandmarkModelError, match=r"damaged\.task: .* --force") as caught:
+            opened(path)
+        assert "\n" not in str(caught.value)
 
-    broken = tmp_path / "broken.task"
-    broken.write_bytes(b"PK nonsense")
-    with pytest.raises(LandmarkModelError, match="assemble it again") as caught:
-        MediaPipeHands(DetectorSettings(landmark_model=broken))
-    assert "\n" not in str(caught.value)
 
-
-def imitation_package(path: Path, content: bytes, member: str = landmark_model.NETWORK_2020.member) -> Path:
+def package(path, content, member=NETWORK_2020.member):
     """A .tgz as npm makes it, whose packed assets are so many zeros as the network has before it, then
     `content`."""
-    data = bytes(landmark_model.NETWORK_2020.within.start) + content
-    with tarfile.open(path, "w:gz", compresslevel=1) as package:
+    data = bytes(NETWORK_2020.within.start) + content
+    with tarfile.open(path, "w:gz", compresslevel=1) as archive:
         info = tarfile.TarInfo(member)
         info.size = len(data)
-        package.addfile(info, io.BytesIO(data))
+        archive.addfile(info, io.BytesIO(data))
     return path
 
 
-def test_the_network_of_2020_is_cut_out_of_the_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    network = b"n" * len(landmark_model.NETWORK_2020.within)
-    monkeypatch.setattr(
-        landmark_model,
-        "NETWORK_2020",
-        replace(landmark_model.NETWORK_2020, within_sha256=hashlib.sha256(network).hexdigest()),
-    )
-    monkeypatch.setattr(landmark_model, "with_image_metadata", lambda found, *_: b"metadata" + found)
-    package = imitation_package(tmp_path / "hands.tgz", network + b"what comes after it")
-    made = landmark_model.assemble_2020(package, tmp_path / "new" / "network.tflite")
+def test_the_network_of_2020_is_cut_out_of_the_package(tmp_path, monkeypatch):
+    network = b"n" * len(NETWORK_2020.within)
+    digest = hashlib.sha256(network).hexdigest()
+    monkeypatch.setattr(module, "NETWORK_2020", replace(NETWORK_2020, within_sha256=digest))
+    monkeypatch.setattr(module, "with_image_metadata", lambda found, *_: b"metadata" + found)
+    good = package(tmp_path / "hands.tgz", network + b"what comes after it")
+    made = module.assemble_2020(good, tmp_path / "new" / "network.tflite")
     assert made.read_bytes() == b"metadata" + network
 
 
-def test_another_package_is_refused(tmp_path: Path) -> None:
-    good = imitation_package(tmp_path / "hands.tgz", b"another version")
-    torn = tmp_path / "torn.tgz"
+def test_another_package_is_refused(tmp_path):
+    good = package(tmp_path / "hands.tgz", b"another version")
+    torn, text = tmp_path / "torn.tgz", tmp_path / "text.tgz"
     torn.write_bytes(good.read_bytes()[:2000])
-    text = tmp_path / "text.tgz"
     text.write_bytes(b"<html>not found</html>")
-    of_another = imitation_package(tmp_path / "another.tgz", b"", member="package/index.js")
-    for package, said in (
+    of_another = package(tmp_path / "another.tgz", b"", member="package/index.js")
+    for path, said in (
         (good, "sha256 is .* download it again"),
         (torn, "cannot be read as npm's @mediapipe/hands"),
         (text, "cannot be read as npm's @mediapipe/hands"),
         (tmp_path / "gone.tgz", "cannot be read as .*No such file"),
-        (tmp_path, "cannot be read as "),
         (of_another, r"this is not npm's @mediapipe/hands 0\.1\.1606863095"),
     ):
         with pytest.raises(LandmarkModelError, match=said) as caught:
-            landmark_model.assemble_2020(package, tmp_path / "out.tflite")
+            module.assemble_2020(path, tmp_path / "out.tflite")
         assert "\n" not in str(caught.value)
     assert not (tmp_path / "out.tflite").exists()
 
 
-def test_where_the_network_of_2020_is_sought(
-    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    assert landmark_model.landmarks_2020_path() is None
-    monkeypatch.setattr(
-        landmark_model,
-        "NETWORK_2020",
-        replace(landmark_model.NETWORK_2020, sha256=hashlib.sha256(b"network").hexdigest()),
-    )
-    empty_cache.mkdir()
-    for path in (landmark_model.cached_path_2020(), empty_cache / "named"):
+def test_where_the_network_of_2020_is_sought(cache, monkeypatch, caplog, tmp_path):
+    """The model's fingerprint names it where it is there."""
+    first = tmp_path / "hand_landmarker.task"
+    first.write_bytes(b"both networks")
+    assert module.landmarks_2020_path() is None
+    without = module.fingerprint(first)
+    for path in (module.cached_path_2020(), cache / "named"):
         path.write_bytes(b"network")
-    assert landmark_model.landmarks_2020_path() == landmark_model.cached_path_2020()
-    monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(empty_cache / "named"))
-    assert landmark_model.landmarks_2020_path() == empty_cache / "named"
+    assert module.landmarks_2020_path() == module.cached_path_2020()
+    assert module.fingerprint(first) not in ("", without)
+    monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(cache / "named"))
+    assert module.landmarks_2020_path() == cache / "named"
     monkeypatch.setenv("HANDFIT_LANDMARKS_2020", "none")
-    assert landmark_model.landmarks_2020_path() is None
+    assert module.landmarks_2020_path() is None
+    assert module.fingerprint(first) == without
     assert not caplog.records
 
 
 @pytest.mark.parametrize("kind", ["damaged", "of another version", "a folder", "named in vain"])
-def test_a_network_of_2020_that_is_not_whole_is_one_warning(
-    kind: str, empty_cache: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = landmark_model.cached_path_2020()
-    path.parent.mkdir(parents=True)
+def test_a_network_of_2020_that_is_not_whole_is_one_warning(kind, cache, monkeypatch, caplog):
+    path = module.cached_path_2020()
     if kind in ("a folder", "named in vain"):
-        path = empty_cache / "named"
+        path = cache / "named"
         monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(path))
     if kind == "a folder":
         path.mkdir()
     elif kind != "named in vain":
         path.write_bytes(b"" if kind == "damaged" else b"TFL3" * 1000)
-    assert landmark_model.landmarks_2020_path() is None
-    assert landmark_model.landmarks_2020_path() is None
+    assert [module.landmarks_2020_path(), module.landmarks_2020_path()] == [None, None]
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     said = record.getMessage()
     assert said.startswith(f"{path}: it ")
     assert "fetch_landmark_model.py" in said
     assert "\n" not in said
-
-
-def test_the_fingerprint_names_the_network_of_2020(
-    empty_cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    pytest.importorskip("mediapipe")
-    first = tmp_path / "hand_landmarker.task"
-    first.write_bytes(b"both networks")
-    without = landmark_model.fingerprint(first)
-    monkeypatch.setattr(
-        landmark_model,
-        "NETWORK_2020",
-        replace(landmark_model.NETWORK_2020, sha256=hashlib.sha256(b"network").hexdigest()),
-    )
-    empty_cache.mkdir()
-    landmark_model.cached_path_2020().write_bytes(b"network")
-    assert landmark_model.fingerprint(first) not in ("", without)
-    monkeypatch.setenv("HANDFIT_LANDMARKS_2020", "none")
-    assert landmark_model.fingerprint(first) == without

@@ -22,12 +22,12 @@ def overlapped(one: HandDetection, other: HandDetection) -> np.ndarray:
     return covers(Detections.of([[other]]), np.zeros(1, dtype=int), one.keypoints_2d)
 
 
-def test_distance_is_in_units_of_the_hand() -> None:
+def test_distance_is_in_units_of_the_hand():
     assert distance(hand(0), hand(30)) == pytest.approx(0.3)
     assert distance(hand(0), hand(30), shift=np.array([20.0, 0.0])) == pytest.approx(0.1)
 
 
-def test_points_on_another_hand() -> None:
+def test_points_on_another_hand():
     """Points at the other hand's tip lie on its bones; of those around it, the near ones do."""
     points = SHAPE.copy()
     points[:, :2] = SHAPE[4, :2]
@@ -52,40 +52,32 @@ def test_points_on_another_hand() -> None:
     ],
     ids=["beside", "upside down", "a part of it", "the next one", "a finger of it"],
 )
-def test_of_one_hand_or_of_two(x: float, scale: float, turn: int, expected: bool) -> None:
-    first, keypoints = hand(0), SHAPE.copy()
-    about = keypoints[:, :2] - 50.0
-    for _ in range(turn):
-        about = about @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+def test_of_one_hand_or_of_two(x, scale, turn, expected):
+    keypoints, quarter = SHAPE.copy(), np.array([[0.0, 1.0], [-1.0, 0.0]])
+    about = (SHAPE[:, :2] - 50.0) @ np.linalg.matrix_power(quarter, turn)
     keypoints[:, :2] = 50.0 + scale * about + [x, 0.0]
-    second = HandDetection("left", 0.9, keypoints, SHAPE)
+    first, second = hand(0), HandDetection("left", 0.9, keypoints, SHAPE)
     assert is_same_hand(first, second) is is_same_hand(second, first) is expected
 
 
 @pytest.mark.parametrize(
     ("x", "scale", "expected"), [(60.0, 0.4, True), (90.0, 0.4, False), (0.0, 0.8, False), (0.0, 2.5, True)]
 )
-def test_a_hand_and_its_part(x: float, scale: float, expected: bool) -> None:
+def test_a_hand_and_its_part(x, scale, expected):
     """A part may also be the same hand without its forearm; of two of about one size each may be a hand."""
     second = HandDetection("left", 0.9, scale * SHAPE + [x, 0.0, 0.0], SHAPE)
     assert is_part_of(hand(0), second) is is_part_of(second, hand(0)) is expected
 
 
-def test_the_mean_of_predictions() -> None:
+def test_the_mean_of_predictions():
     predictions = [hand(0, "left", 0.6), hand(6, "right", 0.9), hand(12, "left", 0.6)]
     mean = mean_detection(predictions)
     assert mean.side == "left"
     assert mean.score == pytest.approx(1.2 / 3)  # the second saw another side
     np.testing.assert_allclose(mean.keypoints, SHAPE + [6.0, 0.0, 0.0])
     np.testing.assert_allclose(mean.world, SHAPE / 1000 + 6.0)
-    assert mean.spread is not None
     np.testing.assert_allclose(mean.spread, np.tile([np.sqrt(24.0), 0.0, 0.0], (21, 1)), atol=1e-9)
     assert mean.keypoints_2020 is None
     assert mean_detection([hand(0)]).spread is None
-
-
-def test_the_mean_has_keypoints_2020() -> None:
     first, last = replace(hand(0), keypoints_2020=SHAPE), replace(hand(0), keypoints_2020=SHAPE + 4.0)
-    mean = mean_detection([first, hand(6), last]).keypoints_2020
-    assert mean is not None
-    np.testing.assert_allclose(mean, SHAPE + 2.0)
+    np.testing.assert_allclose(mean_detection([first, hand(6), last]).keypoints_2020, SHAPE + 2.0)

@@ -1,12 +1,12 @@
 """The metadata as MediaPipe's own schema reads it, and all that was in the file before."""
 
-from __future__ import annotations
-
+import numpy as np
 import pytest
 
 from handfit_core.detect.landmark_model import landmarks_2020_path
 from handfit_core.detect.tflite import with_image_metadata
 
+mp = pytest.importorskip("mediapipe")
 schema = pytest.importorskip("mediapipe.tasks.metadata.schema_py_generated")
 metadata_schema = pytest.importorskip("mediapipe.tasks.metadata.metadata_schema_py_generated")
 flatbuffers = pytest.importorskip("flatbuffers")
@@ -26,7 +26,7 @@ def network() -> bytes:
     return bytes(builder.Output())
 
 
-def test_what_was_in_the_file_stays_and_the_metadata_can_be_read() -> None:
+def test_what_was_in_the_file_stays_and_the_metadata_can_be_read():
     old = network()
     made = with_image_metadata(old, 127.5, 2.5, ("points", "é"))
     assert made == with_image_metadata(old, 127.5, 2.5, ("points", "é"))
@@ -52,13 +52,10 @@ def test_what_was_in_the_file_stays_and_the_metadata_can_be_read() -> None:
     assert features == {metadata_schema.FeaturePropertiesT}
 
 
-def test_mediapipe_runs_the_network_of_2020() -> None:
+def test_mediapipe_runs_the_network_of_2020():
     path = landmarks_2020_path()
     if path is None:
         pytest.skip("MediaPipe's landmark network of December 2020 is not here")
-    import mediapipe as mp
-    import numpy as np
-
     vision = mp.tasks.vision
     options = vision.ImageEmbedderOptions(mp.tasks.BaseOptions(model_asset_buffer=path.read_bytes()))
     with vision.ImageEmbedder.create_from_options(options) as network:

@@ -29,6 +29,7 @@ def test_a_folder_that_fits_nothing_is_told_every_layout(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("kind", "file"),
     [
+        ("freihand", "evaluation_xyz.json"),
         ("freihand", "training/rgb/00000000.jpg"),
         ("freihand", "training_K.json"),
         ("ho3d", "train/ABF10/rgb/0000.png"),

@@ -17,10 +17,6 @@ from matplotlib.figure import Figure
 
 from handfit_core.evaluate.report import REPORT_FILES, plots, sheets, write_report
 from handfit_core.evaluate.report.tables import (
-    EXPERIMENTS,
-    MISSING,
-    OTHERS_AUC,
-    Table,
     comparison_tables,
     experiments_table,
     group_table,
@@ -30,16 +26,16 @@ from handfit_core.evaluate.report.tables import (
     verdict,
 )
 from handfit_core.evaluate.scores import Comparison, Evaluation
-from handfit_core.evaluate.summary import METRICS, pck
+from handfit_core.evaluate.summary import pck
 from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.made import (
     COUNT,
     make_evaluation,
     make_scores,
     with_errors,
-    with_hands,
     write_picture,
 )
+from tests.golden import Golden
 
 
 class Page(HTMLParser):
@@ -76,12 +72,6 @@ def page_of(evaluation: Evaluation) -> Page:
 def read_csv(path: Path) -> list[dict[str, str]]:
     with open(path, newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
-
-
-def column(table: Table | None, title: str) -> list[tuple[str, bool]]:
-    assert table is not None
-    (index,) = [i for i, (name, _) in enumerate(table.titles()) if name.startswith(title)]
-    return [row[index] for row in table.rows()]
 
 
 def test_whole_report_is_linked_and_opens_offline(tmp_path: Path) -> None:
@@ -186,49 +176,30 @@ def test_csv_files_hold_every_number_exactly(tmp_path: Path) -> None:
 # Tables
 
 
-def test_main_table_names_alignments_and_marks_the_best(tmp_path: Path) -> None:
-    table = main_table(make_evaluation(tmp_path))
-    assert [name for name, _ in column(table, "Method")] == ["null-truth (baseline)", "good", "poor"]
-    # The baseline is exactly right, and bold it is not.
-    assert column(table, "PA-MPJPE, mm")[0] == ("0.00", False)
-    for title in ("PA-MPJPE, mm ↓", "AUC 20-50 mm ↑"):
-        assert [bold for _, bold in column(table, title)] == [False, True, False]
-    lines = table.markdown().splitlines()
-    assert len({line.count("|") for line in lines if line.startswith("|")}) == 1
-    number = lines[0].split("PA-MPJPE, mm ↓ [")[1].split("]")[0]
-    assert f"{number}. PA-MPJPE: {METRICS['pa_mpjpe'].alignment}" in lines
-    assert "* null-truth: the truth (knows the truth)" in lines
+def test_tables(tmp_path: Path, golden: Golden) -> None:
+    """The best of a column are bold, but baselines and what shows as equal; the published numbers beside."""
+    evaluation = make_evaluation(tmp_path, kind="egodexter")
+    truth, good, poor = evaluation.scores
+    columns = ["auc", "handedness", "fit_ms", "epe"]
+    summaries = evaluation.summaries.rename(index={"good": "paper-b"})
+    summaries.loc[["paper-b", "poor"], columns] = [[0.999, 80.0, 3.01, 20.642], [0.9, 90.0, 3.02, math.nan]]
+    (compared,) = evaluation.comparisons
+    unsure = compared._replace(metric="pa_mpjpe", low=-1.0, high=1.0)
+    evaluation = replace(
+        evaluation,
+        scores=(truth, replace(good, method="paper-b"), poor),
+        summaries=summaries,
+        comparisons=(compared, unsure),
+    )
+    makers = (main_table, group_table, experiments_table, others_table)
+    tables = [*(make(evaluation) for make in makers), *(t for _, t in comparison_tables(evaluation))]
+    golden.check("evaluation.md", "\n".join(table.markdown() for table in tables if table), steps=1)
+    assert len([table for table in tables if table]) == 6
+    assert experiments_table(make_evaluation(tmp_path)) is None
 
 
-def test_higher_is_bold_where_higher_is_better_and_equals_are_not(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path)
-    summaries = evaluation.summaries.copy()
-    summaries.loc[["good", "poor"], ["handedness", "fit_ms", "epe"]] = [
-        *([80.0, 3.01, 5.0], [90.0, 3.02, math.nan])
-    ]
-    table = main_table(replace(evaluation, summaries=summaries))
-    assert [bold for _, bold in column(table, "Side right")] == [False, False, True]
-    assert [bold for _, bold in column(table, "Fit")] == [False, False, False]  # both are shown as 3.0
-    assert column(table, "EPE, mm") == [("0.00", False), ("5.00", False), (MISSING, False)]
-
-
-def test_group_means_and_rates_are_of_the_group(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path, missed=(1,))
-    assert list(groups_of(evaluation.scores[1])) == ["view", "pose", "frame"]
-    table = group_table(evaluation)
-    assert table is not None
-    assert [t for t, _ in table.titles()] == [
-        *("Group", "Value", "Hands", "Detected, %", "good, mm", "poor, mm")
-    ]
-    rows = {(row[0][0], row[1][0]): row[2:] for row in table.rows()}
-    poor = evaluation.scores[2].pa_error
-    fists = np.mean([poor[3].mean(), poor[5].mean()])  # 1 was missed
-    assert [text for text, _ in rows["pose", "fist"][:2]] == ["3", "66.7"]
-    assert rows["pose", "fist"][2][1]
-    assert rows["pose", "fist"][3] == (f"{fists:.2f}", False)
-    assert rows["pose", "open"][1][0] == "100.0"
-    assert [value for group, value in rows if group == "view"] == ["palm", "back", "edge", "unknown"]
-    # A tag with one value, or with as many as there are pictures, is no group.
+def test_what_is_no_group() -> None:
+    """A tag with one value, or with more than a table holds."""
     many = make_scores(24, tags=[{"frame": str(i), "set": "one"} for i in range(24)])
     assert groups_of(many).empty
 
@@ -246,37 +217,6 @@ def test_group_means_and_rates_are_of_the_group(tmp_path: Path) -> None:
 )
 def test_verdicts(difference: float, low: float, high: float, units: int, words: str) -> None:
     assert words in verdict(Comparison("pa_mpjpe", "a", "b", difference, low, high, units, units))
-
-
-def test_comparisons_show_interval_and_verdict(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path)
-    (unsure,) = [c._replace(metric="pa_mpjpe", low=-1.0, high=1.0) for c in evaluation.comparisons]
-    tables = comparison_tables(replace(evaluation, comparisons=(*evaluation.comparisons, unsure)))
-    assert [metric.key for metric, _ in tables] == ["pa_mpjpe", "epe"]  # the error in front comes first
-    assert tables[0][1].rows()[0][0][0].startswith("poor and good: no difference shown")
-    (((words, _), (difference, _), *_),) = tables[1][1].rows()
-    assert "worse than good" in words
-    assert difference == f"{evaluation.comparisons[0].difference:.2f}"
-
-
-def test_published_numbers_stand_beside_ours(tmp_path: Path) -> None:
-    assert EXPERIMENTS.loc["paper-h"].tolist()[3:] == [42.833, 0.492, 24.574, 0.784]
-    assert [OTHERS_AUC[kind]["Zhou 2020"] for kind in ("dexter-object", "egodexter")] == [0.948, 0.811]
-    evaluation = make_evaluation(tmp_path, kind="egodexter", protocol="paper")
-    summaries = evaluation.summaries.copy()
-    summaries.loc["paper-b", ["epe", "auc"]] = 20.642, 0.999
-    ours = replace(evaluation.scores[1], method="paper-b")
-    evaluation = replace(evaluation, scores=(ours, evaluation.scores[2]), summaries=summaries)
-    table, others = experiments_table(evaluation), others_table(evaluation)
-    assert table is not None
-    a, b = [[text for text, _ in row] for row in table.rows()[:2]]
-    assert a[3:] == ["17.72", MISSING, MISSING, "0.883", MISSING, MISSING]
-    assert b[3:] == ["19.64", "20.64", "1.00", "0.859", "0.999", "0.140"]
-    values = [float(text) for text, _ in column(others, "AUC")]
-    assert values == sorted(values, reverse=True)
-    assert [text for text, bold in column(others, "Method") if bold] == ["paper-b, here", "poor, here"]
-    elsewhere = make_evaluation(tmp_path)
-    assert experiments_table(elsewhere) is others_table(elsewhere) is None
 
 
 # Plots
@@ -327,15 +267,6 @@ def test_joint_plot_shows_each_labelled_joint(tmp_path: Path) -> None:
     ticks = [text.get_text() for text in drawn[0].axes[0].get_xticklabels()]
     assert ticks == ["thumb 4", "index 4", "middle 4", "ring 4", "little 4"]
     assert "EPE" in drawn[0].axes[0].get_ylabel()  # five tips alone: similarity would hide too much
-
-
-def test_view_plot_has_the_mean_of_each_view(tmp_path: Path) -> None:
-    evaluation = make_evaluation(tmp_path, missed=())
-    _, y = lines_of(plots.view_plot(evaluation))["poor"]
-    errors = evaluation.scores[2].pa_error.mean(axis=1)
-    np.testing.assert_allclose(y, [errors[:2].mean(), errors[2:4].mean(), errors[4], errors[5]])
-    blind = tuple(with_hands(s, view="unknown") for s in evaluation.scores)
-    assert plots.view_plot(replace(evaluation, scores=blind)) is None
 
 
 def test_the_users_settings_stay(tmp_path: Path) -> None:

@@ -137,6 +137,7 @@ def test_a_relaxed_hand_is_found_again(side: Side) -> None:
     labels[[1, 2, 3, 15]] = np.nan
     # Also where there was no label
     np.testing.assert_allclose(mean_pose_at_truth(model, labels), truth, atol=1e-12)
+    assert np.isnan(mean_pose_at_truth(model, np.full((21, 3), np.nan))).all()
 
 
 # The faults of the published evaluation

@@ -183,10 +183,10 @@ def test_what_does_not_pair_is_told(tmp_path: Path) -> None:
 def test_damaged_line_harms_no_other(tmp_path: Path) -> None:
     root = write_ego(tmp_path, frames(2))
     path = root / "data" / "Desk" / "annotation.txt_3D.txt"
-    path.write_text("1, 2, 3; 4, 5, 6;\n" + path.read_text().splitlines()[1] + "\n")
+    path.write_text("\n" + path.read_text().splitlines()[1] + "\n")
     entries = open_dataset(root).entries
     assert entries[1].read_labels().hands
-    assert "cannot reshape array of size 6" in reason(entries[0])
+    assert "cannot reshape" in reason(entries[0])
 
 
 def test_part_of_a_set(tmp_path: Path) -> None:

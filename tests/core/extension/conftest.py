@@ -1,7 +1,5 @@
 """Small wheels to build with."""
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Locks, and the wheels that they name: from the index into the cache, once, each held against its hash."""
 
-from __future__ import annotations
-
 import os
 
 import pytest
@@ -46,12 +44,6 @@ def test_downloaded_once(index):
     assert [p.name for p in wheel_cache().iterdir()] == [NAME]
 
 
-def test_a_hash_that_the_index_does_not_have(index):
-    with pytest.raises(BuildError, match=r"linux-x64, Python 3\.11 could not be downloaded .*hash"):
-        fetched([Pin("torch", "2.13.0+cpu", "0" * 64)], "linux-x64", "3.11")
-    assert not list(wheel_cache().glob("*"))
-
-
 def test_a_damaged_wheel_in_the_cache_is_replaced(index):
     wheel_cache().mkdir(parents=True)
     (wheel_cache() / NAME).write_bytes(index.path.read_bytes() + b"x")
@@ -59,12 +51,14 @@ def test_a_damaged_wheel_in_the_cache_is_replaced(index):
     assert path.read_bytes() == index.path.read_bytes()
 
 
-def test_what_cannot_be_had_is_one_sentence(index):
-    with pytest.raises(BuildError) as caught:
-        fetched([Pin("torch", "2.13.0+cpu", index.sha256)], "linux-x64", "3.13")
-    assert "the wheels for linux-x64, Python 3.13 could not be downloaded (" in str(caught.value)
+@pytest.mark.parametrize(("python", "digest", "said"), [("3.13", None, ""), ("3.11", "0" * 64, ".*hash")])
+def test_what_cannot_be_had_is_one_sentence(index, python, digest, said):
+    said = rf"the wheels for linux-x64, Python {python} could not be downloaded \({said}"
+    with pytest.raises(BuildError, match=said) as caught:
+        fetched([Pin("torch", "2.13.0+cpu", digest or index.sha256)], "linux-x64", python)
     assert str(wheel_cache()) in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert not list(wheel_cache().glob("*"))
 
 
 def test_the_locked_wheel_is_the_one_that_pip_finds(index):
@@ -86,11 +80,7 @@ def test_locks_have_every_part_in_the_version_of_constraints(platform, python):
     assert pins == {name: pinned[name] for name in (*RUN_TIME, *torch)}
     (tool,) = read_lock(BUILD_LOCK)
     assert tool.version == pinned[tool.name]
-
-
-def test_locks_name_no_host():
-    for path in LOCKS.iterdir():
-        assert "://" not in path.read_text(encoding="utf-8"), path
+    assert not [path for path in LOCKS.iterdir() if "://" in path.read_text(encoding="utf-8")]
 
 
 @pytest.mark.parametrize("line", ["scipy", "scipy==1.15.3", "scipy==1.15.3 --hash=sha256:12", "scipy>=1.15"])

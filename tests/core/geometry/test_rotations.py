@@ -1,7 +1,5 @@
 """Rotation conversions against SciPy-free closed forms, each other, and degenerate inputs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -29,21 +27,18 @@ def rotvecs(angle: float, count: int = 40) -> np.ndarray:
     return angle * axes / np.linalg.norm(axes, axis=1, keepdims=True)
 
 
-def test_quarter_turn() -> None:
+def test_quarter_turn():
     rotmat = rotvec_to_rotmat(np.array([0.0, 0.0, math.pi / 2]))
     np.testing.assert_allclose(rotmat @ [1, 0, 0], [0, 1, 0], atol=1e-15)
     half = math.sqrt(0.5)
     np.testing.assert_allclose(rotmat_to_quat(rotmat), [half, 0, 0, half], atol=1e-15)
     np.testing.assert_allclose(quat_to_rotmat(np.array([half, 0, 0, half])), rotmat, atol=1e-15)
-
-
-def test_zero_is_exactly_the_identity() -> None:
     np.testing.assert_array_equal(rotvec_to_rotmat(np.zeros((2, 3))), np.stack([np.eye(3)] * 2))
     np.testing.assert_array_equal(rotmat_to_rotvec(np.eye(3)), np.zeros(3))
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_rotvec_is_matrix_exponential(angle: float) -> None:
+def test_rotvec_is_matrix_exponential(angle):
     for rotvec in rotvecs(angle, 5):
         # Halved until small, a Taylor series, squared back: no trigonometry in common with ours.
         term, power = np.eye(3), np.eye(3)
@@ -56,12 +51,15 @@ def test_rotvec_is_matrix_exponential(angle: float) -> None:
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_round_trips(angle: float) -> None:
+def test_round_trips(angle):
     rotvec = rotvecs(angle)
     rotmat = rotvec_to_rotmat(rotvec)
     np.testing.assert_allclose(rotmat @ np.swapaxes(rotmat, 1, 2), np.tile(np.eye(3), (46, 1, 1)), atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(rotmat), 1.0, atol=1e-14)
-    np.testing.assert_allclose(quat_to_rotmat(rotmat_to_quat(rotmat)), rotmat, atol=1e-14)
+    quats = rotmat_to_quat(rotmat)
+    np.testing.assert_allclose(np.linalg.norm(quats, axis=-1), 1.0, atol=1e-15)
+    assert np.all(quats[:, 0] >= 0)
+    np.testing.assert_allclose(quat_to_rotmat(-4 * quats), rotmat, atol=1e-14)
     back = rotmat_to_rotvec(rotmat)
     np.testing.assert_allclose(rotvec_to_rotmat(back), rotmat, atol=1e-14)
     if angle < math.pi - 1e-3:  # at pi both signs of the axis are right
@@ -69,23 +67,12 @@ def test_round_trips(angle: float) -> None:
     assert np.all(np.linalg.norm(back, axis=1) <= math.pi + 1e-12)
 
 
-def test_rotmat_to_quat() -> None:
-    quats = rotmat_to_quat(rotvec_to_rotmat(np.random.default_rng(0).normal(size=(500, 3)) * 3))
-    np.testing.assert_allclose(np.linalg.norm(quats, axis=-1), 1.0, atol=1e-15)
-    assert np.all(quats[:, 0] >= 0)
-
-
-def test_quat_to_rotmat() -> None:
-    quat = np.array([0.3, -0.2, 0.7, 0.5])
-    np.testing.assert_allclose(quat_to_rotmat(-4 * quat), quat_to_rotmat(quat), atol=1e-15)
-
-
-def test_skew_is_the_cross_product() -> None:
+def test_skew_is_the_cross_product():
     a, b = np.random.default_rng(2).normal(size=(2, 6, 3))
     np.testing.assert_allclose(np.einsum("nij,nj->ni", skew(a), b), np.cross(a, b), atol=1e-15)
 
 
-def test_unflip_quats() -> None:
+def test_unflip_quats():
     rng = np.random.default_rng(3)
     angles = np.linspace(0, 4 * np.pi, 60)
     smooth = np.stack([np.cos(angles / 2), *(np.sin(angles / 2) * c for c in (0.6, 0.0, 0.8))], axis=-1)
@@ -97,7 +84,7 @@ def test_unflip_quats() -> None:
     assert unflip_quats(np.zeros((0, 4))).shape == (0, 4)
 
 
-def test_euler_to_rotmat() -> None:
+def test_euler_to_rotmat():
     angles = np.concatenate([np.random.default_rng(0).normal(size=(6, 3)) * 0.6, np.zeros((1, 3))])
     expected = np.eye(3)
     for i in range(3):
@@ -109,7 +96,7 @@ def test_euler_to_rotmat() -> None:
     np.testing.assert_allclose(back, euler_to_rotmat(pole), atol=1e-7)
 
 
-def test_turn_from_axis() -> None:
+def test_turn_from_axis():
     rays = np.random.default_rng(1).normal(size=(5, 3)) + [0.0, 0.0, 2.0]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     turns = turn_from_axis(rays)

@@ -66,7 +66,7 @@ def test_reads_a_released_file(tmp_path: Path, side: str, select: bool) -> None:
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
 def test_reads_converted_files(tmp_path: Path, protocol: int) -> None:
-    """In every protocol, with Fortran's order, other number types, SciPy's matrices, and -1 above the root."""
+    """In every protocol, with Fortran's order, other numbers, SciPy's matrices, and -1 above the root."""
     sparse = pytest.importorskip("scipy.sparse", reason="SciPy is not installed")
     arrays, path = imitation_arrays(), tmp_path / "converted.pkl"
     stored = dict(arrays, posedirs=np.asfortranarray(arrays["posedirs"]), f=arrays["f"].astype(">i4"))
@@ -98,14 +98,9 @@ def test_the_released_left_fault_is_undone(tmp_path: Path, seed: int, left_fault
     [
         b"cchumpy\nos.system\n(Vx\ntR.",
         b"c_codecs\nencode\n(I1\nVlatin1\ntR.",
-        b"ccopy_reg\n_reconstructor\n(]c__builtin__\nobject\nNtR.",
         b"cnumpy\nndarray\n(dVevil\nI1\nsb.",
-        b"cnumpy\ndtype\n(N(dV__setstate__\nI1\nstb.",
         b"c__builtin__\nset\n(L99999999999999L\ntR.",
-        b"(dVitems\nI1\ns}Vitems\nI1\nsb.",
         b"\x80\x02\xff.",
-        b"\x80\x63.",
-        b"PK\x03\x04" + bytes(100),
         b"<!DOCTYPE html><html>please log in</html>",
     ],
 )
@@ -119,7 +114,7 @@ def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
 def test_damaged_files(tmp_path: Path) -> None:
     whole = write_mano_pickle(tmp_path / "whole.pkl", imitation_arrays()).read_bytes()
     path = tmp_path / "MANO_RIGHT.pkl"
-    for end in [*range(1, 200, 7), *np.linspace(200, len(whole) - 1, 60).astype(int)]:
+    for end in [*range(1, 200, 7), *np.linspace(200, len(whole) - 1, 20).astype(int)]:
         path.write_bytes(whole[:end])
         assert "copy it again" in message_of(path)
     with path.open("wb") as stream:
@@ -133,26 +128,19 @@ def test_damaged_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("v_template", np.zeros((778, 2)), "778x2"),
         ("v_template", np.zeros((700, 3)), "700x3"),
         ("v_template", np.full((778, 3), np.nan), "not finite"),
         ("shapedirs", np.zeros((778, 3, 4)), "4 shape directions"),
-        ("shapedirs", np.full((778, 3, 10), np.inf), "not finite"),
         ("posedirs", np.zeros((778, 3, 207)), "posedirs has shape (778, 3, 207), expected (778, 3, 135)"),
-        ("posedirs", np.full((778, 3, 135), np.nan), "posedirs is not finite"),
         ("weights", np.zeros((778, 24)), "weights has shape (778, 24)"),
         ("weights", np.zeros((778, 16)), "sum to 1"),
         ("J_regressor", np.zeros((24, 778)), "24x778"),
         ("f", np.zeros((5, 3)), "expected whole numbers"),
         ("f", np.full((5, 3), 778, dtype=np.uint32), "do not exist"),
-        ("kintree_table", np.zeros((2, 24), dtype=np.uint32), "kintree_table"),
         ("kintree_table", np.zeros((2, 16), dtype=np.uint32), "kintree_table"),
         ("hands_mean", np.zeros(44), "hands_mean has shape (44,)"),
-        ("hands_components", np.zeros((6, 45)), "hands_components has shape (6, 45)"),
         ("weights", np.array([[None]]), "weights is not an array of numbers"),
-        ("weights", np.array(["text"]), "weights is not an array of numbers"),
         ("weights", [[1.0]], "weights is not an array"),
-        ("v_template", None, "v_template is not an array"),
         *((key, MISSING, f"lacks {key}") for key in (*MODEL_ARRAYS.values(), "kintree_table")),
     ],
 )

@@ -1,4 +1,4 @@
-"""Hand models from anywhere, read as they were written or refused in one sentence; `model convert` and `info`."""
+"""Hand models from anywhere, read or refused in one sentence; `model convert` and `info`."""
 
 from __future__ import annotations
 
@@ -56,35 +56,25 @@ def test_a_model_comes_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"version": "1"}, "version must be a whole number"),
         ({"version": 2}, "format version 2"),
         ({"name": ["hand"]}, "name must be a text"),
-        ({"name": "a" * 10_000}, "name must be a text"),
-        ({"side": {}}, "side must be a text"),
         ({"side": "up"}, "left or right, not 'up'"),
         ({"format": "handfit-take"}, "another format"),
         ({"weights": None}, "lacks weights"),
         ({"weights": np.array(["1"])}, "holds <U1 as weights"),
-        ({"faces": np.arange(6)}, "faces has shape (6,), expected (F, 3)"),
         ({"faces": np.zeros((3, 3))}, "faces holds float64, expected whole numbers"),
         ({"faces": np.zeros((200_000, 3), dtype=np.int32)}, "more than 100000"),
-        ({"quads": np.arange(8)}, "quads has shape (8,)"),
-        ({"uv_faces": np.arange(8)}, "uv_faces has shape (8,)"),
-        ({"uv_faces": np.array(3)}, "uv_faces has shape"),
         ({"uv_faces": np.zeros((5, 4), dtype=np.int32)}, "uv_faces has shape (5, 4), expected (1598, 4)"),
-        ({"uv_faces": np.zeros((1598, 3), dtype=np.int32)}, "uv_faces has shape (1598, 3)"),
         ({"uv": np.full((10, 2), np.nan)}, "uv is not finite"),
         ({"v_template": np.zeros((1609, 3))}, "0 m long"),
         ({"v_template": np.zeros((0, 3))}, "1 to 50000 vertices, not 0"),
-        ({"v_template": np.zeros((60_000, 3))}, "1 to 50000 vertices, not 60000"),
         ({"v_template": np.random.default_rng(0).normal(size=(1609, 3)) * 200}, "a hand model is in metres"),
         ({"hands_mean": np.full(45, 1e300)}, "hands_mean holds numbers beyond 10000"),
-        ({"tip_vertices": np.array([1, 2, 3, 4, 5000])}, "do not exist"),
         ({"tip_vertices": np.array([-1, 2, 3, 4, 5])}, "do not exist"),
     ],
     ids=lambda value: str(value)[:50],
 )
-def test_dtypes(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
+def test_wrong_files_are_refused(tmp_path: Path, changes: dict[str, Any], said: str) -> None:
     assert said in message_of(edited(tmp_path / "hand.npz", **changes))
 
 
@@ -177,9 +167,6 @@ def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -
     assert middle[2] == pytest.approx(np.linalg.norm(joints[6] - joints[5]), abs=0.06)
     tip = expected.v_template[444] * 1000
     assert middle[3] == pytest.approx(np.linalg.norm(tip - joints[6]), abs=0.06)
-
-
-def test_info_of_the_open_hand(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("info", "open-hand") == 0
     out = capsys.readouterr().out
     assert out.count("side ") == 2

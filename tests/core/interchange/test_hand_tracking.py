@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError
-from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import forward_kinematics
 from handfit_core.interchange.opening import read_recording
@@ -83,46 +83,32 @@ def joints(side: Side) -> tuple[np.ndarray, np.ndarray]:
     return where, axes
 
 
-def xyzw(axes: np.ndarray) -> np.ndarray:
-    return np.roll(rotmat_to_quat(axes), -1, axis=-1)
-
-
 def frames(kind: str = "named") -> Any:
     """Recordings as programs write them."""
     told = {side: joints(side) for side in SIDES}
     out: list[Any] = []
     for row in range(FRAMES):
         hands: dict[str, Any] = {}
-        for side in SIDES:
-            where, quats = told[side][0][row], xyzw(told[side][1][row])
-            if kind == "wxyz":
-                quats = np.roll(quats, 1, axis=-1)
+        for side, (places, axes) in told.items():
+            where, quats = (
+                places[row],
+                np.roll(rotmat_to_quat(axes[row]), 0 if kind == "wxyz" else -1, axis=-1),
+            )
+            each = list(zip(where.tolist(), quats.tolist(), strict=True))
             if kind == "flat":
-                hands[side] = np.concatenate([where, quats], axis=1).tolist()
+                hands[side] = [[*p, *q] for p, q in each]
             elif kind == "openxr":
-                palm = {
-                    "pose": {"position": dict.fromkeys("xyz", 0.0), "orientation": dict.fromkeys("xyzw", 0.5)}
-                }
-                hands[side] = [palm] + [
-                    {
-                        "pose": {
-                            "position": dict(zip("xyz", p, strict=True)),
-                            "orientation": dict(zip("xyzw", q, strict=True)),
-                        }
-                    }
-                    for p, q in zip(where.tolist(), quats.tolist(), strict=True)
+                palm = [0.0] * 3, [0.5] * 4
+                hands[side] = [
+                    {"pose": {"position": dict(zip("xyz", p)), "orientation": dict(zip("xyzw", q))}}  # noqa: B905
+                    for p, q in [palm, *each]
                 ]
             else:
-                hands[side] = {
-                    name: {"position": p, "quaternion": q, "radius": 0.01}
-                    for name, p, q in zip(WEBXR, where.tolist(), quats.tolist(), strict=True)
-                }
+                values = [{"position": p, "quaternion": q, "radius": 0.01} for p, q in each]
+                hands[side] = dict(zip(WEBXR, values, strict=True))
         if kind == "listed":
-            out.append(
-                {"hands": [{"handedness": s, "joints": j} for s, j in hands.items()], "timestamp": 20.0 * row}
-            )
-        else:
-            out.append(hands | {"timestamp": 20.0 * row})
+            hands = {"hands": [{"handedness": s, "joints": j} for s, j in hands.items()]}
+        out.append(hands | {"timestamp": 20.0 * row})
     return {"frames": out} if kind != "flat" else out
 
 
@@ -148,8 +134,7 @@ def test_angles_come_back(tmp_path: Path, kind: str) -> None:
 
 def test_a_take_of_them(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(frames()), encoding="utf-8")
-    take = capture(tmp_path / "a.json")
-    assert sorted(hand.side for hand in take.hands) == ["left", "right"]
+    assert sorted(hand.side for hand in capture(tmp_path / "a.json").hands) == ["left", "right"]
 
 
 def test_frames_without_a_hand_and_untracked_joints(tmp_path: Path) -> None:
@@ -160,56 +145,37 @@ def test_frames_without_a_hand_and_untracked_joints(tmp_path: Path) -> None:
     assert left.present.tolist() == [True, False, False, True]
 
 
-def changed(name: str, joint: Any) -> Any:
-    content = frames()
-    for frame in content["frames"]:
-        frame["right"][name] = joint
-    return content
+QUARTER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""Turns the bones of a hand along +X, as some programs have them"""
 
 
-def without(name: str) -> Any:
-    content = frames()
-    for frame in content["frames"]:
-        for side in SIDES:
-            del frame[side][name]
-    return content
-
-
-def in_millimetres() -> Any:
-    content = frames()
-    for frame in content["frames"]:
-        for side in SIDES:
-            for joint in frame[side].values():
-                joint["position"] = [1000.0 * x for x in joint["position"]]
-    return content
-
-
-def turned_by_a_quarter() -> Any:
-    """As of a program whose bones lie along +X."""
-    content = frames()
-    quarter = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    for side in SIDES:
-        for row, axes in enumerate(xyzw(joints(side)[1] @ quarter).tolist()):
-            for name, quat in zip(WEBXR, axes, strict=True):
-                content["frames"][row][side][name]["quaternion"] = quat
-    return content
+def turned(joint: dict[str, Any]) -> dict[str, Any]:
+    x, y, z, w = joint["quaternion"]
+    axes = rotmat_to_quat(quat_to_rotmat(np.array([w, x, y, z])) @ QUARTER)
+    return joint | {"quaternion": np.roll(axes, -1).tolist()}
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("which", "change", "words"),
     [
-        (lambda: changed("thumb-tip", [1.0, 2.0]), "x, y, z and a quaternion"),
-        (lambda: changed("thumb-tip", {"position": [0, 0, "a"], "quaternion": [0, 0, 0, 1]}), "thumbtip"),
-        (lambda: changed("thumb-tip", {"position": [0, 0, 1e300], "quaternion": [0, 0, 0, 1]}), "beyond"),
-        (lambda: changed("ring-finger-phalanx-distal", None), None),
-        (lambda: without("middle-finger-phalanx-proximal"), "lacks joints"),
-        (in_millimetres, "expected metres"),
-        (turned_by_a_quarter, "past the next joint"),
+        ("thumb-tip", lambda _: [1.0, 2.0], "x, y, z and a quaternion"),
+        ("thumb-tip", lambda joint: joint | {"position": [0, 0, "a"]}, "thumbtip"),
+        ("thumb-tip", lambda joint: joint | {"position": [0, 0, 1e300]}, "beyond"),
+        ("ring-finger-phalanx-distal", lambda _: None, "lacks joints"),
+        ("middle-finger-phalanx-proximal", None, "lacks joints"),
+        ("", lambda joint: joint | {"position": [1000.0 * x for x in joint["position"]]}, "expected metres"),
+        ("", turned, "past the next joint"),
     ],
 )
-def test_bad_files_are_named_in_a_sentence(tmp_path: Path, content: Any, words: str | None) -> None:
-    with pytest.raises(InputError, match=words or "lacks joints"):
-        read(tmp_path, content())
+def test_bad_files_are_named_in_a_sentence(tmp_path: Path, which: str, change: Any, words: str) -> None:
+    content = frames()
+    for hand in (frame[side] for frame in content["frames"] for side in SIDES):
+        for name in [name for name in hand if which in name]:
+            joint = hand.pop(name)
+            if change is not None:
+                hand[name] = change(joint)
+    with pytest.raises(InputError, match=words):
+        read(tmp_path, content)
 
 
 def test_a_second_hand_of_a_side_is_left_out_and_said(tmp_path: Path) -> None:

@@ -63,6 +63,10 @@ def worst_in_space(recording: Recording, away: Any = 0.0) -> float:
     return float(max(np.abs(hand.points - away - TOLD.points[hand.side]).max() for hand in recording.points))
 
 
+def of_mmpose(points: Any, scores: Any) -> list[Any]:
+    return [{"frame_id": 0, "instances": [{"keypoints": points, "keypoint_scores": scores}]}]
+
+
 # Frames of JSON
 
 
@@ -139,33 +143,27 @@ def test_files_of_a_folder_by_their_names(tmp_path: Path) -> None:
 # Left and right
 
 
-def relabelled(layout: Callable[[int], Any], **labels: list[Any]) -> list[Any]:
-    return [layout(i) | labels for i in ALL]
-
-
 @pytest.mark.parametrize(
-    ("frames", "swapped"),
+    ("layout", "labels", "swapped"),
     [
-        ([files.tasks(i) for i in ALL], False),
-        ([files.legacy(i) for i in ALL], True),
-        (relabelled(files.tasks, handedness=["Right", "Left"]), True),
-        (relabelled(files.legacy, multi_handedness=["left", "right"]), False),
+        (files.tasks, {}, False),
+        (files.legacy, {}, True),
+        (files.tasks, {"handedness": ["Right", "Left"]}, True),
+        (files.legacy, {"multi_handedness": ["left", "right"]}, False),
     ],
 )
-@pytest.mark.parametrize("depth", [True, False])
 def test_fingers_tell_whose_sides_are_of_mirrored_pictures(
-    tmp_path: Path, frames: list[Any], swapped: bool, depth: bool
+    tmp_path: Path, layout: Callable[[int], Any], labels: dict[str, Any], swapped: bool
 ) -> None:
-    if not depth:  # then the layout tells
-        for frame in frames:
-            frame.pop("worldLandmarks", None)
-        hook = lambda of: {k: v for k, v in of.items() if k != "z"}  # noqa: E731
-        frames = json.loads(json.dumps(frames), object_hook=hook)
-        swapped = "multi_handedness" in frames[0]
+    frames = [layout(i) | labels for i in ALL]
     recording = read(saved(tmp_path / "hands.json", frames))
     assert says(recording, "left and right are swapped") == swapped
-    if depth:
-        assert worst(recording) < 0.01
+    assert worst(recording) < 0.01
+    # Without a depth, the layout tells.
+    plane = [{name: each for name, each in frame.items() if name != "worldLandmarks"} for frame in frames]
+    plane = json.loads(json.dumps(plane).replace('"z":', '"depth":'))
+    recording = read(saved(tmp_path / "plane.json", plane))
+    assert says(recording, "left and right are swapped") == (layout is files.legacy)
 
 
 @pytest.mark.parametrize("key", ["hand", "type", "label", "handedness"])
@@ -174,18 +172,13 @@ def test_counts_are_no_sides(tmp_path: Path, key: str) -> None:
     hands = [{key: i, "landmarks": landmarks("right", 0).tolist()} for i in (-1, 0, 1)]
     path = saved(tmp_path / "hands.json", [{"hands": hands}])
     assert seen_in(read(path, hands="left")).left.tolist() == [True] * 3
-    for hand, side in zip(hands, (-1, 1, 1), strict=True):
-        hand["chirality"] = side
+    hands = [hand | {"chirality": side} for hand, side in zip(hands, (-1, 1, 1), strict=True)]
     saved(path, [{"hands": hands}])
     assert seen_in(read(path, reader="apple-vision")).left.tolist() == [True, False, False]
 
 
-@pytest.mark.parametrize("layout", ["mmpose", "apple-vision"])
-def test_hands_of_unknown_side_without_depth(tmp_path: Path, layout: str) -> None:
-    hand = {"keypoints": TOLD.pixels["left"][0].tolist(), "keypoint_scores": [0.8] * 21}
-    points = dict(zip(files.APPLE_CODES, files.from_below("left", 0).tolist(), strict=True))
-    content = [{"frame_id": 0, "instances": [hand]}] if layout == "mmpose" else {"chirality": 0, **points}
-    path = saved(tmp_path / "a.json", content)
+def test_hands_of_unknown_side_without_depth(tmp_path: Path) -> None:
+    path = saved(tmp_path / "a.json", of_mmpose(TOLD.pixels["left"][0].tolist(), [0.8] * 21))
     assert seen_in(read(path, hands="left")).left.tolist() == [True]
     assert seen_in(read(path)).left.tolist() == [False]
     assert says(read(path), "--hands left for a left one")
@@ -194,31 +187,21 @@ def test_hands_of_unknown_side_without_depth(tmp_path: Path, layout: str) -> Non
 # People and points that are missing
 
 
-@pytest.mark.parametrize(
-    ("layout", "people"),
-    [
-        (
-            lambda people: {"people": people},
-            [files.person(0), {"hand_left_keypoints_2d": files.triples(TOLD.pixels["left"][1])}],
-        ),
-        (lambda people: {"frame_id": 0, "instances": people}, [files.instance(0), files.instance(1)]),
-    ],
-)
-def test_one_of_several_people(tmp_path: Path, layout: Callable[[Any], Any], people: list[Any]) -> None:
-    path = saved(tmp_path / "a_0.json", [layout(people)])
-    assert len(seen_in(read(path))) in (3, 4)
-    second = seen_in(read(path, person=2))
-    assert np.abs(second.keypoints[second.left] - TOLD.pixels["left"][1]).max() < 0.01
-    with pytest.raises(InputError, match="no person 3; its frames have at most 2"):
-        read(path, person=3)
-
-
-@pytest.mark.parametrize("name", ["mediapipe", "apple-vision", "freemocap"])
-def test_programs_that_tell_no_persons(tmp_path: Path, name: str) -> None:
-    path = saved(tmp_path / "a.json", [files.apple(0) if name == "apple-vision" else files.tasks(0)])
-    path = files.trajectories(tmp_path / "a.csv", *SIDES) if name == "freemocap" else path
+def test_one_of_several_people(tmp_path: Path) -> None:
+    """Of programs that tell persons apart."""
+    alone = {"hand_left_keypoints_2d": files.triples(TOLD.pixels["left"][1])}
+    for frame in (
+        {"people": [files.person(0), alone]},
+        {"frame_id": 0, "instances": [files.instance(0), files.instance(1)]},
+    ):
+        path = saved(tmp_path / "a_0.json", [frame])
+        assert len(seen_in(read(path))) in (3, 4)
+        second = seen_in(read(path, person=2))
+        assert np.abs(second.keypoints[second.left] - TOLD.pixels["left"][1]).max() < 0.01
+        with pytest.raises(InputError, match="no person 3; its frames have at most 2"):
+            read(path, person=3)
     with pytest.raises(OptionError, match="belong to no persons"):
-        read(path, person=1)
+        read(saved(path, [files.tasks(0)]), person=1)
 
 
 def test_zeros_are_missing_and_hidden_hands_are_left_out(tmp_path: Path) -> None:
@@ -235,15 +218,12 @@ def test_zeros_are_missing_and_hidden_hands_are_left_out(tmp_path: Path) -> None
     assert says(recording, "1 of 2 hands are left out")
     doubtful = files.instance(0)
     doubtful["keypoint_scores"][91 + 8] = 0.01
-    mmpose = read(
-        saved(tmp_path / "b.json", [{"instances": [doubtful, files.instance(1, score=0.1)], "frame_id": 0}])
-    )
+    people = [doubtful, files.instance(1, score=0.1)]
+    mmpose = read(saved(tmp_path / "b.json", [{"instances": people, "frame_id": 0}]))
     assert seen_in(mmpose).confidence[seen_in(mmpose).left][0, 8] == pytest.approx(0.01)
     assert says(mmpose, "2 of 4 hands are left out")
-    points = {
-        n: [x, y, 0.6]
-        for n, (x, y) in zip(files.APPLE_CODES, files.from_below("left", 0).tolist(), strict=True)
-    }
+    below = files.from_below("left", 0).tolist()
+    points = {name: [x, y, 0.6] for name, (x, y) in zip(files.APPLE_CODES, below, strict=True)}
     points["VNHLKITIP"][2] = 0.0
     del points["VNHLKPTIP"]
     seen = seen_in(read(saved(tmp_path / "c.json", {"chirality": "left", **points})))
@@ -276,16 +256,13 @@ def test_scales_of_openpose_are_noticed(tmp_path: Path, low: float, said: str, c
 
 
 def test_pixels_with_a_depth_in_parts_of_the_width(tmp_path: Path) -> None:
-    rows = rows_with_times(lambda s, i: np.column_stack([TOLD.pixels[s][i], landmarks(s, i)[:, 2]]))
+    made = files.rows_of_hands(lambda s, i: np.column_stack([TOLD.pixels[s][i], landmarks(s, i)[:, 2]]))
+    rows = [[i, i / 50.0, *rest] for i, *rest in made]
     path = table(tmp_path / "a.csv", ["frame", "time", "hand", *wide()], rows)
     recording = read(path, picture_size=(WIDTH, HEIGHT))
     assert (recording.size, recording.fps) == ((WIDTH, HEIGHT), 50.0)
     assert worst(recording) < 0.01
     assert seen_in(read(path)).depth is None
-
-
-def rows_with_times(made: Any) -> list[list[Any]]:
-    return [[i, i / 50.0, side, *rest] for i, side, *rest in files.rows_of_hands(made)]
 
 
 # Tables
@@ -358,75 +335,55 @@ def test_rows_without_numbers_and_missing_cells(tmp_path: Path) -> None:
 # Hands in space
 
 
-@pytest.fixture
-def output(tmp_path: Path) -> Path:
-    """FreeMoCap's folder."""
-    folder = tmp_path / "recording" / "output_data"
-    folder.mkdir(parents=True)
-    for side in SIDES:
-        np.save(folder / f"mediapipe_{side}_hand_3d_xyz.npy", files.in_room(side))
-    np.save(folder / "mediapipe_body_3d_xyz.npy", np.zeros((FRAMES, 33, 3)))
-    return folder
-
-
 AWAY = np.array([0.2, -1.1, -0.9])
 """Metres that FreeMoCap's room lies from the camera"""
 
 
-def test_arrays_of_freemocap(output: Path) -> None:
-    assert is_recording(output)
-    for path in (output, output.parent):
+def output(folder: Path, **hands: np.ndarray) -> Path:
+    """FreeMoCap's folder, with these hands' arrays in millimetres."""
+    path = folder / "output_data"
+    path.mkdir(exist_ok=True)
+    for side in SIDES:
+        np.save(path / f"mediapipe_{side}_hand_3d_xyz.npy", hands.get(side, files.in_room(side)))
+    np.save(path / "mediapipe_body_3d_xyz.npy", np.zeros((FRAMES, 33, 3)))
+    return path
+
+
+def test_arrays_of_freemocap(tmp_path: Path) -> None:
+    folder = output(tmp_path)
+    for path in (folder, tmp_path):
         recording = read(path)
-        assert recording.format == "freemocap"
-        assert recording.frame_numbers.tolist() == ALL
+        assert (recording.format, recording.frame_numbers.tolist()) == ("freemocap", ALL)
         assert worst_in_space(recording, AWAY) < 1e-9
         assert not any(hand.on_joints for hand in recording.points)
-    assert [hand.side for hand in read(output / "mediapipe_left_hand_3d_xyz.npy").points] == ["left"]
+    assert [hand.side for hand in read(folder / "mediapipe_left_hand_3d_xyz.npy").points] == ["left"]
     points = files.in_room("left")
     points[2], points[3, 8] = np.nan, np.nan
-    np.save(output / "mediapipe_left_hand_3d_xyz.npy", points)
-    left = read(output).points[0]
+    left = read(output(tmp_path, left=points)).points[0]
     assert left.present.tolist() == [True, True, False, True, True, True]
     assert np.isnan(left.points[3, 8]).all()
 
 
+def test_units_and_sides_of_freemocap(tmp_path: Path) -> None:
+    """The palm's length tells the unit, and fingers whose they are."""
+    for unit, said in ((1.0, False), (0.1, "centimetres"), (0.001, "metres")):
+        recording = read(output(tmp_path, **{side: unit * files.in_room(side) for side in SIDES}))
+        assert worst_in_space(recording, AWAY) < 1e-9
+        assert says(
+            recording, f"its unit is {said}, by the palm's length" if said else "its unit is"
+        ) == bool(said)
+    swapped = read(output(tmp_path, **{side: files.in_room(other_side(side)) for side in SIDES}))
+    assert says(swapped, "its left hand bends like a right one")
+
+
 def test_tables_of_freemocap(tmp_path: Path) -> None:
     recording = read(files.trajectories(tmp_path / "a_by_trajectory.csv", *SIDES))
-    assert recording.format == "freemocap"
-    assert recording.frame_numbers.tolist() == ALL
+    assert (recording.format, recording.frame_numbers.tolist()) == ("freemocap", ALL)
     assert worst_in_space(recording, AWAY) < 1e-9
     header = named("xyz", "body_nose", *(f"right_hand_{i:04d}" for i in range(21)))
-    rows = np.concatenate([np.full((FRAMES, 1, 3), 500.0), files.in_room("right")], axis=1).reshape(
-        FRAMES, -1
-    )
-    assert [hand.side for hand in read(table(tmp_path / "b.csv", header, rows.tolist())).points] == ["right"]
-
-
-@pytest.mark.parametrize(("unit", "said"), [(1.0, None), (0.1, "centimetres"), (0.001, "metres")])
-def test_units_by_the_palms_length(output: Path, unit: float, said: str | None) -> None:
-    for side in SIDES:
-        np.save(output / f"mediapipe_{side}_hand_3d_xyz.npy", unit * files.in_room(side))
-    recording = read(output)
-    assert worst_in_space(recording, AWAY) < 1e-9
-    assert says(recording, "its unit is") == (said is not None)
-
-
-def test_swapped_files_are_noticed(output: Path) -> None:
-    for side in SIDES:
-        np.save(output / f"mediapipe_{side}_hand_3d_xyz.npy", files.in_room(other_side(side)))
-    assert says(read(output), "its left hand bends like a right one")
-
-
-def test_hands_come_before_a_virtual_camera_and_are_fitted(output: Path) -> None:
-    """The test's points are a skeleton's joints, and FreeMoCap's are where MediaPipe sees them: millimetres
-    apart."""
-    take = capture(output, fps=30)
-    assert sorted(hand.side for hand in take.hands) == list(SIDES)
-    assert take.fps == 30.0
-    for hand in take.hands:
-        truth = TOLD.points[hand.side]
-        fitted = hand.joints_3d - hand.joints_3d[:, :1]
-        assert np.linalg.norm(fitted - (truth - truth[:, :1]), axis=-1).mean() < 0.01
+    rows = np.concatenate([np.full((FRAMES, 1, 3), 500.0), files.in_room("right")], axis=1)
+    right = read(table(tmp_path / "b.csv", header, rows.reshape(FRAMES, -1).tolist()))
+    assert [hand.side for hand in right.points] == ["right"]
 
 
 @pytest.mark.parametrize("made", [files.websocket, files.leapc])
@@ -447,20 +404,14 @@ def test_frames_of_leap(tmp_path: Path, made: Callable[[], Any]) -> None:
 
 
 def test_world_landmarks_alone_are_hands_in_space(tmp_path: Path) -> None:
-    frames = [
-        {"handedness": list(SIDES), "world_landmarks": [TOLD.world[s][i].tolist() for s in SIDES]}
-        for i in ALL
-    ]
-    for recording in (
-        read(saved(tmp_path / "a.json", frames)),
-        read(
-            table(
-                tmp_path / "a.csv",
-                ["frame", "side", *wide()],
-                files.rows_of_hands(lambda s, i: TOLD.world[s][i]),
-            )
-        ),
+    world = [[TOLD.world[side][i].tolist() for side in SIDES] for i in ALL]
+    frames = [{"handedness": list(SIDES), "world_landmarks": hands} for hands in world]
+    rows = files.rows_of_hands(lambda s, i: TOLD.world[s][i])
+    for path in (
+        saved(tmp_path / "a.json", frames),
+        table(tmp_path / "a.csv", ["frame", "side", *wide()], rows),
     ):
+        recording = read(path)
         assert recording.seen is None
         assert [hand.side for hand in recording.points] == list(SIDES)
         for hand in recording.points:
@@ -564,10 +515,6 @@ def in_metres(frame: dict[str, Any]) -> None:
         thing.update({k: [x / 1000.0 for x in v] for k, v in thing.items() if isinstance(v, list)})
 
 
-def of_mmpose(points: Any, scores: Any) -> list[Any]:
-    return [{"frame_id": 0, "instances": [{"keypoints": points, "keypoint_scores": scores}]}]
-
-
 def of_left_hand(numbers: list[Any]) -> dict[str, Any]:
     return {"people": [{"hand_left_keypoints_2d": numbers}]}
 
@@ -591,32 +538,26 @@ WRONG: list[tuple[str, Any, str]] = [
     ("openpose", of_left_hand(["a"] * 63), "frame 1 is not as OpenPose writes it"),
     ("openpose", of_left_hand([0.0] * 63), "at least 6 points"),
     ("openpose", of_left_hand([1e300] * 63), "beyond"),
-    ("openpose", {"people": [7]}, "--hand"),
     ("openpose", {"people": []}, "--hand"),
     ("mmpose", of_mmpose([[1.0, 2.0]] * 17, [0.9] * 17), "17 points; expected 133, 136, 21"),
     ("mmpose", of_mmpose([[1.0, 2.0, 3.0]] * 133, [0.9] * 133), "3 numbers; expected xy"),
     ("mmpose", of_mmpose([[1.0, 2.0]] * 133, [0.9] * 3), "133 points with 3 scores"),
     ("mmpose", of_mmpose([["a", "b"]] * 133, [0.9] * 133), "is not as MMPose writes it"),
-    ("mmpose", of_mmpose([[1e300, 1.0]] * 133, [0.9] * 133), "beyond"),
-    ("mmpose", of_mmpose([[None, None]] * 133, [0.9] * 133), "is not as MMPose writes it"),
     ("mmpose", [files.mmpose(0), {"frame_id": 1, "instances": 3}], "it has no list of instances"),
     ("mmpose", [files.mmpose(0), {"frame_id": 0, "instances": []}], "frame 0 is there twice"),
     ("mediapipe", of_side(files.points(np.ones((20, 3)))), "20 points; expected 21"),
     ("mediapipe", of_side([{"x": "a", "y": 1, "z": 1}] * 21), "not as MediaPipe"),
-    ("mediapipe", of_side([[1e300, 1, 1]] * 21), "beyond"),
     ("mediapipe", of_side([[None] * 3] * 21), "at least 6"),
     ("mediapipe", [{"landmarks": [], "handedness": []}], "none of its frames has a hand"),
     ("mediapipe", {"people": "x"}, "none of its frames has a hand"),
     ("apple-vision", of_apple("x"), "none of its frames has a hand"),
     ("apple-vision", of_apple([1]), "a point of 1 numbers"),
     ("apple-vision", of_apple({"x": "a", "y": 1}), "could not convert"),
-    ("apple-vision", of_apple([1e300, 1, 1]), "beyond"),
     ("leap", leap(in_metres), "expected about 90, in millimetres"),
     ("leap", leap(lambda frame: frame["hands"][0].update(type="both")), "type must be left or right"),
     ("leap", leap(lambda frame: frame["hands"][0].pop("wrist")), "a joint is not there"),
     ("leap", leap(lambda frame: frame["pointables"][3].update(dipPosition=[1.0])), "a point of 1 numbers"),
     ("leap", leap(lambda frame: frame["pointables"][3].update(type=7)), "it lacks 3"),
-    ("leap", leap(lambda frame: frame["pointables"][3].update(btipPosition=[1e300] * 3)), "beyond"),
     ("leap", [*files.websocket(), *([{}] * LIMITS.frames)], f"at most {LIMITS.frames} are read; cut it"),
     ("points", [], "Points"),
     ("points", ours(version=2), "newer version"),
@@ -624,7 +565,6 @@ WRONG: list[tuple[str, Any, str]] = [
     ("points", ours(frames=[1] * FRAMES), "numbers do not increase"),
     ("points", ours(hands=[{"side": "Left", "keypoints_2d": []}]), "must be left or right"),
     ("points", ours(hands=[]), "none of its frames has a hand"),
-    ("points", ours(hands=3), "not iterable"),
     ("points", ours(hands=[{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]), "inhomogeneous|reshape"),
     ("points", ours(frames=[1], hands=[{"side": "left", "keypoints_3d": [[[1e300] * 3] * 21]}]), "beyond"),
     ("points", ours(fps=0), "fps must be"),
@@ -656,12 +596,9 @@ OWN = [[1, "left", name, i, i * i] for i, name in enumerate(KEYPOINT_NAMES)]
             (["frame", "hand", *wide()], [[cell, "left", *HAND]], "no frame's number")
             for cell in ("1.5", "1e-3", "1e400", "1e17", "first", "")
         ),
-        (OURS, [*OWN, [1, "left", "wrist", 1, 2]], "twice"),
-        (OURS, [*OWN, [1.5, "left", "wrist", 1, 2]], "no frame's number"),
         (OURS, [*OWN, [2, "both", "wrist", 1, 2]], "expected left or right"),
         (OURS, [*OWN, [2, "left", "elbow", 1, 2]], "no point 'elbow'"),
         (OURS, [*OWN, [2, "left", "21", 1, 2]], "no point '21'"),
-        (OURS, [*OWN, [2, "left", "wrist", 1e300, 2]], "beyond"),
     ],
 )
 def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any], said: str) -> None:
@@ -677,11 +614,10 @@ def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any
         (np.full((FRAMES, 21, 3), np.nan), "none of its frames has a hand"),
         (np.full((FRAMES, 21, 3), 7.0), "its palms are 0 long"),
         (np.array([{}], dtype=object), "no array"),
-        (np.full((FRAMES, 21, 3), 1e300), "beyond"),
         (files.in_room("left")[:4], "different numbers of frames"),
     ],
 )
-def test_arrays_that_are_wrong(output: Path, array: np.ndarray, said: str) -> None:
-    np.save(output / "mediapipe_left_hand_3d_xyz.npy", array)
+def test_arrays_that_are_wrong(tmp_path: Path, array: np.ndarray, said: str) -> None:
+    folder = output(tmp_path, left=array)
     with pytest.raises(InputError, match=said):
-        read(output if len(array) == 4 else output / "mediapipe_left_hand_3d_xyz.npy")
+        read(folder if len(array) == 4 else folder / "mediapipe_left_hand_3d_xyz.npy")

@@ -13,10 +13,9 @@ from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import Chain
 from handfit_core.interchange.formats.sam3d_body import MHR_LANDMARKS
-from handfit_core.interchange.opening import read_recording
-from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import SIDES, Side
+from tests.core.interchange.known_hands import read
 
 FOCAL, CENTRE = 1500.0, np.array([960.0, 540.0])
 ORDER: dict[Side, list[int]] = {
@@ -60,47 +59,35 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_people_of_one_picture_and_its_camera(folder: Path) -> None:
-    read = read_recording(folder, CaptureOptions())
-    assert read.frame_numbers.tolist() == [1]
-    assert [hand.side for hand in read.points] == ["left", "right"] * 2
-    for hand, at in zip(read.points, (-0.6, -0.6, 0.5, 0.5), strict=True):
+    found = read(folder)
+    assert (found.frame_numbers.tolist(), found.size) == ([1], (1920, 1080))
+    assert [hand.side for hand in found.points] == ["left", "right"] * 2
+    for hand, at in zip(found.points, (-0.6, -0.6, 0.5, 0.5), strict=True):
         np.testing.assert_allclose(hand.points[0], posed(hand.side, at)[1], atol=1e-5)
-    assert read.size == (1920, 1080)
-    assert read.intrinsics is not None
-    assert [read.intrinsics.fx, read.intrinsics.cx, read.intrinsics.cy] == pytest.approx(
-        [FOCAL, *CENTRE], abs=0.02
-    )
-    one = read_recording(folder, CaptureOptions(person=2))
-    np.testing.assert_array_equal(one.points[1].points, read.points[3].points)
+    camera = [getattr(found.intrinsics, name) for name in ("fx", "cx", "cy")]
+    assert camera == pytest.approx([FOCAL, *CENTRE], abs=0.02)
+    np.testing.assert_array_equal(read(folder, person=2).points[1].points, found.points[3].points)
 
 
 def test_frames_by_the_numbers_of_the_names(tmp_path: Path) -> None:
     for name in ("sam3d_0007", "sam3d_0009"):
         np.savez(tmp_path / f"{name}.npz", **person())
-    assert read_recording(tmp_path, CaptureOptions()).frame_numbers.tolist() == [7, 9]
+    assert read(tmp_path).frame_numbers.tolist() == [7, 9]
+
+
+def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
+    """Mean metres between points (N, 3), once one is laid over the other."""
+    laid = align(ours, theirs, with_scale=True)
+    off = laid.scale * ours @ laid.rotation.T + laid.translation - theirs
+    return float(np.linalg.norm(off, axis=-1).mean())
 
 
 def test_fingers_bend_as_they_did(folder: Path) -> None:
-    take = capture(folder / "img_subj00.npz")
-    for hand in take.hands:
-        pose, _ = posed(hand.side)
-        model = load_model(None, hand.side)
-        flat = np.zeros(3)
-        true, found = (model.keypoints(None, flat, p, flat) for p in (pose, hand.hand_pose[0]))
-        laid = align(found, true, with_scale=True)
-        off = np.linalg.norm(laid.scale * found @ laid.rotation.T + laid.translation - true, axis=-1)
-        assert off.mean() < 0.003, off
-
-
-def test_swapped_fingers_stand_out(folder: Path) -> None:
-    """The classic mistake: ring and little finger exchanged bring the knuckles out of their order."""
-    (hand,) = [
-        h for h in read_recording(folder / "img_subj00.npz", CaptureOptions()).points if h.side == "left"
-    ]
-    wrist, index, middle, ring, little = (hand.points[0][k] for k in (0, 5, 9, 13, 17))
-    steps = [np.linalg.norm(a - index) for a in (middle, ring, little)]
-    assert steps == sorted(steps)
-    assert np.linalg.norm(wrist - little) < np.linalg.norm(wrist - middle)
+    flat = np.zeros(3)
+    for hand in capture(folder / "img_subj00.npz").hands:
+        poses = posed(hand.side)[0], hand.hand_pose[0]
+        true, found = (load_model(None, hand.side).keypoints(None, flat, pose, flat) for pose in poses)
+        assert apart(found, true) < 0.003
 
 
 @pytest.mark.parametrize(
@@ -116,41 +103,32 @@ def test_swapped_fingers_stand_out(folder: Path) -> None:
 def test_bad_files_are_named_in_a_sentence(tmp_path: Path, change: dict[str, Any], words: str) -> None:
     np.savez(tmp_path / "a.npz", **(person() | change))
     with pytest.raises(HandfitError, match=words):
-        read_recording(tmp_path / "a.npz", CaptureOptions())
+        read(tmp_path / "a.npz")
 
 
-def test_two_files_of_one_person_and_frame(tmp_path: Path) -> None:
+def test_people_and_frames_that_are_not_one_each(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(HandfitError, match="no person 3; there are 2"):
+        read(folder, person=3)
     for name in ("a_1_person0", "b_1_person0"):
         np.savez(tmp_path / f"{name}.npz", **person())
     with pytest.raises(HandfitError, match="one frame and person"):
-        read_recording(tmp_path, CaptureOptions())
-
-
-def test_there_are_fewer_people(folder: Path) -> None:
-    with pytest.raises(HandfitError, match="no person 3; there are 2"):
-        read_recording(folder, CaptureOptions(person=3))
+        read(tmp_path)
 
 
 def test_real_files(samples: Path) -> None:
     """Four people of one picture; the points are Meta's own joints to the last digit."""
     folder = samples / "other_trackers"
-    read = read_recording(folder, CaptureOptions())
-    assert read.size == (1920, 890)
-    assert len(read.points) == 8
+    found = read(folder)
+    assert (found.size, len(found.points)) == ((1920, 890), 8)
     with np.load(folder / "sam3d_body_img_subj02.npz") as arrays:
         joints = arrays["pred_joint_coords"].astype(np.float64) + arrays["pred_cam_t"]
-    np.testing.assert_allclose(read.points[5].points[0][[0, 5, 1]], joints[[41, 56, 61]], atol=1e-6)
-    np.testing.assert_allclose(read.points[4].points[0][[0, 5, 1]], joints[[77, 92, 97]], atol=1e-6)
+    np.testing.assert_allclose(found.points[5].points[0][[0, 5, 1]], joints[[41, 56, 61]], atol=1e-6)
+    np.testing.assert_allclose(found.points[4].points[0][[0, 5, 1]], joints[[77, 92, 97]], atol=1e-6)
 
 
 def test_real_hands_lie_on_their_joints(samples: Path) -> None:
     """Four people, eight hands: Meta's joints and ours, but for the wrist and the thumb's root, once one is
     laid over the other. What is left is how the skeletons differ."""
-    folder = samples / "other_trackers"
-    take = capture(folder)
-    joints = [k for k in range(21) if k not in (0, 1)]
-    for hand, told in zip(take.hands, read_recording(folder, CaptureOptions()).points, strict=True):
-        ours, theirs = hand.joints_3d[0][joints], told.points[0][joints]
-        laid = align(ours, theirs, with_scale=True)
-        off = np.linalg.norm(laid.scale * ours @ laid.rotation.T + laid.translation - theirs, axis=-1)
-        assert off.mean() < 0.003, off
+    folder, joints = samples / "other_trackers", [k for k in range(21) if k not in (0, 1)]
+    for hand, told in zip(capture(folder).hands, read(folder).points, strict=True):
+        assert apart(hand.joints_3d[0][joints], told.points[0][joints]) < 0.003

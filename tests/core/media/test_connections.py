@@ -1,9 +1,5 @@
 """No name and no content of a file makes a decoder open something else: an address, or another file."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -15,7 +11,7 @@ from tests.listener import listening
 from tests.playlists import names, playlists
 
 
-def test_a_name_is_no_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_name_is_no_address(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     content = clip(tmp_path / "clip.mp4", frames=5)
     with listening(tmp_path) as (port, connections):
@@ -28,26 +24,19 @@ def test_a_name_is_no_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", ["list.mp4", "list.avi", "list.xyz", "list.gif"])
-def test_a_playlist_is_no_video(tmp_path: Path, name: str) -> None:
-    with listening(tmp_path) as (port, connections):
-        for kind, content in playlists(f"http://127.0.0.1:{port}/clip.mp4").items():
-            (tmp_path / name).write_bytes(content)
-            with pytest.raises(InputError, match=r"not a video|neither a picture nor a video"):
-                open_media(tmp_path / name)
-            assert connections() == 0, kind
-
-
-def test_a_playlist_reads_no_other_file(tmp_path: Path) -> None:
+def test_a_playlist_is_no_video(tmp_path, name):
     hidden = tmp_path / "hidden.mp4"
     clip(hidden)
-    for address in (str(hidden), hidden.name, f"file:{hidden}"):
-        for content in playlists(address).values():
-            (tmp_path / "list.mp4").write_bytes(content)
-            with pytest.raises(InputError, match="not a video"):
-                list(open_media(tmp_path / "list.mp4").frames())
+    with listening(tmp_path) as (port, connections):
+        for address in (f"http://127.0.0.1:{port}/clip.mp4", str(hidden), hidden.name, f"file:{hidden}"):
+            for kind, content in playlists(address).items():
+                (tmp_path / name).write_bytes(content)
+                with pytest.raises(InputError, match=r"not a video|neither a picture nor a video"):
+                    open_media(tmp_path / name)
+                assert connections() == 0, kind
 
 
-def test_a_pattern_in_a_videos_name_reads_no_pictures(tmp_path: Path) -> None:
+def test_a_pattern_in_a_videos_name_reads_no_pictures(tmp_path):
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"secret{number}.png"), np.full((48, 64, 3), 99, dtype=np.uint8))
     for name in ("secret%d.mp4", "secret%01d.png.xyz", "secret%d.gif"):

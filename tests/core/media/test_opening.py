@@ -14,9 +14,9 @@ from tests.bombs import clip
 from tests.core.media.test_exif import photo, tiff_block
 
 
-def write(path: Path, pixels: np.ndarray) -> Path:
+def write(path: Path, pixels: np.ndarray | None = None) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(cv2.imencode(path.suffix, pixels)[1].tobytes())
+    path.write_bytes(cv2.imencode(path.suffix, grey(1) if pixels is None else pixels)[1].tobytes())
     return path
 
 
@@ -37,16 +37,14 @@ def numbers(source, frames: str | None = None) -> list[int]:
     return found
 
 
-def test_photo(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.png", np.dstack([grey(0)[..., 0], grey(0)[..., 0], grey(200)[..., 0]]))
+def test_photo(tmp_path):
+    path = write(tmp_path / "a.png", np.full((12, 20, 3), (0, 0, 200), np.uint8))
     media = open_media(path)
     (frame,) = media.frames()
     assert (media.source.kind, media.width, media.height, media.fps) == ("photo", 20, 12, 24.0)
+    assert (media.source.name, list(media.source.files)) == ("a", [str(path.resolve())])
     assert frame.number == 1
-    assert frame.rgb is not None
     np.testing.assert_array_equal(frame.rgb[0, 0], [200, 0, 0])  # RGB, not BGR
-    assert media.source.name == "a"
-    assert list(media.source.files) == [str(path.resolve())]
 
 
 @pytest.mark.parametrize(
@@ -62,40 +60,36 @@ def test_photo(tmp_path: Path) -> None:
     ],
     ids=["grey", "grey16", "rgb16", "opaque", "transparent", "half", "rgba16"],
 )
-def test_depths_and_channels(tmp_path: Path, pixels: np.ndarray, expected: list[int]) -> None:
+def test_depths_and_channels(tmp_path, pixels, expected):
     rgb, orientation = read_picture(write(tmp_path / "a.png", pixels))
     assert orientation == 1
     assert rgb.dtype == np.uint8
     np.testing.assert_array_equal(rgb, np.broadcast_to(np.array(expected, np.uint8), (8, 8, 3)))
 
 
-def test_pictures_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_are_decoded_once(tmp_path, monkeypatch):
     for n in (1, 2, 3):
         write(tmp_path / f"a.{n}.png", grey(n))
     decoded: list[int] = []
     decode = cv2.imdecode
     monkeypatch.setattr(cv2, "imdecode", lambda *args: decoded.append(1) or decode(*args))
     media = open_media(tmp_path)
-    first = [f.rgb for f in media.frames()]
-    assert len(decoded) == 3  # the first was needed for the size
-    again = [f.rgb for f in media.frames()]
-    assert len(decoded) == 6
-    np.testing.assert_array_equal(np.array(first), np.array(again))
+    for times in (1, 2):  # the first was needed for the size
+        assert [f.rgb[0, 0, 0] for f in media.frames() if f.rgb is not None] == [1, 2, 3]
+        assert len(decoded) == 3 * times
 
 
-def test_exif_orientation_is_undone(tmp_path: Path) -> None:
-    media = open_media(photo(tmp_path / "phone.jpg", tiff_block(6, "<"), 20, 12))
+def test_exif_orientation_is_undone(tmp_path):
+    media = open_media(photo(tmp_path / "phone.jpg", tiff_block(6), 20, 12))
     assert (media.width, media.height, media.source.orientation) == (12, 20, 6)
-    (frame,) = media.frames()
-    assert frame.rgb is not None
-    assert frame.rgb.shape == (20, 12, 3)
+    assert [f.rgb.shape for f in media.frames() if f.rgb is not None] == [(20, 12, 3)]
 
 
 @pytest.mark.parametrize("pattern", ["shot.%04d.png", "shot.####.png", "shot.*.png", "shot.%d.png"])
-def test_patterns_use_the_numbers_in_the_names(tmp_path: Path, pattern: str) -> None:
+def test_patterns_use_the_numbers_in_the_names(tmp_path, pattern):
     for n in (99, 100, 101, 103):
         write(tmp_path / f"shot.{n:04d}.png", grey(n))
-    write(tmp_path / "other.0099.png", grey(1))
+    write(tmp_path / "other.0099.png")
     (tmp_path / "shot.notes.txt").write_text("x")
     source = str(tmp_path / pattern)
     assert numbers(source) == [99, 100, 101, 103]
@@ -106,7 +100,7 @@ def test_patterns_use_the_numbers_in_the_names(tmp_path: Path, pattern: str) -> 
     assert [round(f.time * 24) for f in media.frames()] == [0, 1, 2, 4]
 
 
-def test_number_of_a_pattern_need_not_be_the_last(tmp_path: Path) -> None:
+def test_number_of_a_pattern_need_not_be_the_last(tmp_path):
     folder = tmp_path / "shots [final]"
     for n in (1001, 1002):
         write(folder / f"hand_{n}_v2.png", grey(n % 255))
@@ -115,32 +109,29 @@ def test_number_of_a_pattern_need_not_be_the_last(tmp_path: Path) -> None:
     assert numbers(str(folder / "hand_*.png")) == [1, 2]  # a glob says nothing of numbers
 
 
-def test_numbers_that_the_user_names_may_have_gaps_but_no_doubles(tmp_path: Path) -> None:
+def test_numbers_of_frames(tmp_path):
+    """Numbers that the user names may have gaps but no doubles; a folder's are those of one sequence; a time
+    is no number."""
     for name in ("shot.0001.png", "shot.0500.png"):
-        write(tmp_path / name, grey(1))
-    assert numbers(str(tmp_path / "shot.%04d.png")) == [1, 500]
-    write(tmp_path / "shot.1.png", grey(1))
-    assert numbers(str(tmp_path / "shot.%04d.png")) == [1, 2, 3]  # frame 1 twice: counted instead
-
-
-def test_photos_named_by_the_time_are_no_frames(tmp_path: Path) -> None:
-    for name in ("PXL_20240501_120001234", "PXL_20240501_120101234", "PXL_20240501_120201234"):
-        write(tmp_path / f"{name}.png", grey(1))
-    assert numbers(tmp_path) == [1, 2, 3]
-    assert sequence_numbers(sorted(tmp_path.iterdir())) is None
-
-
-def test_folder_and_list(tmp_path: Path) -> None:
+        write(tmp_path / "gap" / name)
+    assert numbers(str(tmp_path / "gap" / "shot.%04d.png")) == [1, 500]
+    write(tmp_path / "gap" / "shot.1.png")
+    assert numbers(str(tmp_path / "gap" / "shot.%04d.png")) == [1, 2, 3]
+    for time in ("120001234", "120101234", "120201234"):
+        write(tmp_path / "times" / f"PXL_20240501_{time}.png")
+    assert numbers(tmp_path / "times") == [1, 2, 3]
+    assert sequence_numbers(sorted((tmp_path / "times").iterdir())) is None
+    folder = tmp_path / "folder"
     for name in ("b10.png", "b9.png", "b11.png"):
-        write(tmp_path / name, grey(1))
-    assert numbers(tmp_path) == [9, 10, 11]
-    assert numbers([tmp_path / "b11.png", tmp_path / "b9.png"]) == [9, 11]
-    write(tmp_path / "zebra.png", grey(1))
-    assert numbers(tmp_path) == [1, 2, 3, 4]  # no longer one numbered sequence
-    assert open_media([tmp_path / "zebra.png"]).source.kind == "photo"
+        write(folder / name)
+    assert numbers(folder) == [9, 10, 11]
+    assert numbers([folder / "b11.png", folder / "b9.png"]) == [9, 11]
+    other = write(folder / "手 übung.png")
+    assert numbers(folder) == [1, 2, 3, 4]
+    assert open_media([other]).source.kind == "photo"
 
 
-def test_video(video: Path) -> None:
+def test_video(video):
     media = open_media(video)
     frames = list(media.frames())
     assert (media.fps, media.width, media.height) == (25.0, 64, 48)
@@ -150,31 +141,23 @@ def test_video(video: Path) -> None:
     np.testing.assert_allclose(levels, [20 * i for i in range(12)], atol=4)
     assert numbers(video, "3-8:2") == [3, 5, 7]
     picked = list(open_media(video, FrameRange.parse("7")).frames())
-    assert picked[0].rgb is not None
     assert float(picked[0].rgb.mean()) == pytest.approx(120, abs=4)
 
 
-def test_truncated_video_warns(video: Path, caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
-    # An .avi keeps its index at the end but can be read from the front.
-    whole = tmp_path / "clip.avi"
-    writer = cv2.VideoWriter(str(whole), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        writer.write(rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
-    writer.release()
-    data = whole.read_bytes()
-    whole.write_bytes(data[: int(len(data) * 0.6)])
+def test_truncated_video_warns(caplog, tmp_path):
+    """An .avi keeps its index at the end but can be read from the front."""
+    path = tmp_path / "clip.avi"
+    data = clip(path, "MJPG", 12)
+    path.write_bytes(data[: int(len(data) * 0.8)])
     with caplog.at_level(logging.WARNING, "handfit"):
-        found = [f.number for f in open_media(whole).frames()]
-    assert 10 <= len(found) < 60
+        found = [f.number for f in open_media(path).frames()]
+    assert 4 <= len(found) < 12
     assert "breaks off after frame" in caplog.text
 
 
-def test_unreadable_picture_in_a_sequence_is_an_empty_frame(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_unreadable_picture_in_a_sequence_is_an_empty_frame(tmp_path, caplog):
     for n in (1, 2, 3):
-        write(tmp_path / f"a{n}.png", grey(1))
+        write(tmp_path / f"a{n}.png")
     (tmp_path / "a2.png").write_bytes(b"not a picture")
     with caplog.at_level(logging.WARNING, "handfit"):
         frames = list(open_media(tmp_path).frames())
@@ -182,68 +165,55 @@ def test_unreadable_picture_in_a_sequence_is_an_empty_frame(
     assert "frame 2" in caplog.text
 
 
-def bad_inputs(folder: Path) -> dict[str, tuple[Path | list[Path], str]]:
-    (folder / "empty.jpg").write_bytes(b"")
-    (folder / "empty.mp4").write_bytes(b"")
-    (folder / "text.jpg").write_text("this is a text")
-    (folder / "text.mp4").write_text("this is a text")
-    (folder / "text.xyz").write_text("this is a text")
-    (folder / "nothing").mkdir()
-    good = cv2.imencode(".png", grey(3))[1].tobytes()
-    (folder / "cut.png").write_bytes(good[:20])
-    return {
-        "missing": (folder / "missing.jpg", "no such file"),
-        "zero bytes": (folder / "empty.jpg", "empty"),
-        "zero bytes video": (folder / "empty.mp4", "empty"),
-        "not a picture": (folder / "text.jpg", "not a picture"),
-        "not a video": (folder / "text.mp4", "not a video"),
-        "unknown kind": (folder / "text.xyz", "neither a picture nor a video"),
-        "no pictures": (folder / "nothing", "no pictures"),
-        "damaged": (folder / "cut.png", "not a picture"),
-        "no match": (folder / "x.%04d.png", "no file matches"),
-        "spaces": (Path(" "), "' ': there is no such file"),
-        "a line break": (folder / "a\nb.jpg", r"a\\nb.jpg': there is no such file"),
-        "no such user": (Path("~nobody of that name/a.jpg"), "no such file"),
-        "zero": (Path("a\0b.jpg"), r"'a\\x00b.jpg': there is no such file"),
-        "surrogate": (Path("a\ud800b.jpg"), r"'a\\ud800b.jpg': there is no such file"),
-        "too long": (folder / ("x" * 300), "cannot be opened|no such file"),
-        "too long in a list": ([folder / "cut.png", folder / ("x" * 300)], "cannot be opened|no such file"),
-        "missing in a list": ([folder / "cut.png", folder / "gone.png"], "no such file"),
-        "empty list": ([], "no pictures"),
-    }
+BAD: dict[str, tuple[list[str], str]] = {
+    "missing": (["missing.jpg"], "no such file"),
+    "zero bytes": (["empty.jpg"], "empty"),
+    "not a picture": (["text.jpg"], "not a picture"),
+    "not a video": (["text.mp4"], "not a video"),
+    "unknown kind": (["text.xyz"], "neither a picture nor a video"),
+    "no pictures": (["nothing"], "no pictures"),
+    "damaged": (["cut.png"], "not a picture"),
+    "no match": (["x.%04d.png"], "no file matches"),
+    "a space": ([" "], "' ': there is no such file"),
+    "a line break": (["a\nb.jpg"], r"a\\nb.jpg': there is no such file"),
+    "no such user": (["~nobody of that name/a.jpg"], "no such file"),
+    "zero": (["a\0b.jpg"], r"'a\\x00b.jpg': there is no such file"),
+    "surrogate": (["a\ud800b.jpg"], r"'a\\ud800b.jpg': there is no such file"),
+    "too long": (["x" * 300], "cannot be opened|no such file"),
+    "too long in a list": (["cut.png", "x" * 300], "cannot be opened|no such file"),
+    "missing in a list": (["cut.png", "gone.png"], "no such file"),
+    "empty list": ([], "no pictures"),
+}
 
 
-def test_bad_input_is_one_line(tmp_path: Path) -> None:
-    for case, (source, words) in bad_inputs(tmp_path).items():
-        with pytest.raises(InputError, match=words) as caught:
-            open_media(source)
-        assert "\n" not in str(caught.value), case
-        assert len(str(caught.value)) < 600, case
+@pytest.mark.parametrize(("source", "words"), BAD.values(), ids=BAD)
+def test_bad_input_is_one_line(source, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("empty.jpg").touch()
+    for name in ("text.jpg", "text.mp4", "text.xyz"):
+        Path(name).write_text("this is a text")
+    Path("nothing").mkdir()
+    Path("cut.png").write_bytes(cv2.imencode(".png", grey(3))[1].tobytes()[:20])
+    with pytest.raises(InputError, match=words) as caught:
+        open_media(source[0] if len(source) == 1 else source)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 600
 
 
-def test_mixed_sizes_are_refused(tmp_path: Path) -> None:
-    write(tmp_path / "a1.png", grey(1))
-    write(tmp_path / "a2.png", grey(1, 30, 30))
+def test_ranges_and_sizes_that_do_not_fit(tmp_path, video):
+    for number, size in ((1, 12), (2, 12), (3, 30)):
+        write(tmp_path / "s" / f"a{number}.png", grey(1, size))
     with pytest.raises(InputError, match="one size"):
-        list(open_media(tmp_path).frames())
-
-
-def test_range_outside(tmp_path: Path, video: Path) -> None:
-    write(tmp_path / "s" / "a1.png", grey(1))
-    write(tmp_path / "s" / "a2.png", grey(1))
-    with pytest.raises(InputError, match="its frames are 1-2"):
+        list(open_media(tmp_path / "s").frames())
+    with pytest.raises(InputError, match="its frames are 1-3"):
         open_media(tmp_path / "s", FrameRange.parse("7-9"))
     with pytest.raises(InputError, match="it has frames 1-12"):
         open_media(video, FrameRange.parse("70-"))
 
 
-def test_names_that_are_not_ascii(tmp_path: Path) -> None:
-    assert numbers(write(tmp_path / "手 übung.png", grey(1))) == [1]
-
-
 @pytest.mark.parametrize("cut", [1, 60])
 @pytest.mark.parametrize("suffix", ["png", "xyz"])
-def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: str) -> None:
+def test_jpeg_2000_never_reaches_its_decoder(tmp_path, cut, suffix):
     """OpenCV crashes on damaged ones, by whatever name they come."""
     whole = cv2.imencode(".jp2", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     path = tmp_path / f"a.{suffix}"
@@ -253,7 +223,7 @@ def test_jpeg_2000_never_reaches_its_decoder(tmp_path: Path, cut: int, suffix: s
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only there are names any bytes")
-def test_a_video_whose_name_is_no_text_never_reaches_opencv(tmp_path: Path) -> None:
+def test_a_video_whose_name_is_no_text_never_reaches_opencv(tmp_path):
     """Which ends the process on such names."""
     path = tmp_path / "\udcff.mp4"
     clip(tmp_path / "good.mp4")

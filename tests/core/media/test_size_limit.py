@@ -1,10 +1,7 @@
 """What claims more than may be read is refused in a sentence, before it costs memory."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +23,7 @@ from handfit_core.media.size_limit import (
 from tests.bombs import clip, with_claimed_size, with_frame_count
 from tests.child import peak_megabytes
 
-SUFFIXES = (".jpg", ".png", ".webp", ".bmp", ".tif", ".ppm", ".pgm", ".hdr")
+SUFFIXES = ".jpg .png .webp .bmp .tif .ppm .pgm .hdr".split()
 
 
 def jpeg(path: Path, width: int, height: int, size: int = 0) -> Path:
@@ -36,41 +33,25 @@ def jpeg(path: Path, width: int, height: int, size: int = 0) -> Path:
     return path
 
 
-def test_no_small_picture_takes_the_memory_that_it_claims(tmp_path: Path) -> None:
+REFUSED = """
+    import sys
+    from handfit_core.errors import InputError
+    from handfit_core.media.opening import open_media
+    for name in sys.argv[2:]:
+        try:
+            open_media(name)
+        except InputError as error:
+            assert sys.argv[1] in str(error), error
+        else:
+            raise AssertionError(name)
+    """
+
+
+def test_no_small_picture_takes_the_memory_that_it_claims(tmp_path):
     files = [tmp_path / f"a{suffix}" for suffix in SUFFIXES]
     for file in files:
         file.write_bytes(with_claimed_size(file.suffix, 16000, 15000))
-    peak = peak_megabytes(
-        """
-        import sys
-        from handfit_core.errors import InputError
-        from handfit_core.media.opening import open_media
-        for name in sys.argv[1:]:
-            try:
-                open_media(name)
-            except InputError as error:
-                assert "claims 16000 x 15000 pixels (240 megapixels" in str(error), error
-            else:
-                raise AssertionError(name)
-        """,
-        *files,
-    )
-    assert peak < 200
-
-
-def test_the_largest_small_pictures_stay_below_a_gigabyte(tmp_path: Path) -> None:
-    side = int((PICTURE.small_file * 1e6) ** 0.5)
-    flat, deep = np.zeros((side, side, 4), dtype=np.uint8), np.zeros((side // 3, side, 4), dtype=np.uint16)
-    for name, pixels in (("a.png", flat), ("b.png", deep)):
-        (tmp_path / name).write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
-        assert (tmp_path / name).stat().st_size < SMALL_FILE
-    code = """
-        import sys
-        from handfit_core.media.opening import open_media
-        assert len(list(open_media(sys.argv[1]).frames())) == 1
-        """
-    for name in ("a.png", "b.png"):
-        assert peak_megabytes(code, tmp_path / name) < 650
+    assert peak_megabytes(REFUSED, "claims 16000 x 15000 pixels (240 megapixels", *files) < 200
 
 
 def deep_png(path: Path, width: int, height: int, size: int = 0) -> Path:
@@ -95,23 +76,18 @@ MANY = Limit(PICTURE.large_file, PICTURE.large_file)
         (jpeg, 25_000, 10_000, SMALL_FILE, None, ""),  # a medium-format camera's
         (jpeg, 25_000, 10_001, SMALL_FILE, None, "no more than 250 are read"),
         (jpeg, 25_000, 10_001, SMALL_FILE, 251, ""),
-        (jpeg, 1001, 1000, 0, 1, "no more than 1 are read"),
-        (jpeg, 65_535, 1, 0, None, ""),
         (deep_png, 65_536, 1, 0, 251, "claims 65536 x 1 pixels, and no side of more than 65535 is read"),
         (deep_png, 10_000, 10_000, 0, None, r"count as 300\), and in a file under 10 MB no more than 64"),
         # Fewer bytes than pixels
         (deep_png, 10_000, 10_000, SMALL_FILE, None, r"count as 300\), and no more than 250"),
         (deep_png, 10_000, 10_000, 10**8, None, ""),
-        (deep_png, 10_000, 10_000, 0, 100, ""),
         (deep_png, 10_000, 10_000, 10**8, 99, r"\(100 megapixels\), and no more than 99 are read"),
         (deep_png, 9000, 9000, SMALL_FILE // 2, MANY, ""),
         # 250 megapixels of 16 bits would take four gigabytes.
         (deep_png, 25_000, 10_000, 0, MANY, r"count as 750\), and in a file .* no more than 250 are read"),
     ],
 )
-def test_limits(
-    tmp_path: Path, make: Any, width: int, height: int, size: int, limit: float | Limit | None, said: str
-) -> None:
+def test_limits(tmp_path, make, width, height, size, limit, said):
     path = make(tmp_path / "a", width, height, size)
     if not said:
         check_picture(path, limit)
@@ -120,7 +96,7 @@ def test_limits(
         check_picture(path, limit)
 
 
-def test_one_limit_for_all_pictures_of_an_input(tmp_path: Path) -> None:
+def test_one_limit_for_all_pictures_of_an_input(tmp_path):
     large = [deep_png(tmp_path / f"{i}.png", 10, 10, SMALL_FILE // 2) for i in range(2)]
     assert common_limit(large, None) == MANY
     assert common_limit(large, 12.5) == 12.5
@@ -128,7 +104,7 @@ def test_one_limit_for_all_pictures_of_an_input(tmp_path: Path) -> None:
     assert common_limit([large[0], jpeg(tmp_path / "b.jpg", 9, 9), tmp_path / "gone.jpg"], None) is None
 
 
-def test_a_frame_with_few_bytes_is_read_as_its_neighbours_are(tmp_path: Path) -> None:
+def test_a_frame_with_few_bytes_is_read_as_its_neighbours_are(tmp_path):
     flat = np.zeros((8100, 8000, 3), dtype=np.uint8)  # more than small files may claim
     for number in (1, 2):
         cv2.imwrite(str(tmp_path / f"a{number}.png"), flat)
@@ -137,7 +113,7 @@ def test_a_frame_with_few_bytes_is_read_as_its_neighbours_are(tmp_path: Path) ->
     assert [frame.rgb is not None for frame in open_media(tmp_path).frames()] == [True, True]
 
 
-def test_the_limit_is_an_option(tmp_path: Path) -> None:
+def test_the_limit_is_an_option(tmp_path):
     for name in ("a1.png", "a2.png"):
         cv2.imwrite(str(tmp_path / name), np.full((1000, 1200, 3), 90, dtype=np.uint8))
     for source in (tmp_path, tmp_path / "a1.png", str(tmp_path / "a%d.png")):
@@ -146,7 +122,7 @@ def test_the_limit_is_an_option(tmp_path: Path) -> None:
             open_media(source, max_megapixels=1.1)
 
 
-def test_videos_have_limits_of_their_own(tmp_path: Path) -> None:
+def test_videos_have_limits_of_their_own(tmp_path):
     clip(tmp_path / "a.mp4")
     check_frame_size(tmp_path / "a.mp4", 4096, 2160)
     with pytest.raises(InputError, match=f"no more than {VIDEO.small_file:g} are read"):
@@ -155,7 +131,7 @@ def test_videos_have_limits_of_their_own(tmp_path: Path) -> None:
         open_media(tmp_path / "a.mp4", max_megapixels=0.003)
 
 
-def test_a_stream_that_is_larger_than_its_container_says(tmp_path: Path) -> None:
+def test_a_stream_that_is_larger_than_its_container_says(tmp_path):
     """Its first frame is not decoded: the decoder tells its size before."""
     path = tmp_path / "large.mp4"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (4800, 3200))
@@ -169,21 +145,10 @@ def test_a_stream_that_is_larger_than_its_container_says(tmp_path: Path) -> None
             wide + high, b"\0\x40".ljust(len(wide), b"\0") + b"\0\x30".ljust(len(high), b"\0")
         )
     path.write_bytes(data)
-    code = """
-        import sys
-        from handfit_core.errors import InputError
-        from handfit_core.media.opening import open_media
-        try:
-            open_media(sys.argv[1])
-        except InputError as error:
-            assert "4800 x 3200 pixels" in str(error), error
-        else:
-            raise AssertionError
-        """
-    assert peak_megabytes(code, path) < 150
+    assert peak_megabytes(REFUSED, "4800 x 3200 pixels", path) < 150
 
 
-def test_frames_are_counted_and_not_listed(tmp_path: Path) -> None:
+def test_frames_are_counted_and_not_listed(tmp_path):
     (tmp_path / "a.mp4").write_bytes(with_frame_count(clip(tmp_path / "a.mp4"), (1 << 31) - 1))
     code = """
         import sys
@@ -196,17 +161,13 @@ def test_frames_are_counted_and_not_listed(tmp_path: Path) -> None:
     assert peak_megabytes(code, tmp_path / "a.mp4", limit=1 << 31) < 200
     media = open_media(tmp_path / "a.mp4")
     assert (media.expected_frames, media.first_and_last) == (0, (1, 1))  # as where a header tells nothing
-
-
-def test_numbers_far_apart_are_no_frames_to_go_through(tmp_path: Path) -> None:
     for name in ("shot.0000000001.png", "shot.9999999999.png"):
         cv2.imwrite(str(tmp_path / name), np.zeros((12, 20, 3), dtype=np.uint8))
-    for source in (tmp_path, str(tmp_path / "shot.%010d.png"), str(tmp_path / "shot.##########.png")):
-        media = open_media(source, FrameRange.parse("0-2000000000"))
-        assert [frame.number for frame in media.frames()] == [1, 2]
+    media = open_media(str(tmp_path / "shot.%010d.png"), FrameRange.parse("0-2000000000"))
+    assert [frame.number for frame in media.frames()] == [1, 2]  # far apart: no frames to go through
 
 
-def test_what_blender_is_given(tmp_path: Path) -> None:
+def test_what_blender_is_given(tmp_path):
     check_for_blender(jpeg(tmp_path / "a.jpg", 800, 600))
     clip(tmp_path / "a.mp4")
     check_for_blender(tmp_path / "a.mp4")

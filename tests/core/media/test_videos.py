@@ -1,7 +1,5 @@
 """Single frames of a video, read and sought."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +29,7 @@ def video(request: pytest.FixtureRequest, tmp_path: Path) -> Video:
     return Video(path, Wanted())
 
 
-def test_frames_are_the_same_read_and_sought(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_the_same_read_and_sought(video, monkeypatch):
     true = {frame.number: frame.rgb for frame in video.frames(0, 90) if frame.rgb is not None}
     count = sum(1 for _ in video.frames())
     seeks = []
@@ -46,9 +44,12 @@ def test_frames_are_the_same_read_and_sought(video: Video, monkeypatch: pytest.M
                 assert picture is not None
                 assert number not in true or np.array_equal(picture, true[number])
     assert len(seeks) == 4
+    first, behind = video.pictures([count, count + 5], count)
+    assert first is not None
+    assert behind is None
 
 
-def test_where_packets_are_no_frames_it_is_read(video: Video, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_packets_are_no_frames_it_is_read(video, monkeypatch):
     """A take that ends before the video does, a video that has lost packets, times that are no frame's."""
     monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=0))
     true = [frame.rgb for frame in video.frames(0, 50)]
@@ -57,13 +58,6 @@ def test_where_packets_are_no_frames_it_is_read(video: Video, monkeypatch: pytes
         monkeypatch.setattr(videos, "_times", lambda _, told=told: told)
         for picture, number in zip(video.pictures([5, 31, 50], 59), (5, 31, 50), strict=True):
             np.testing.assert_array_equal(picture, true[number - 1])
-
-
-def test_behind_the_end_there_is_none(video: Video) -> None:
-    count = sum(1 for _ in video.frames())
-    first, second = video.pictures([count, count + 5], count)
-    assert first is not None
-    assert second is None
 
 
 def with_delays(data: bytes, delays: list[tuple[int, int]]) -> bytes:

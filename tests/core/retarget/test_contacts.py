@@ -10,11 +10,7 @@ import pytest
 
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
-from handfit_core.hand_model.anatomy import (
-    anatomical_angles,
-    anatomical_axes,
-    joint_limits,
-)
+from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL
 from handfit_core.hand_model.surface import PAIRS as PARTS
 from handfit_core.hand_model.surface import surface_of
@@ -24,6 +20,7 @@ from handfit_core.retarget.contacts import (
     TOUCHES,
     ContactResult,
     Fingertips,
+    Touches,
     finding_touches,
     keeping_contacts,
 )
@@ -55,10 +52,15 @@ def character(side: Side, seed: int, stretch: float = 0.25, bend: float = 0.3, *
     return target_hand(built.bones(), HandMap(side, there), source(side))
 
 
-def kept_on(target: TargetHand, turns: np.ndarray) -> ContactResult:
+def kept_on(target: TargetHand, turns: np.ndarray, *keyed: np.ndarray) -> ContactResult:
     side = target.hand_map.side
     times = np.arange(len(turns)) / FPS
-    return run_to_completion(keeping_contacts(target, source(side), skins(side), turns, times))
+    return run_to_completion(keeping_contacts(target, source(side), skins(side), turns, times, *keyed))
+
+
+def touches(side: Side, turns: np.ndarray) -> Touches:
+    times = np.arange(len(turns)) / FPS
+    return run_to_completion(finding_touches(source(side), skins(side), turns, times))
 
 
 def gaps(target: TargetHand, standing: np.ndarray, finger: str) -> np.ndarray:
@@ -80,6 +82,11 @@ def gaps(target: TargetHand, standing: np.ndarray, finger: str) -> np.ndarray:
     return away.min(axis=(1, 2))
 
 
+def off_by(target: TargetHand, standing: np.ndarray, turns: np.ndarray, finger: str) -> np.ndarray:
+    """(10,) metres by which the gap differs from the captured one while tips touch."""
+    return np.abs(gaps(target, standing, finger) - captured_gaps(target.hand_map.side, turns, finger))[HELD]
+
+
 def captured_gaps(side: Side, turns: np.ndarray, finger: str) -> np.ndarray:
     """(T,) metres, by the surface that fits are solved with."""
     surface = surface_of(load_model(None, side))
@@ -99,14 +106,13 @@ def chain_angles(turns: np.ndarray, side: Side) -> np.ndarray:
 @pytest.mark.parametrize("finger", PINCHES)
 def test_gaps_on_other_proportions(side, finger):
     turns = pinching(side, finger)
-    wanted = captured_gaps(side, turns, finger)[HELD]
-    assert np.abs(wanted).max() < 0.001
+    assert np.abs(captured_gaps(side, turns, finger)[HELD]).max() < 0.001
     before, after = [], []
     for seed in SEEDS:
         target = character(side, seed)
         kept = kept_on(target, turns)
-        before.append(np.abs(gaps(target, target.standing(turns), finger)[HELD] - wanted).max())
-        off = np.abs(gaps(target, kept.standing, finger)[HELD] - wanted)
+        before.append(off_by(target, target.standing(turns), turns, finger).max())
+        off = off_by(target, kept.standing, turns, finger)
         after.append(off.max())
         # By spheres half a tenth of a millimetre apart.
         np.testing.assert_allclose(kept.apart[HELD], off, atol=1e-4)
@@ -136,55 +142,39 @@ def test_nothing_else_moves(side):
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_no_touch_changes_nothing(side):
-    rng = np.random.default_rng(3)
+def test_what_needs_nothing_stays(side):
+    """Where nothing touches, and where a hand has the captured proportions."""
     angles = np.zeros((40, NUM_JOINTS - 1, 3))
-    angles[..., 2] = rng.uniform(-0.1, 0.3, (40, NUM_JOINTS - 1))
-    turns, target = turns_of(side, angles), character(side, 2)
-    kept = kept_on(target, turns)
-    assert (kept.standing == target.standing(turns)).all()
-    assert not kept.turned.any()
-    assert not kept.apart.any()
+    angles[..., 2] = np.random.default_rng(3).uniform(-0.1, 0.3, (40, NUM_JOINTS - 1))
+    alike = character(side, 0, stretch=0.0)
+    for target, turns in (
+        (character(side, 2), turns_of(side, angles)),
+        *((alike, pinching(side, finger)) for finger in PINCHES),
+    ):
+        kept = kept_on(target, turns)
+        np.testing.assert_allclose(kept.standing, target.standing(turns), atol=1e-12)
+        assert np.abs(kept.turned).max() < 1e-12
+        assert np.abs(kept.apart).max() < 1e-12
 
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("finger", PINCHES)
-def test_same_proportions(side, finger):
-    turns, target = pinching(side, finger), character(side, 0, stretch=0.0)
-    kept = kept_on(target, turns)
-    np.testing.assert_allclose(kept.standing, target.standing(turns), atol=1e-12)
-    assert kept.apart.max() < 1e-12
-
-
-@pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("finger", PINCHES)
-def test_joints_stay_within_their_ranges(side, finger):
+def test_turns_are_a_hands(side, finger):
+    """Joints stay within their ranges, fingers never twist, and turns come and go without a jump."""
     turns, limits = pinching(side, finger), joint_limits(side)
     before = chain_angles(turns, side)
+    hinges = np.delete(np.arange(NUM_JOINTS - 1), [j - 1 for j in FINGER_JOINTS["thumb"]])
     for seed in SEEDS:
         target = character(side, seed, stretch=0.4)
-        after = chain_angles(target.turns(target.channels(kept_on(target, turns).standing)), side)
+        found = target.channels(kept_on(target, turns).standing)
+        after = chain_angles(target.turns(found), side)
         assert (after > np.minimum(before, limits.lower) - 1e-6).all()
         assert (after < np.maximum(before, limits.upper) + 1e-6).all()
-        hinges = np.delete(np.arange(NUM_JOINTS - 1), [j - 1 for j in FINGER_JOINTS["thumb"]])
-        # Fingers bend and spread, and never twist.
         np.testing.assert_allclose(after[:, hinges, 0], before[:, hinges, 0], atol=1e-6)
-
-
-@pytest.mark.parametrize("finger", PINCHES)
-def test_turns_come_and_go_smoothly(finger):
-    turns = pinching("right", finger)
-    for seed in SEEDS:
-        target = character("right", seed)
-        local = target.local(turns)
-        found = target.channels(kept_on(target, turns).standing)
-        extra = rotmat_to_rotvec(np.swapaxes(local, -1, -2) @ found)
+        extra = rotmat_to_rotvec(np.swapaxes(target.local(turns), -1, -2) @ found)
         size = np.linalg.norm(extra, axis=-1).max()
-        steps = np.linalg.norm(np.diff(extra, axis=0), axis=-1).max()
-        jerks = np.linalg.norm(np.diff(extra, n=2, axis=0), axis=-1).max()
-        # They come within six frames or so, and with no jump.
-        assert steps < 0.45 * size
-        assert jerks < 0.5 * size
+        for order, most in ((1, 0.45), (2, 0.5)):
+            assert np.linalg.norm(np.diff(extra, n=order, axis=0), axis=-1).max() < most * size
 
 
 def test_slices_do_not_show(monkeypatch):
@@ -225,10 +215,8 @@ def test_fewer_bones_and_fingers_touch_too(side):
     for joints in ((14, 2, 5, 8, 11), (3, 6, 9, 12, 15), (7, 8, 9, 10, 11, 12)):
         turns, target = pinching(side, "index"), character(side, 3, without=joints)
         kept = kept_on(target, turns)
-        wanted = captured_gaps(side, turns, "index")[HELD]
-        before = np.abs(gaps(target, target.standing(turns), "index")[HELD] - wanted).max()
-        after = np.abs(gaps(target, kept.standing, "index")[HELD] - wanted).max()
-        assert after < min(0.002, before)
+        before = off_by(target, target.standing(turns), turns, "index").max()
+        assert off_by(target, kept.standing, turns, "index").max() < min(0.002, before)
 
 
 def test_two_finger_bone_meets_thumb():
@@ -239,30 +227,23 @@ def test_two_finger_bone_meets_thumb():
         names[little] = names[ring]
     target = target_hand(built.bones(), HandMap(side, tuple(names.values())), source(side))
     turns = pinching(side, "ring")
-    kept, wanted = kept_on(target, turns), captured_gaps(side, turns, "ring")[HELD]
-    before = np.abs(gaps(target, target.standing(turns), "ring")[HELD] - wanted)
-    after = np.abs(gaps(target, kept.standing, "ring")[HELD] - wanted)
     # It bends as the mean of the two does, and the little finger does not.
-    assert before.min() > 0.01
-    assert after.max() < 0.003
+    assert off_by(target, target.standing(turns), turns, "ring").min() > 0.01
+    assert off_by(target, kept_on(target, turns).standing, turns, "ring").max() < 0.003
 
 
 def test_bones_that_are_left_alone_stay():
     turns, target = pinching("right", "index"), character("right", 4)
-    times, plain = np.arange(len(turns)) / FPS, target.standing(turns)
+    plain = target.standing(turns)
     thumb = np.array([joints[0] in FINGER_JOINTS["thumb"] for joints in target.joints])
     apart = []
     for keyed in (~thumb, thumb):
-        kept = run_to_completion(
-            keeping_contacts(target, source("right"), skins("right"), turns, times, keyed)
-        )
+        kept = kept_on(target, turns, keyed)
         assert (kept.standing[:, ~keyed] == plain[:, ~keyed]).all()
         assert (kept.standing[HELD][:, keyed] != plain[HELD][:, keyed]).any()
         apart.append(kept.apart[HELD].max())
     assert max(apart) < 0.001
-    none = np.zeros(15, dtype=bool)
-    kept = run_to_completion(keeping_contacts(target, source("right"), skins("right"), turns, times, none))
-    assert (kept.standing == plain).all()
+    assert (kept_on(target, turns, np.zeros(15, dtype=bool)).standing == plain).all()
 
 
 def test_unreachable_touch_is_reported():
@@ -274,18 +255,17 @@ def test_unreachable_touch_is_reported():
     bones.heads[thumb] = bones.heads[thumb[0]] + 0.4 * (bones.heads[thumb] - bones.heads[thumb[0]])
     target = target_hand(bones, HandMap(side, names), source(side))
     turns = pinching(side, finger)
-    kept, wanted = kept_on(target, turns), captured_gaps(side, turns, finger)
-    off = np.abs(gaps(target, kept.standing, finger) - wanted)[HELD]
+    kept = kept_on(target, turns)
+    off = off_by(target, kept.standing, turns, finger)
     assert off.min() > 0.005
     np.testing.assert_allclose(kept.apart[HELD], off, atol=1e-4)
     # It is nearer all the same.
-    assert off.max() < np.abs(gaps(target, target.standing(turns), finger) - wanted)[HELD].max()
+    assert off.max() < off_by(target, target.standing(turns), turns, finger).max()
 
 
 def test_touch_weights():
     turns = pinching("right", "index")
-    times = np.arange(len(turns)) / FPS
-    found = run_to_completion(finding_touches(source("right"), skins("right"), turns, times))
+    found = touches("right", turns)
     pair = PAIRS.tolist().index([0, 1])
     weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
     np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
@@ -299,10 +279,7 @@ def test_touch_weights():
     assert (weights[near[-1] + reach + 1 :] == 0.0).all()
     # A pause of the touch that is shorter than the blend is none.
     short = np.concatenate([turns[:35], turns[20:22], turns[35:]])
-    again = run_to_completion(
-        finding_touches(source("right"), skins("right"), short, np.arange(len(short)) / FPS)
-    )
-    assert again.weights[35:37, pair].min() > 0.7
+    assert touches("right", short).weights[35:37, pair].min() > 0.7
 
 
 def test_side_by_side_is_no_touch():
@@ -312,10 +289,7 @@ def test_side_by_side_is_no_touch():
     # The middle finger lies over the index finger's back.
     angles[1, [0, 3], 1] = np.radians([-12.0, 12.0])
     angles[1, 0, 2] = np.radians(8.0)
-    found = []
-    for one in angles:
-        turns = turns_of(side, one[None])
-        found.append(run_to_completion(finding_touches(source(side), skins(side), turns, np.zeros(1))))
+    found = [touches(side, turns_of(side, one[None])) for one in angles]
     pair = PAIRS.tolist().index([1, 2])
     assert found[0].gap[0, pair] < TOUCHES.touch_gap[0]
     assert found[0].weights[0, pair] == 0.0
@@ -327,7 +301,7 @@ def test_side_by_side_is_no_touch():
 def test_slopes_are_those_of_differences(finger):
     rng = np.random.default_rng(9)
     turns, target = pinching("right", finger)[[25, 33]], character("right", 5)
-    found = run_to_completion(finding_touches(source("right"), skins("right"), turns, np.arange(2) / FPS))
+    found = touches("right", turns)
     chains = contacts._Chains.of(target, source("right"), skins("right"), np.ones(15, dtype=bool))
     problem = chains.problem(target.standing(turns), found, np.arange(2))
     x = rng.normal(scale=0.2, size=(2, len(chains.bones)))

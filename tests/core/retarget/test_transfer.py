@@ -13,7 +13,6 @@ from handfit_core.hand_model import axes, load_model
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.retarget.transfer import (
-    SourceHand,
     TargetHand,
     finger_end,
     globally,
@@ -119,20 +118,6 @@ def test_captured_hand_as_target(side):
     ours = source(side).points(turns)
     np.testing.assert_allclose(joints[:, 1:], ours[0][:, 1:], atol=1e-10)
     np.testing.assert_allclose(tips, ours[1], atol=1e-10)
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_source_points(side):
-    model, turns = load_model(None, side), poses(4)
-    turns[:, 0] = np.eye(3)
-    joints, tips = source(side).points(turns)
-    pose = rotmat_to_rotvec(axes.REST_FROM_MODEL.T @ turns[:, 1:] @ axes.REST_FROM_MODEL).reshape(4, 45)
-    for row in range(4):
-        posed = model.posed(np.zeros(10), np.zeros(3), pose[row], np.zeros(3))
-        np.testing.assert_allclose(joints[row], axes.points_to_rest(posed.joints), atol=1e-10)
-        # The tips of the model follow several bones, and the flesh between.
-        reach = np.linalg.norm(tips[row] - axes.points_to_rest(posed.keypoints[[4, 8, 12, 16, 20]]), axis=-1)
-        assert reach.max() < 0.005
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -272,29 +257,26 @@ def test_size_is_that_of_the_palm():
 
 
 def test_refuses_degenerate_palms():
-    bones = rig("right", 10)
-    joints = {name: bones.index[name] for name in (NAMES[j] for j in range(NUM_JOINTS))}
-
-    def refused(heads: np.ndarray, hand_map: HandMap, sentence: str) -> None:
+    bones, good = rig("right", 10), table(rig("right", 10), "right")
+    knuckles = [bones.index[NAMES[j]] for j in (1, 4, 7, 10)]
+    line, place, same = bones.heads.copy(), bones.heads.copy(), bones.heads.copy()
+    line[knuckles] = bones.heads[0] + np.array([1.0, 2.0, 3.0]) * np.arange(1, 5)[:, None]
+    place[knuckles] = bones.heads[0]
+    same[bones.index[NAMES[5]]] = same[bones.index[NAMES[4]]]
+    index, thumb = (
+        HandMap("right", tuple(NAMES[j] if j in (0, *joints) else "" for j in range(NUM_JOINTS)))
+        for joints in ((1, 2, 3), (13, 14, 15))
+    )
+    for heads, hand_map, sentence in (
+        (line, good, "on one line or in one place"),
+        (place, good, "on one line or in one place"),
+        (bones.heads, index, "two fingers or more"),
+        (bones.heads, thumb, "two fingers or more"),
+        (same, good, "begin in the same place"),
+        (bones.heads, replace(good, bones=("elsewhere", *good.bones[1:])), "no bone 'elsewhere'"),
+    ):
         with pytest.raises(HandModelError, match=sentence):
             target_hand(replace(bones, heads=heads), hand_map, source("right"))
-
-    line = bones.heads.copy()
-    knuckles = [joints[NAMES[j]] for j in (1, 4, 7, 10)]
-    line[knuckles] = bones.heads[0] + np.array([1.0, 2.0, 3.0]) * np.arange(1, 5)[:, None]
-    refused(line, table(bones, "right"), "on one line or in one place")
-    place = bones.heads.copy()
-    place[knuckles] = bones.heads[0]
-    refused(place, table(bones, "right"), "on one line or in one place")
-    index_alone = HandMap("right", tuple(NAMES[j] if j in (0, 1, 2, 3) else "" for j in range(NUM_JOINTS)))
-    refused(bones.heads, index_alone, "two fingers or more")
-    thumb_alone = HandMap("right", tuple(NAMES[j] if j in (0, 13, 14, 15) else "" for j in range(NUM_JOINTS)))
-    refused(bones.heads, thumb_alone, "two fingers or more")
-    same = bones.heads.copy()
-    same[joints[NAMES[5]]] = same[joints[NAMES[4]]]
-    refused(same, table(bones, "right"), "begin in the same place")
-    gone = replace(table(bones, "right"), bones=("elsewhere", *table(bones, "right").bones[1:]))
-    refused(bones.heads, gone, "no bone 'elsewhere'")
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -330,29 +312,20 @@ def test_palm_frame(side):
 
 
 def test_where_fingers_end():
-    def bones(heads, tails, parents):
-        count = len(heads)
-        return Bones(
-            tuple(map(str, range(count))),
-            np.array(parents),
-            np.array(heads, dtype=float),
-            np.array(tails, dtype=float),
-            np.tile(np.eye(3), (count, 1, 1)),
-            np.ones(count, dtype=bool),
-        )
-
-    chain = [[0, 0, 0], [3, 0, 0], [5, 0, 0]]
+    """A bone behind the last one says it. Two of them say nothing: then tails do, where they mean something,
+    else the bone before."""
+    chain, tip, other = [[0, 0, 0], [3, 0, 0], [5, 0, 0]], [6, 0, 1], [6, 1, 1]
     good, junk = [[3, 0, 0], [5, 0, 0], [6, 1, 0]], [[370, 0, 0], [0, 370, 0], [0, 0, 370]]
-    # A bone behind the last one says it, whatever the tails are.
-    tip = bones([*chain, [6, 0, 1]], [*junk, [9, 9, 9]], [-1, 0, 1, 2])
-    np.testing.assert_allclose(finger_end(tip, [0, 1, 2]), [6, 0, 1])
-    # Two of them say nothing; then tails do where they mean something, else the bone before.
-    two = [[6, 0, 1], [6, 1, 1]]
-    np.testing.assert_allclose(
-        finger_end(bones([*chain, *two], [*good, *two], [-1, 0, 1, 2, 2]), [0, 1, 2]), [6, 1, 0]
-    )
-    np.testing.assert_allclose(finger_end(bones(chain, good, [-1, 0, 1]), [0, 1, 2]), [6, 1, 0])
-    np.testing.assert_allclose(finger_end(bones(chain, junk, [-1, 0, 1]), [0, 1, 2]), [6.6, 0, 0])
+    for heads, tails, parents, end in (
+        ([*chain, tip], [*junk, [9, 9, 9]], [-1, 0, 1, 2], [6, 0, 1]),
+        ([*chain, tip, other], [*good, tip, other], [-1, 0, 1, 2, 2], [6, 1, 0]),
+        (chain, good, [-1, 0, 1], [6, 1, 0]),
+        (chain, junk, [-1, 0, 1], [6.6, 0, 0]),
+    ):
+        count, (at, ends) = len(heads), np.array([heads, tails], dtype=float)
+        names, frames = tuple(map(str, range(count))), np.tile(np.eye(3), (count, 1, 1))
+        bones = Bones(names, np.array(parents), at, ends, frames, np.ones(count, dtype=bool))
+        np.testing.assert_allclose(finger_end(bones, [0, 1, 2]), end)
 
 
 def test_swing():
@@ -371,39 +344,22 @@ def test_swing():
             )
 
 
-def test_sources_keep_their_side():
-    own = source("left")
-    assert isinstance(own, SourceHand)
-    assert own.mirrored().mirrored().side == "left"
-    np.testing.assert_array_equal(own.mirrored().mirrored().tips, own.tips)
-
-
 def test_smoothed_travel():
+    """Even motion stays, noise falls, a bump stays where it was; quaternions of both signs are one turn."""
     frames = np.concatenate([np.arange(30.0), [30.4, 33.0, 34.5]])
     even = frames[:, None] * [0.01, -0.02, 0.005]
     turns = rotvec_to_rotmat(frames[:, None] * [0.0, 0.03, 0.0])
     places, turned = smoothed_travel(frames, even, turns, 4.0)
     np.testing.assert_allclose(places, even, atol=1e-12)
     np.testing.assert_allclose(turned, turns, atol=1e-3)
-    rng = np.random.default_rng(2)
-    shaken = even + rng.normal(scale=0.01, size=even.shape)
+    shaken = even + np.random.default_rng(2).normal(scale=0.01, size=even.shape)
     noise = smoothed_travel(frames, shaken, turns, 6.0)[0] - even
     assert np.abs(noise[3:-3]).mean() < 0.5 * np.abs(shaken - even)[3:-3].mean()
     assert smoothed_travel(frames, shaken, turns, 0.0)[0] is shaken
-
-
-def test_smoothed_travel_is_not_late():
-    """A bump stays where it was, and is as wide before as after."""
-    frames = np.arange(41.0)
-    bump = np.exp(-0.5 * ((frames - 20) / 3) ** 2)[:, None] * [1.0, 0.0, 0.0]
-    places, _ = smoothed_travel(frames, bump, np.tile(np.eye(3), (41, 1, 1)), 5.0)
-    np.testing.assert_allclose(places[:, 0], places[::-1, 0], atol=1e-12)
-    assert np.argmax(places[:, 0]) == 20
-
-
-def test_smoothed_travel_of_flips():
-    """Quaternions of both signs are the same turn."""
-    frames = np.arange(60.0)
+    frames = np.arange(61.0)
+    bump = np.exp(-0.5 * ((frames - 30) / 3) ** 2)[:, None] * [1.0, 0.0, 0.0]
     turns = rotvec_to_rotmat(frames[:, None] * [0.12, 0.0, 0.0])
-    turned = smoothed_travel(frames, np.zeros((60, 3)), turns, 3.0)[1]
+    places, turned = smoothed_travel(frames, bump, turns, 3.0)
+    np.testing.assert_allclose(places[:, 0], places[::-1, 0], atol=1e-12)
+    assert np.argmax(places[:, 0]) == 30
     np.testing.assert_allclose(turned, turns, atol=2e-2)

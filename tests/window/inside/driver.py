@@ -1,10 +1,10 @@
 """Runs inside the real Blender: waits for requests of blender_window.py and plays scenarios.
 
 A request is FOLDER/request-N.json, {"scenario": "module.function", "arguments": {...}}; the answer is
-FOLDER/result-N.json, {"ok", "value", "error", "blocked"}. A scenario is a generator function
+FOLDER/result-N.json, {"error"}, which is empty where all went well. A scenario is a generator function
 scenarios/MODULE.py: FUNCTION(stage, **arguments), driven by a timer of Blender's main loop, so that the
-window lives on while it waits. It yields seconds to wait (0: one turn of the main loop) and may return
-something that JSON can hold.
+window lives on while it waits. It yields seconds to wait (0: one turn of the main loop), and asserts what
+must have happened.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ import json
 import os
 import signal
 import sys
-import time
-import traceback
 from pathlib import Path
+from traceback import TracebackException
 
 import bpy
 
@@ -47,38 +46,37 @@ class Driver:
 
     def tick(self) -> float:
         """The timer's function: seconds until it wants to be called again."""
-        if self.scenario is None:
-            return self._look_for_request()
         try:
+            if self.scenario is None:
+                return self._look_for_request()
             return next(self.scenario) or 0.0
-        except StopIteration as stop:
-            self._answer(ok=True, value=stop.value)
+        except StopIteration:
+            self._answer("")
         except BaseException as error:
-            self._answer(ok=False, error=str(error), details=traceback.format_exc())
+            shown = TracebackException.from_exception(error, limit=-4, capture_locals=True)
+            self._answer("".join(shown.format()))
         return 0.0
 
     def _look_for_request(self) -> float:
         path = self.folder / f"request-{self.number}.json"
         if not path.exists():
             return POLL
-        try:
-            request = json.loads(path.read_text(encoding="utf-8"))
-            if request["scenario"] == "quit":
-                # Not from within a timer's call: quitting frees the timers.
-                self.number += 1
-                self.scenario = self._quit()
-                return 0.0
-            module, _, name = request["scenario"].rpartition(".")
-            function = getattr(importlib.import_module(f"scenarios.{module}"), name)
-            self.scenario = self._played(function, request["arguments"])
-        except BaseException as error:
-            self._answer(ok=False, error=str(error), details=traceback.format_exc())
+        request = json.loads(path.read_text(encoding="utf-8"))
+        if request["scenario"] == "quit":
+            # Not from within a timer's call: quitting frees the timers.
+            self.number += 1
+            self.scenario = self._quit()
+            return 0.0
+        module, _, name = request["scenario"].rpartition(".")
+        function = getattr(importlib.import_module(f"scenarios.{module}"), name)
+        self.scenario = self._played(function, request["arguments"])
         return 0.0
 
     def _played(self, function, arguments):
         yield from self.stage.reset()
         self.meter.start()
-        return (yield from function(self.stage, **arguments))
+        yield from function(self.stage, **arguments)
+        yield from self.stage.screenshot(f"{function.__module__}-{function.__name__}")
 
     def _quit(self):
         bpy.context.preferences.view.use_save_prompt = False
@@ -86,14 +84,14 @@ class Driver:
             bpy.ops.wm.quit_blender("EXEC_DEFAULT")
         yield 60.0
 
-    def _answer(self, **answer) -> None:
+    def _answer(self, error: str) -> None:
         self.scenario = None
-        answer["blocked"] = self.meter.stop()
-        if not answer["ok"]:
+        self.meter.stop()
+        if error:
             self.stage.screenshot_now(f"failed-{self.number}")
         path = self.folder / f"result-{self.number}.json"
         temporary = path.with_suffix(".part")
-        temporary.write_text(json.dumps(answer, default=str), encoding="utf-8")
+        temporary.write_text(json.dumps({"error": error}), encoding="utf-8")
         temporary.replace(path)
         self.number += 1
 
@@ -110,12 +108,10 @@ def report_every_crash() -> None:
 
 def main() -> None:
     """Begin to look for requests once the window is up."""
-    folder = Path(sys.argv[sys.argv.index("--") + 1])
     bpy.context.preferences.view.show_splash = False
     report_every_crash()
-    driver = Driver(folder)
+    driver = Driver(Path(sys.argv[sys.argv.index("--") + 1]))
     bpy.app.timers.register(driver.tick, first_interval=0.1, persistent=True)
-    (folder / "started").write_text(f"{time.time()} {os.getpid()}", encoding="utf-8")
 
 
 main()

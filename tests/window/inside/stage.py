@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import statistics
 import subprocess
 import time
 from collections.abc import Callable, Generator
@@ -114,19 +115,17 @@ class Stage:
     def key(self, kind: str, **modifiers: Any) -> Steps:
         """Press and let go a key or mouse button where the mouse is."""
         x, y = self.mouse
-        self.window.event_simulate(type=kind, value="PRESS", x=x, y=y, **modifiers)
-        yield 0.0
-        self.window.event_simulate(type=kind, value="RELEASE", x=x, y=y, **modifiers)
-        yield 0.0
+        for value in ("PRESS", "RELEASE"):
+            self.window.event_simulate(type=kind, value=value, x=x, y=y, **modifiers)
+            yield 0.0
 
     def write(self, text: str) -> Steps:
         """Type a text where one is being edited."""
+        x, y = self.mouse
         for letter in text:
-            self.window.event_simulate(
-                type="A", value="PRESS", unicode=letter, x=self.mouse[0], y=self.mouse[1]
-            )
+            self.window.event_simulate(type="A", value="PRESS", unicode=letter, x=x, y=y)
             yield 0.0
-            self.window.event_simulate(type="A", value="RELEASE", x=self.mouse[0], y=self.mouse[1])
+            self.window.event_simulate(type="A", value="RELEASE", x=x, y=y)
             yield 0.0
 
     def click(self, target: Any) -> Steps:
@@ -134,15 +133,21 @@ class Stage:
         yield from self.move_to(target)
         yield from self.key("LEFTMOUSE")
 
+    def hold(self, value: str = "PRESS") -> Steps:
+        """Press the left mouse button where the mouse is; with "RELEASE", let it go."""
+        x, y = self.mouse
+        self.window.event_simulate(type="LEFTMOUSE", value=value, x=x, y=y)
+        yield 0.0
+
     def drag(self, path: list[tuple[float, float]], pause: float = 0.02) -> Steps:
         """Press at the path's first point, move along it, let go at its last. Pixels of the window."""
         yield from self.move_to(path[0])
-        self.window.event_simulate(type="LEFTMOUSE", value="PRESS", x=self.mouse[0], y=self.mouse[1])
+        yield from self.hold()
         yield pause
         for point in path[1:]:
             yield from self.move_to(point)
             yield pause
-        self.window.event_simulate(type="LEFTMOUSE", value="RELEASE", x=self.mouse[0], y=self.mouse[1])
+        yield from self.hold("RELEASE")
         yield pause
 
     def invoke(self, operator: str, **properties: Any) -> Steps:
@@ -169,17 +174,15 @@ class Stage:
         yield from self.move_to(self.region())
         yield 0.05
 
-    def undo(self) -> Steps:
+    def undo(self, **modifiers: bool) -> Steps:
         """Ctrl Z in the view."""
         yield from self.leave_popups()
-        yield from self.key("Z", ctrl=True)
-        yield 0.1
+        yield from self.key("Z", ctrl=True, **modifiers)
+        yield 0.3
 
     def redo(self) -> Steps:
         """Ctrl Shift Z in the view."""
-        yield from self.leave_popups()
-        yield from self.key("Z", ctrl=True, shift=True)
-        yield 0.1
+        yield from self.undo(shift=True)
 
     # The sidebar
 
@@ -191,6 +194,14 @@ class Stage:
         self.area().tag_redraw()
         yield SETTLE
         assert self.region("UI").active_panel_category == tab, f"the sidebar has no tab {tab!r}"
+
+    def press_button(self, command: str, along: float = 0.4) -> Steps:
+        """Click a button of the sidebar that `find_button` finds."""
+        yield from self.leave_popups()
+        place = yield from self.find_button(command, along)
+        assert place is not None, f"the sidebar has no {command}"
+        yield from self.click(place)
+        yield 0.5
 
     def find_button(self, command: str, along: float = 0.4) -> Steps:
         """The place of a button of the sidebar whose tooltip's Python command begins so, or of the field of a
@@ -214,21 +225,15 @@ class Stage:
                 return (x, y)
         return None
 
-    # The file browser
+    # Files
 
-    def file_browser(self) -> Steps:
-        """The file browser, once it is open."""
-        return (
-            yield from self.until(
-                lambda: next((a for a in self.window.screen.areas if a.type == "FILE_BROWSER"), None),
-                5.0,
-                "the file browser",
-            )
+    def choose_file(self, path: str) -> Steps:
+        """Choose a file in the browser that opens in the window, and press its button."""
+        browser = yield from self.until(
+            lambda: next((a for a in self.window.screen.areas if a.type == "FILE_BROWSER"), None),
+            5.0,
+            "the file browser",
         )
-
-    def choose_file(self, path: str, shot: str = "") -> Steps:
-        """Choose a file in the browser that opens, and press its button; `shot` names a picture of it."""
-        browser = yield from self.file_browser()
         # The browser reads the folder first; what is chosen before that is forgotten.
         parameters = yield from self.until(lambda: browser.spaces.active.params, 5.0, "the browser's folder")
         directory, _, name = path.rpartition("/")
@@ -236,16 +241,29 @@ class Stage:
         yield 0.5
         parameters.filename = name
         yield 0.2
-        if shot:
-            yield from self.screenshot(shot)
-        self.in_browser(browser, bpy.ops.file.execute)
-
-    def in_browser(self, browser: bpy.types.Area, operator: Callable[[], Any]) -> None:
-        """Run an operator of the file browser's."""
         with bpy.context.temp_override(window=self.window, area=browser, region=browser.regions[-1]):
-            operator()
+            bpy.ops.file.execute()
+
+    def reopen(self, path: str) -> Steps:
+        """Save the file and open it again."""
+        bpy.ops.wm.save_as_mainfile(filepath=path)
+        bpy.ops.wm.read_homefile(use_factory_startup=True)
+        yield 0.3
+        bpy.ops.wm.open_mainfile(filepath=path)
+        yield 0.5
 
     # Looking
+
+    def redraw(self, count: int = 10) -> Steps:
+        """Milliseconds, in the median, of a turn of the main loop in which the view is drawn."""
+        times = []
+        for _ in range(count):
+            self.area().tag_redraw()
+            began = time.perf_counter()
+            yield 0.0
+            yield 0.0
+            times.append(1000 * (time.perf_counter() - began))
+        return statistics.median(times)
 
     def reports(self) -> Steps:
         """What Blender has reported to the artist in this session, one message per line."""

@@ -1,26 +1,24 @@
-"""The add-on comes and goes."""
+"""The add-on comes and goes, and the sidebar, the preferences and the time editors draw it."""
 
 from __future__ import annotations
 
-import os
-import sys
-from pathlib import Path
-
 import addon_utils
 import bpy
-from stage import ADDON, HOVER, SETTLE
+import numpy as np
+from stage import ADDON
 
+from scenarios.capturing import capture, hands, import_take, part, pixels_of
+from scenarios.panels import opened_by_default
 from scenarios.traces import traces
 
 
 def disabled_leaves_nothing(stage, take):
-    """Enabled, used, disabled, three times over; then what is left."""
-    left = []
+    """Enabled, used and disabled, three times over; nothing is left, and nothing is called any more."""
     for _ in range(3):
         if not addon_utils.check(ADDON)[1]:
             addon_utils.enable(ADDON, default_set=True)
         assert "classes" in traces(), "the add-on registered nothing"
-        assert bpy.ops.manient.import_take(filepath=take) == {"FINISHED"}
+        yield from import_take(stage, take)
         yield from stage.open_sidebar()
         addon_utils.disable(ADDON, default_set=True)
         yield 0.5
@@ -28,8 +26,8 @@ def disabled_leaves_nothing(stage, take):
         for area in stage.window.screen.areas:
             area.tag_redraw()
         yield 0.5
-        left.append({**traces(), **{name: ["still called"] for name in stage.meter.calls}})
-    return left
+        assert traces() == {}
+        assert stage.meter.calls == {}
 
 
 def survives_reloading_scripts(stage, take):
@@ -38,63 +36,152 @@ def survives_reloading_scripts(stage, take):
     before = traces()
     bpy.ops.script.reload()
     yield 1.0
-    after = traces()
+    assert traces() == before
     yield from stage.open_sidebar()
-    assert bpy.ops.manient.import_take(filepath=take) == {"FINISHED"}
-    yield 0.2
-    return before, after
+    yield from import_take(stage, take)
 
 
-def the_plug_in_folder_is_opened(stage, desktop):
-    """The last button of the add-on's preferences, found by hovering. `desktop`: a folder for what stands for
-    the desktop's program that opens folders, and for the name of what that is given."""
-    opener = Path(desktop) / "xdg-open"
-    opener.write_text(f'#!/bin/sh\necho "$1" >> {desktop}/opened\n')
-    opener.chmod(0o755)
-    path = os.environ["PATH"]
-    os.environ["PATH"] = f"{desktop}:{path}"
+def take_from_the_file_browser(stage, take):
+    """File > Import > Hand Take; undo and redo by keys."""
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+    yield from stage.invoke("manient.import_take")
+    yield from stage.choose_file(take)
+    yield from stage.until(hands, 10.0, "the imported hand")
+    yield 0.5
+    for step, count in ((stage.undo, 0), (stage.redo, 1)):
+        yield from step()
+        yield from step()
+        assert len(hands()) == count
+
+
+def all_sections(stage, source):
+    """With a captured clip: every section open, the mouse wheel turned through all of them."""
+    with opened_by_default():
+        yield from capture(stage, source)
+        yield from stage.open_sidebar()
+        stage.meter.reset()
+        region = stage.region("UI")
+        for number in range(3):
+            yield from stage.screenshot(f"sections-{number}")
+            yield from stage.move_to((region.x + region.width / 2, region.y + region.height / 2))
+            for _ in range(12):
+                yield from stage.key("WHEELDOWNMOUSE")
+            yield 0.3
+    drawn = {name.partition(".")[0] for name in stage.meter.calls if name.endswith(".draw")}
+    assert {"source", "hand", "capture", "result", "refine", "shape", "export"} <= drawn
+
+
+def preferences(stage):
+    """The installed add-on's preferences, as the artist finds them; Blender lists no checkout."""
+    if ADDON == "blender_manient":
+        return
+    addon_utils.modules_refresh()
+    bpy.context.preferences.active_section = "ADDONS"
+    bpy.context.window_manager.addon_search = "manient"
     area = stage.area()
     area.type = "PREFERENCES"
-    bpy.context.preferences.active_section = "ADDONS"
-    listed = {each.__name__: each for each in addon_utils.modules()}
-    if ADDON not in listed:
-        # Blender lists no checkout, which has a manifest in place of what older add-ons tell of themselves.
-        listed = addon_utils.addons_fake_modules
-        listed[ADDON] = sys.modules[ADDON]
-        sys.modules[ADDON].bl_info = {"name": "Manient Hand Capture", "category": "Animation"}
-    content = addon_utils.module_bl_info(listed[ADDON])
-    content["show_expanded"] = True
-    bpy.context.window_manager.addon_search = content["name"]
-    yield SETTLE
-    with bpy.context.temp_override(window=stage.window, area=area, region=area.regions[-1]):
-        bpy.ops.screen.screen_full_area()
-    yield SETTLE
-    (area,) = (each for each in stage.window.screen.areas if each.type == "PREFERENCES")
-    region = next(each for each in area.regions if each.type == "WINDOW")
-    folder = Path(bpy.utils.user_resource("DATAFILES", path="manient"))
-    place = yield from _hovered(stage, area, region, "bpy.ops.manient.open_plugins(")
-    yield 1.5
-    yield from stage.screenshot("preferences-hovered")
-    yield from stage.key("LEFTMOUSE")
-    opened = Path(desktop) / "opened"
-    yield from stage.until(opened.is_file, 5.0, f"the folder to be opened by the button at {place}")
-    yield from stage.screenshot("preferences-opened")
-    os.environ["PATH"] = path
-    return {
-        "folders": sorted(each.name for each in folder.iterdir()),
-        "opened": Path(opened.read_text().strip()) == folder,
-    }
+
+    def drawn() -> bool:
+        # Blender forgets it when it looks through its folders once more.
+        for module in addon_utils.modules(refresh=False):
+            if module.__name__ == ADDON:
+                addon_utils.module_bl_info(module)["show_expanded"] = True
+        area.tag_redraw()
+        return any(name.startswith("preferences.") and name.endswith(".draw") for name in stage.meter.calls)
+
+    yield from stage.until(drawn, 100.0, "the preferences to be drawn")
+    bpy.context.window_manager.addon_search = ""
 
 
-def _hovered(stage, area, region, command):
-    """The place of a button of a region whose tooltip's Python command begins so, the mouse left there."""
-    for y in range(region.y + 6, region.y + region.height, 12):
-        yield from stage.move_to((region.x + region.width / 2, y))
-        yield HOVER
-        bpy.context.window_manager.clipboard = ""
-        with bpy.context.temp_override(window=stage.window, area=area, region=region):
-            if bpy.ops.ui.copy_python_command_button.poll():
-                bpy.ops.ui.copy_python_command_button()
-        if bpy.context.window_manager.clipboard.startswith(command):
-            return stage.mouse
-    return None
+def curves_and_error(stage, source):
+    """In Pose mode all curves of the hand fill the view; the graph of its error is drawn beside them, and in
+    the timeline."""
+    yield from capture(stage, source)
+    (armature,) = hands()
+    with stage.override():
+        bpy.ops.object.mode_set(mode="POSE")
+        bpy.ops.pose.select_all(action="SELECT")
+    area = stage.area()
+    area.type = "GRAPH_EDITOR"
+    yield 0.5
+    region = stage.region("WINDOW", "GRAPH_EDITOR")
+    with bpy.context.temp_override(window=stage.window, area=area, region=region):
+        bpy.ops.graph.view_all()
+    yield 0.8
+    low, high = (region.view2d.region_to_view(0, y)[1] for y in (0, region.height))
+    curves = [c for c in armature.animation_data.action.fcurves if "rotation" in c.data_path]
+    values = np.array([k.co.y for c in curves for k in c.keyframe_points])
+    assert low < values.min() < values.max() < high
+    assert np.ptp(values) > 0.7 * (high - low)
+    shown = []
+    for shows in (False, True):
+        armature.manient.show_error = shows
+        yield 0.3
+        yield from stage.screenshot("curves")
+        shown.append(pixels_of(stage.screenshots / "curves.png"))
+    changed = np.abs(shown[1] - shown[0]).max(axis=-1) > 0.05
+    rows, columns = slice(region.y, region.y + region.height), slice(region.x, region.x + region.width)
+    assert changed[rows, columns].sum() > 2000
+    assert changed[: stage.area("DOPESHEET_EDITOR").height].sum() > 2000
+
+
+def whole_picture(stage, source):
+    """The picture is in sight, all of it: after a capture with the sidebar closed, open, in a quad view, and
+    from within another camera view that was zoomed into; after Shift Home in Edit Keypoints."""
+    yield from capture(stage, source)
+    _assert_framed(stage, "without sidebar")
+    yield from stage.open_sidebar()
+    view = stage.area().spaces[0].region_3d
+    _zoom_into(view)
+    yield from capture(stage, source)
+    _assert_framed(stage, "with sidebar")
+
+    _zoom_into(view)
+    view.view_perspective = "PERSP"
+    bpy.context.view_layer.objects.active = hands()[-1]
+    operator = part("operators.edit_keypoints")
+    yield from stage.invoke("manient.edit_keypoints")
+    yield from stage.until(operator.running, 5.0, "the mode to begin")
+    yield from stage.key("HOME", shift=True)
+    yield 0.5
+    _assert_framed(stage, "in Edit Keypoints")
+    yield from stage.key("ESC")
+    yield from stage.until(lambda: not operator.running(), 5.0, "the mode to end")
+
+    stage.area().spaces[0].show_region_ui = False  # it is as wide as a quarter of a small window
+    with stage.override():
+        bpy.ops.screen.region_quadview()
+    yield 0.5
+    yield from capture(stage, source)
+    _assert_framed(stage, "in a quad view")
+
+
+def _zoom_into(view: bpy.types.RegionView3D) -> None:
+    view.view_camera_zoom, view.view_camera_offset = 50.0, (0.3, 0.2)
+
+
+def _assert_framed(stage, layout: str) -> None:
+    """All of the portrait is in the free part of its view, and no smaller than need be: in a small window the
+    sidebar leaves little width."""
+    from handfit_core.geometry.picture_map import mapped, picture_to_region
+
+    area, camera = stage.area(), bpy.context.scene.camera
+    take = part("scene.store").hand_of(hands()[-1]).take
+    space, region = area.spaces[0], [r for r in area.regions if r.type == "WINDOW"][-1]
+    assert space.region_3d.view_perspective == "CAMERA"
+    size, eye = (region.width, region.height), np.array(space.region_3d.perspective_matrix)
+    matrix = picture_to_region(take.intrinsics, np.array(camera.matrix_world), eye, size)
+    corners = mapped(matrix, np.array([(0, 0), (take.width, take.height)])) + [region.x, region.y]
+    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    width, height = right - left, top - bottom
+    assert abs(height / width - 480 / 300) < 0.02, layout
+    assert region.x <= left, layout
+    assert right <= region.x + region.width, layout
+    assert region.y <= bottom, layout
+    assert top <= region.y + region.height, layout
+    for over in (
+        r for r in area.regions if r.type in ("HEADER", "TOOL_HEADER", "TOOLS", "UI") and r.width > 1
+    ):
+        beside = over.x >= right - 1 or over.x + over.width <= left + 1
+        assert beside or over.y >= top - 1 or over.y + over.height <= bottom + 1, (layout, over.type)
+    assert height > 0.75 * region.height or width > 0.3 * region.width, layout

@@ -10,12 +10,12 @@ from mathutils import Matrix, Vector
 from stage import ADDON
 
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from scenarios.adding import posed
+from scenarios import adding
 from scenarios.capturing import begin, capture, done, finish, hands, part
 from scenarios.character import press, rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
 from scenarios.panels import opened_by_default, sections
-from scenarios.refine import INDEX_TIP, places, state
+from scenarios.refine import INDEX_TIP, places, state, warmed
 
 
 def tour(stage, folder, source, edited_frame=12):
@@ -28,8 +28,6 @@ def tour(stage, folder, source, edited_frame=12):
     yield from stage.screenshot("empty")
 
     source = f"//{source}"
-    bpy.context.scene.manient.source = source
-    yield 1.5
     job = yield from begin(stage, source)
     yield from stage.until(lambda: job.stage == "detect" and job.done >= 8, 60.0, "eight frames")
     yield from stage.screenshot("capturing")
@@ -37,24 +35,20 @@ def tour(stage, folder, source, edited_frame=12):
     done(job)
     yield 1.0
     bpy.context.scene.frame_set(edited_frame)
-    yield from stage.leave_popups()
-    yield 12.0  # until Blender's message in the status bar is gone
-    yield from stage.screenshot("captured")
-
-    (armature,) = hands()
-    armature.manient.show_confidence = True
-    bpy.context.scene.frame_set(edited_frame)
-    yield 0.5
-    yield from stage.screenshot("confidence")
-    armature.manient.show_confidence = False
-    yield 0.3
+    yield from _shown(stage, "captured")
     yield from _drag_a_fingertip(stage)
     yield from stage.invoke("manient.touch")
     yield 0.5
     yield from stage.screenshot("touch")
     yield from stage.key("ESC")
     yield 0.3
-    return {"hands": len(hands())}
+
+
+def _shown(stage, name):
+    """A picture of the screen once Blender's message in the status bar is gone."""
+    yield from stage.leave_popups()
+    yield 12.0
+    yield from stage.screenshot(name)
 
 
 def choosing(stage, folder, source):
@@ -79,9 +73,7 @@ def several(stage, folder, sources):
             yield from capture(stage, f"//{source}")
         bpy.context.scene.frame_set(12)
         yield from stage.look_through_camera()
-        yield from stage.leave_popups()
-        yield 12.0  # until Blender's message in the status bar is gone
-        yield from stage.screenshot("captures")
+        yield from _shown(stage, "captures")
 
 
 def posing(stage, folder, source):
@@ -96,15 +88,15 @@ def posing(stage, folder, source):
         settings.pose_first, settings.pose_last = 8, 16
         yield from press(stage, "bpy.ops.manient.apply_pose(")
         yield from stage.look_through_camera()
-        yield from stage.leave_popups()
-        yield 12.0  # until Blender's message in the status bar is gone
-        yield from stage.screenshot("pose-range")
+        yield from _shown(stage, "pose-range")
 
 
 def placing(stage, folder, source, points):
     """A drawn hand is laid into its picture and posed by some points, as `adding.posed` takes them."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/drawing.blend")
-    return (yield from posed(stage, f"//{source}", "right", points))
+    yield from stage.open_sidebar()
+    yield from adding.begun(stage, f"//{source}", "right")
+    yield from adding.posed(stage, points)
 
 
 def onto_a_character(stage, folder, source, frame=8):
@@ -128,9 +120,7 @@ def onto_a_character(stage, folder, source, frame=8):
         space.overlay.show_extras = space.overlay.show_cursor = False
         space.region_3d.view_location = _wrist(armature) + Vector((-0.05, 0.0, 0.05))
         space.region_3d.view_distance = 0.55
-        yield from stage.leave_popups()
-        yield 12.0  # until Blender's message in the status bar is gone
-        yield from stage.screenshot("character")
+        yield from _shown(stage, "character")
 
 
 def _hold_beside(rig, armature):
@@ -162,8 +152,7 @@ def _wrist(armature):
 def _drag_a_fingertip(stage):
     with stage.override():
         bpy.ops.manient.edit_keypoints("INVOKE_DEFAULT")
-    yield 1.0
-    yield from stage.until(lambda: not state()["warming"], 60.0, "the worker to be warm")
+    yield from warmed(stage)
     x, y = places()[INDEX_TIP]
     path = [
         (x + 45 * math.sin(0.5 * math.pi * i / 20), y - 60 * (1 - math.cos(0.5 * math.pi * i / 20)))

@@ -1,7 +1,5 @@
 """Detections in the canonical frame: the same hand looks the same, wherever and however it is seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,25 +20,20 @@ def canonical_right(detections: Detections) -> Canonical:
     return canonical(detections, np.full(len(detections), SIDES.index(RIGHT)))
 
 
-def test_there_and_back() -> None:
+def test_there_and_back():
     frame = canonical(DETECTIONS, np.arange(8) % 2)
     points = np.random.default_rng(0).normal(size=(8, 21, 3))
     np.testing.assert_allclose(frame.from_picture(frame.to_picture(points)), points, atol=1e-12)
     np.testing.assert_allclose(frame.to_picture(frame.from_picture(100 * points)), 100 * points, atol=1e-9)
 
 
-def test_image_landmarks_come_back_as_pixels() -> None:
+def test_upright_centred_and_of_unit_size():
     frame = canonical_right(DETECTIONS)
+    assert frame.features.shape == (8, FEATURES)
     image = frame.features[:, :63].reshape(-1, 21, 3)
     keypoints = DETECTIONS.keypoints
     expected = keypoints - keypoints.mean(axis=1, keepdims=True) * [0, 0, 1]
     np.testing.assert_allclose(frame.to_picture(image), expected, atol=1e-9)
-
-
-def test_upright_centred_and_of_unit_size() -> None:
-    frame = canonical_right(DETECTIONS)
-    assert frame.features.shape == (8, FEATURES)
-    image = frame.features[:, :63].reshape(-1, 21, 3)
     np.testing.assert_allclose(image.mean(axis=1), 0.0, atol=1e-12)
     np.testing.assert_allclose(np.square(image[..., :2]).sum(axis=-1).mean(axis=1), 1.0)
     up = image[:, KNUCKLES, :2].mean(axis=1) - image[:, 0, :2]
@@ -64,9 +57,7 @@ def changed(
 @pytest.mark.parametrize(
     ("angle", "scale", "shift"), [(0.0, 1.0, (0, 0)), (2.5, 3.0, (-40, 900)), (-1.2, 0.2, (7, 5))]
 )
-def test_how_the_picture_is_held_makes_no_difference(
-    mirror: bool, angle: float, scale: float, shift: tuple[float, float]
-) -> None:
+def test_how_the_picture_is_held_makes_no_difference(mirror, angle, scale, shift):
     before = canonical_right(DETECTIONS)
     moved = columns([changed(d, angle, scale, shift, mirror) for d in HANDS])
     after = canonical(moved, moved.side)
@@ -77,7 +68,7 @@ def test_how_the_picture_is_held_makes_no_difference(
     np.testing.assert_allclose(after.to_picture(after.fused)[..., :2], moved.keypoints_2d, atol=1e-7)
 
 
-def test_world_landmarks_are_laid_over_the_image_ones() -> None:
+def test_world_landmarks_are_laid_over_the_image_ones():
     frame = canonical_right(DETECTIONS)
     image, world, over = (frame.features[:, i : i + 63].reshape(-1, 21, 3) for i in (0, 63, 126))
     for one, other, laid in zip(image, world, over, strict=True):
@@ -89,17 +80,14 @@ def test_world_landmarks_are_laid_over_the_image_ones() -> None:
     np.testing.assert_allclose(frame.fused[..., 2], (image[..., 2] + over[..., 2]) / 2)
 
 
-def test_the_detectors_word_on_the_side() -> None:
+def test_the_detectors_word_on_the_side():
     detection = replace(HANDS[0], score=0.7)
     both = canonical(columns([detection, detection]), np.array([SIDES.index(RIGHT), SIDES.index("left")]))
     np.testing.assert_allclose(both.features[:, -1], [0.7, -0.7])
     np.testing.assert_array_equal(both.mirror, [1.0, -1.0])
 
 
-def test_points_in_one_place_do_no_harm() -> None:
+def test_points_in_one_place_do_no_harm():
     frame = canonical_right(columns([HandDetection(RIGHT, 0.5, np.full((21, 3), 7.0), np.zeros((21, 3)))]))
     assert np.isfinite(frame.features).all()
-
-
-def test_nothing_in_nothing_out() -> None:
     assert canonical_right(columns([])).features.shape == (0, FEATURES)

@@ -1,11 +1,8 @@
 """The network's judgement of sides beside the detector's."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np
-import pytest
 
 from handfit_core.detect.correction import corrected as corrected_module
 from handfit_core.detect.correction.canonical import Canonical
@@ -20,31 +17,23 @@ UNSURE = replace(DETECTIONS, side=np.zeros(12, dtype=int), score=np.full(12, 0.5
 """Named left hands, and not surely"""
 
 
-def test_a_sure_detector_keeps_its_word() -> None:
-    assert with_side_judged(DETECTIONS).likely_side.tolist() == [SIDES.index("right")] * 12
-
-
-def test_a_wrong_and_unsure_one_does_not() -> None:
-    assert np.mean(with_side_judged(UNSURE).likely_side == SIDES.index("right")) > 0.5
-
-
-def test_the_detectors_word_counts_more() -> None:
-    _, probability = corrected(UNSURE, UNSURE.side)
-    right = with_side_judged(UNSURE).right_side
-    aim = TRUST.detector_odds * probability / (1.0 - probability)
-    np.testing.assert_allclose(right / (1.0 - right), aim, rtol=1e-6)
-
-
-def test_nothing_else_changes() -> None:
-    judged = with_side_judged(DETECTIONS)
+def test_the_detectors_word_counts_more():
+    """A sure one keeps its word, a wrong and unsure one does not; nothing else changes."""
+    judged, right = with_side_judged(DETECTIONS), SIDES.index("right")
+    assert judged.likely_side.tolist() == [right] * 12
     for name in ("side", "score", "keypoints"):
         assert getattr(judged, name) is getattr(DETECTIONS, name)
+    assert np.mean(with_side_judged(UNSURE).likely_side == right) > 0.5
+    _, probability = corrected(UNSURE, UNSURE.side)
+    found = with_side_judged(UNSURE).right_side
+    aim = TRUST.detector_odds * probability / (1.0 - probability)
+    np.testing.assert_allclose(found / (1.0 - found), aim, rtol=1e-6)
     none = with_side_judged(columns([]))
     assert none.corrected is not None
     assert none.corrected.shape == (0, 21, 6)
 
 
-def test_what_was_said_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_said_is_not_asked_again(monkeypatch):
     """The network runs once for a detection, and again only where the hand is taken for the other."""
     judged = with_side_judged(DETECTIONS)
     expected = {side: landmarked(DETECTIONS, side) for side in SIDES}
@@ -69,7 +58,7 @@ def test_what_was_said_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> No
     assert asked == [12, 7]
 
 
-def test_points_where_another_hand_is_are_believed_less() -> None:
+def test_points_where_another_hand_is_are_believed_less():
     covered = (np.arange(21) > 16) & (np.arange(12) == 1)[:, None]
     detections = replace(DETECTIONS, overlapped=covered)
     for before, given in (

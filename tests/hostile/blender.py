@@ -25,7 +25,7 @@ from handfit_core.errors import HandfitError
 from handfit_core.media.source import Source
 from scripts import batch_fit
 from tests.drawn import drawn
-from tests.hostile.core_doors import check_ending, check_take
+from tests.hostile.core import check_ending, check_take
 from tests.hostile.takes import good_take
 
 blender_manient.register()
@@ -188,8 +188,5 @@ def batch(argv: list[str], code: int) -> None:
 
 
 DOORS: dict[str, Callable[..., Any]] = {
-    "import_take": import_take,
-    "import_of": import_of,
-    "blend": blend,
-    "batch": batch,
+    door.__name__: door for door in (import_take, import_of, blend, batch)
 }

@@ -191,14 +191,6 @@ def check_ending(code: object, said: str) -> None:
 
 
 DOORS: dict[str, Callable[..., Any]] = {
-    "take": take,
-    "recording": recording,
-    "results": results,
-    "model": model,
-    "media": media,
-    "capture": capture,
-    "find": find,
-    "command": command,
-    "process": process,
+    door.__name__: door for door in (take, recording, results, model, media, capture, find, command, process)
 }
 os.environ["OPENCV_FFMPEG_READ_ATTEMPTS"] = "64"
