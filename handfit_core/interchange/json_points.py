@@ -183,8 +183,8 @@ def _frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str,
     if len(around) > 1:
         first, second = ("..".join(each) for each in sorted(around)[:2])
         raise InputError(
-            f"{shown(document.path)}: its frames belong to several clips ({first} and {second}, for example); "
-            "give each its own folder"
+            f"{shown(document.path)}: its frames belong to several clips ({first} and {second}, for "
+            "example); give each its own folder"
         )
     return [(int(match[0]), file) for match, file in numbered], (f"{which}: left out",) if others else ()
 
