@@ -18,10 +18,10 @@ from handfit_core.take import Take
 from ..common import screen
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
-from ..session import jobs, shared_worker, source_info
+from ..session import jobs, source_info
 from ..session.properties import SIDE_ITEMS
-from .base import LINKED_SCENE, ModalOperator, select_alone, show_frame_again
-from .capture import new_job
+from .base import ModalOperator, select_alone, show_frame_again
+from .capture import new_job, why_no_capture
 from .modes import drawing, view
 from .modes.view import free_corner
 
@@ -141,13 +141,9 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
     def lacks(cls, context):
         if _mode is not None:
             return "A hand is being added already"
-        if context.scene is None or not context.scene.is_editable:
-            return LINKED_SCENE
-        if jobs.busy():
-            return "A capture is running: wait for it, or stop it"
         if context.mode not in ("OBJECT", "POSE"):
             return "Go to Object or Pose Mode first"
-        return shared_worker.capture_sentence()
+        return why_no_capture(context, alone=True)
 
     def begin(self, context):
         """Begin in the viewport under the mouse, or the largest one; the picture is shown first."""

@@ -31,13 +31,11 @@ _SURE, _LIKELY = 0.75, 0.45
 
 
 class MANIENT_PT_character(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_character"
     bl_label = "Character"
     bl_order = 7
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """Whose hands, whose motion, and how."""
         layout, armature = self.layout, active_character(context)
         if armature is None:
             text = "Select a character, its armature or a mesh that it deforms, to have it move as captured"
@@ -118,18 +116,15 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
 
 
 class MANIENT_PT_character_bones(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_character_bones"
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
-        """Only with a character."""
         return active_character(context) is not None
 
     def draw(self, context):
-        """One hand's table."""
         layout, armature = self.layout, active_character(context)
         assert armature is not None
         table = context.scene.manient.hand_table

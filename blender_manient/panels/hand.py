@@ -10,13 +10,11 @@ from ..operators import housekeeping
 
 
 class MANIENT_PT_hand(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_hand"
     bl_label = "Hand"
     bl_order = 2
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """Hands, model and size."""
         layout, settings = self.layout, context.scene.manient
         split(layout)
         layout.prop(settings, "hands")

@@ -10,17 +10,14 @@ from ..session import shared_worker
 
 
 class MANIENT_PT_installation(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_installation"
     bl_label = "Installation"
     bl_order = 0
 
     @classmethod
     def poll(cls, _context):
-        """Whether there is anything to say."""
         return bool(shared_worker.capture_sentence())
 
     def draw(self, context):
-        """What is wrong and what to do."""
         layout = self.layout
         sentence(layout, context, shared_worker.capture_sentence(), "ERROR", alert=True)
         layout.operator("manient.check_installation", icon="CHECKMARK")

@@ -17,7 +17,6 @@ class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
     bl_idname = preferences.ADDON
 
     def draw(self, context):
-        """One block per subject."""
         layout = self.layout
         split(layout)
         for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits, _draw_plugins):

@@ -15,13 +15,11 @@ from .steady import is_pressable
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_refine"
     bl_label = "Refine"
     bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """Editing, range and locks."""
         layout, settings = self.layout, context.scene.manient
         hand = active_hand(context)
         if hand is None:

@@ -22,12 +22,10 @@ _PICTURE_LINES = 5
 
 
 class MANIENT_PT_source(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_source"
     bl_label = "Source"
     bl_order = 1
 
     def draw(self, context):
-        """The file, what it is, and which of its frames are used."""
         layout, settings = self.layout, context.scene.manient
         row = layout.row(align=True)
         row.prop(settings, "source", text="")

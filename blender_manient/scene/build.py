@@ -126,7 +126,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     finished = False
     watch = ChangeWatch()
     try:
-        steps = _steps(made, take, _open_scene(), how)
+        steps = _steps(made, take, bpy.context.scene, how)
         done = 0.0
         while True:
             is_over = slice_clock()
@@ -427,10 +427,3 @@ def _rate(scene: bpy.types.Scene, take: Take, matched: bool) -> float:
     if not has_rate(take) or len(take.frame_numbers) == 1:
         return 0.0
     return take.fps if matched else frame_rate(scene)
-
-
-def _open_scene() -> bpy.types.Scene:
-    """The one that is evaluated, and that has a current frame to show."""
-    scene = bpy.context.scene
-    assert scene is not None
-    return scene

@@ -281,11 +281,10 @@ def _move(points: Any, moved: np.ndarray) -> None:
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _after_time_travel)
 LISTENERS = {"shape": lambda group: shape_changed(group.id_data)}
+TIMERS = (_catch_up,)
 
 
 def unregister() -> None:
     """Forget what waits."""
-    if bpy.app.timers.is_registered(_catch_up):
-        bpy.app.timers.unregister(_catch_up)
     _waiting.clear()
     _troubles.clear()

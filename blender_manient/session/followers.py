@@ -73,9 +73,3 @@ class Followers(dict[int, Any]):
         """Begin to go on, where something is to be done."""
         if not bpy.app.timers.is_registered(self.step):
             bpy.app.timers.register(self.step, first_interval=0.0, persistent=True)
-
-    def end(self) -> None:
-        """Go on with nothing any more."""
-        self.clear()
-        if bpy.app.timers.is_registered(self.step):
-            bpy.app.timers.unregister(self.step)

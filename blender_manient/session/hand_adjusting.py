@@ -125,10 +125,11 @@ HANDLERS = {
     "redo_post": _on_time_travel,
 }
 LISTENERS = {"hand_motion": on_settings_changed}
+TIMERS = (step,)
 
 
 def unregister() -> None:
     """Follow nobody any more."""
-    _changes.end()
+    _changes.clear()
     _offsets.clear()
     _messages.clear()

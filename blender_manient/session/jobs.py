@@ -454,11 +454,7 @@ def _duration(seconds: float) -> str:
     return f"{int(seconds // 60)}:{int(seconds % 60):02d} min"
 
 
-def _on_load(*_args) -> None:
-    abandon()
-
-
-HANDLERS = {"load_pre": _on_load}
+HANDLERS = {"load_pre": lambda *_args: abandon()}
 
 
 def unregister() -> None:

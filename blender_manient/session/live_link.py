@@ -270,9 +270,10 @@ HANDLERS = {
     "depsgraph_update_post": _on_update,
 }
 LISTENERS = {"character": on_settings_changed}
+TIMERS = (step,)
 
 
 def unregister() -> None:
     """Follow nobody any more."""
-    _links.end()
+    _links.clear()
     _troubles.clear()

@@ -176,6 +176,9 @@ def bytecode_folder() -> Path | None:
     return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))
 
 
+TIMERS = (_collect,)
+
+
 def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
     properties.choices_of_option |= {"detector": detectors, "solver": solvers}
@@ -185,7 +188,5 @@ def register() -> None:
 
 def unregister() -> None:
     """End the worker now, and wait until it is gone: Blender may be about to remove the files it runs."""
-    if bpy.app.timers.is_registered(_collect):
-        bpy.app.timers.unregister(_collect)
     stop()
     wait_for_killed(_EXIT_WAIT_SECONDS)

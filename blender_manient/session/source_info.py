@@ -300,13 +300,12 @@ def _on_undo(*_args) -> None:
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
 LISTENERS = {"source": source_chosen, "as_sequence": source_changed}
+TIMERS = (_await_answer,)
 
 
 def unregister() -> None:
-    """Free the thumbnails, and stop waiting."""
+    """Free the thumbnails, and forget the source."""
     global _previews, _known
-    if bpy.app.timers.is_registered(_await_answer):
-        bpy.app.timers.unregister(_await_answer)
     if _previews is not None:
         bpy.utils.previews.remove(_previews)
     _previews = _known = None

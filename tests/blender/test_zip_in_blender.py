@@ -116,8 +116,8 @@ off = classes()
 enable()
 module = sys.modules[NAME + ".session.details"]
 bpy.utils.load_scripts(reload_scripts=True)
-cache = sys.modules[NAME + ".session.cache"]
-seen = [state(), sys.modules[NAME + ".session.details"] is module, str(cache.folder_path())]
+cache = str(sys.modules[NAME + ".session.cache"].folder_path())
+seen = [state(), sys.modules[NAME + ".session.details"] is module, cache]
 uninstall()
 found([before, report, off, *seen, files()])
 """)
