@@ -176,11 +176,9 @@ def test_before_each_is_called(monkeypatch: pytest.MonkeyPatch, window: int, win
     _, seen, start = clip()
     solve, done, asked = clips._solve, [], []
     monkeypatch.setattr(clips, "_solve", lambda *a: done.append(1) or solve(*a))
-    problem, whole = (
-        problem_for(seen, motion=replace(MOTION, overlap=16)),
-        windows * clips.SOLVER.clip_iterations,
-    )
+    problem = problem_for(seen, motion=replace(MOTION, overlap=16))
     smooth_clip(problem, start, lambda: asked.append(len(done)))
+    whole = windows * clips.SOLVER.clip_iterations
     assert len(done) == whole
     assert len(asked) == whole + windows
     assert set(asked) == set(range(whole))
