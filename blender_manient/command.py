@@ -15,9 +15,9 @@ from typing import Any
 
 import bpy
 
-from . import installation
 from .batch.commands import COMMANDS, EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE
 from .batch.console import print_error, show_all_names, stopped_by_signals
+from .common import installation
 
 NAME = "manient"
 
@@ -77,8 +77,8 @@ def _run_batch(args: argparse.Namespace) -> int:
     # All of these need handfit_core or NumPy.
     from handfit_core.worker.interpreter import PYTHON_VARIABLE
 
-    from . import preferences
     from .batch.run import Host, run
+    from .common import preferences
 
     chosen = preferences.get()
     host = Host(

@@ -9,24 +9,10 @@ from typing import Any
 
 import bpy
 
-from . import (
-    cache,
-    error_graph,
-    hand_adjusting,
-    hand_table,
-    jobs,
-    key_preview,
-    live_link,
-    operators,
-    panels,
-    preferences,
-    properties,
-    shared_worker,
-    source_info,
-    steady,
-)
+from . import operators, panels, scene, session
+from .common import preferences
 from .panels import preferences as preferences_panel
-from .scene import captures, confidence, controls, render_setup, reshape, see_through
+from .session import hand_table, properties
 
 _KINDS = (
     bpy.types.AddonPreferences,
@@ -45,7 +31,7 @@ class AddonModule:
     * PROPERTIES: (Blender's type, name) -> function that makes the property which all of its data-blocks get:
       properties that live on when Python ends make Blender hang or crash then
     * HANDLERS: Blender's name of an event -> function
-    * LISTENERS: name of a notifier in preferences.py -> function
+    * LISTENERS: name of a notifier in common/preferences.py -> function
     * MENUS: (name of Blender's menu, "append" or "prepend") -> function that draws an entry
     * TIMERS: functions that the module gives to Blender's timers
 
@@ -112,6 +98,7 @@ def _submodules(package: ModuleType) -> list[ModuleType]:
     return [
         importlib.import_module(f"{package.__name__}.{found.name}")
         for found in pkgutil.iter_modules(package.__path__)
+        if not found.ispkg
     ]
 
 
@@ -119,22 +106,9 @@ _ORDER = (
     preferences_panel,  # what follows asks for what the user has chosen
     preferences,
     hand_table,
-    properties,
-    cache,
-    reshape,
-    controls,
-    confidence,
-    error_graph,
-    see_through,
-    render_setup,
-    captures,
-    key_preview,
-    shared_worker,
-    jobs,
-    live_link,
-    hand_adjusting,
-    source_info,
-    steady,
+    properties,  # which has one of these, and which all that follow look into
+    *_submodules(scene),
+    *_submodules(session),
     *_submodules(operators),
     *_submodules(panels),
 )

@@ -18,7 +18,8 @@ from typing import Any
 
 import bpy
 
-from . import command, installation, unusable
+from . import command, unusable
+from .common import installation
 
 PACKAGE = __package__ or ""
 

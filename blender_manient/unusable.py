@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from . import installation
-from .section import Section, sentence
-from .wording import capitalised
+from .common import installation
+from .common.section import Section, sentence
+from .common.wording import capitalised
 
 ADDON = __package__ or ""
 _REPOSITORY = ADDON.split(".")[1] if ADDON.count(".") > 1 else "none"

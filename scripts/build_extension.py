@@ -28,7 +28,7 @@ from scripts.needed import need
 
 need("numpy", "nox -s build")
 
-from blender_manient.installation import this_platform
+from blender_manient.common.installation import this_platform
 from handfit_core.errors import HandfitError
 from handfit_core.files import written_whole
 from handfit_core.version import __version__

@@ -18,7 +18,7 @@ from handfit_core.skeleton import SIDES, Side
 from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
 
-from ..blender_versions import versions
+from ..common.blender_versions import versions
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing

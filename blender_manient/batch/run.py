@@ -27,7 +27,7 @@ from handfit_core.tasks.report import REPORT, read_results
 from handfit_core.tasks.task import Task, make_tasks
 from handfit_core.worker import interpreter
 
-from .. import shared_worker
+from ..session import shared_worker
 from .commands import EXIT_INTERRUPTED, EXIT_OK, EXIT_SOME_FAILED, EXIT_USAGE, EXPORT
 from .console import blender_silenced, print_error, show_all_names, stopped_by_signals
 from .exported import Exported

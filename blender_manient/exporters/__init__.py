@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from handfit_core.errors import OptionError
 
-from ..plugins import find_plugins, print_once
+from ..common.plugins import find_plugins, print_once
 from .exporter import Exporter
 
 PRESETS = (

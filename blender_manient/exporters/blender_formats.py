@@ -17,7 +17,7 @@ from bpy_extras.io_utils import axis_conversion
 from handfit_core.errors import OptionError
 from handfit_core.files import check_room
 
-from ..blender_versions import gltf_left_out
+from ..common.blender_versions import gltf_left_out
 from .exporter import Exporter, HandObjects, Preset, blank
 
 

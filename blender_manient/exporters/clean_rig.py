@@ -20,7 +20,7 @@ from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.retarget.bones import Bones
 from handfit_core.skeleton import Side
 
-from ..blender_versions import assign_action
+from ..common.blender_versions import assign_action
 from ..rigs import rig_of
 from ..rigs.character import bones_of
 from ..rigs.controls import control_bones

@@ -32,7 +32,7 @@ from handfit_core.errors import HandfitError, OptionError, OutputError
 from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
-from ..plugins import failure_sentence
+from ..common.plugins import failure_sentence
 from ..rigs.controls import control_bones
 from ..scene.build import BuiltTake
 from ..scene.camera import frame_scene

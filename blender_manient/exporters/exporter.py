@@ -15,7 +15,7 @@ import numpy as np
 
 from handfit_core.skeleton import Side
 
-from ..blender_versions import has_operator
+from ..common.blender_versions import has_operator
 
 
 class HandObjects(Protocol):

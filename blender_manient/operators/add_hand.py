@@ -15,14 +15,15 @@ from handfit_core.hand_model.files import kept_model
 from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.take import Take
 
-from .. import jobs, screen, shared_worker, source_info
-from ..modes import drawing, view
-from ..modes.view import free_corner
-from ..properties import SIDE_ITEMS
+from ..common import screen
 from ..scene.build import add_last_hand
 from ..scene.store import active_hand, captures_of, kept_take, rows_at
-from .base import LINKED_SCENE, ModalOperator, select_alone, show_frame_again
-from .capture import new_job
+from ..session import jobs, source_info
+from ..session.properties import SIDE_ITEMS
+from .base import ModalOperator, select_alone, show_frame_again
+from .capture import new_job, why_no_capture
+from .modes import drawing, view
+from .modes.view import free_corner
 
 _CLICK_PIXELS = 6.0
 """pixels at a user interface scale of 1. A drag that is shorter is a click"""
@@ -33,7 +34,7 @@ _KEYS = (
 _SEEN = (("back", "Back", "The back of the hand is seen"), ("palm", "Palm", "The palm is seen"))
 
 
-class _Mode:
+class _Mode(view.Overlay):
     """The state between the button and the hand."""
 
     def __init__(self, context, viewport: view.Viewport, capture: bpy.types.Collection) -> None:
@@ -46,16 +47,12 @@ class _Mode:
         self.pressed: np.ndarray | None = None
         """(2,) pixels of the region"""
         self.message = ""
-        self._handler = bpy.types.SpaceView3D.draw_handler_add(self._draw, (), "WINDOW", "POST_PIXEL")
-        viewport.area.tag_redraw()
+        super().__init__(viewport)
 
     def end(self, context) -> None:
         """Leave nothing behind. May be called twice."""
-        if self._handler is not None:
-            bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
-            self._handler = None
+        if self.remove():
             self.view.leave(context)
-            screen.redraw("VIEW_3D")
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
         """Picture to region; None while the viewport does not look through the capture camera."""
@@ -93,14 +90,9 @@ class _Mode:
             self.message = str(error)
             return np.full((NUM_KEYPOINTS, 2), np.nan)
 
-    def _draw(self) -> None:
-        context = bpy.context
-        if context.area is None or context.area.as_pointer() != self.view.address:
-            return
-        viewport = view.viewport_at(context, self.view.address)
-        if viewport is None or context.region != viewport.region:
-            return
-        side, matrix = context.scene.manient.added_side, self.matrix(viewport)
+    def draw(self, viewport: view.Viewport) -> None:
+        """Draw the hand as it would be added, and a line about it."""
+        side, matrix = bpy.context.scene.manient.added_side, self.matrix(viewport)
         text = f"{side.capitalize()} hand, its {self.seen} to you: drag from the wrist to the middle knuckle"
         if matrix is None:
             text = "Numpad 0: look through the capture camera again"
@@ -149,13 +141,9 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
     def lacks(cls, context):
         if _mode is not None:
             return "A hand is being added already"
-        if context.scene is None or not context.scene.is_editable:
-            return LINKED_SCENE
-        if jobs.busy():
-            return "A capture is running: wait for it, or stop it"
         if context.mode not in ("OBJECT", "POSE"):
             return "Go to Object or Pose Mode first"
-        return shared_worker.capture_sentence()
+        return why_no_capture(context, alone=True)
 
     def begin(self, context):
         """Begin in the viewport under the mouse, or the largest one; the picture is shown first."""
@@ -188,7 +176,7 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         bpy.ops.ed.undo_push(message="Add Hand")
 
     def follow(self, context, event):
-        viewport = view.viewport_at(context, _mode.view.address) if _mode is not None else None
+        viewport = _mode.viewport() if _mode is not None else None
         if _mode is None or viewport is None or jobs.busy() or bpy.data.objects.get(_mode.camera) is None:
             return self.end(context)
         mouse = viewport.mouse(event)

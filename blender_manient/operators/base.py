@@ -267,7 +267,6 @@ class StepsOperator(ModalOperator):
                 return {"PASS_THROUGH"}
 
     def ended(self, context):
-        self._watch.stop()
         self._steps.close()
 
 

@@ -13,12 +13,13 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.events import WorkerError
 
-from .. import jobs, preferences, screen, shared_worker, source_info
-from ..block_reference import BlockReference
+from ..common import preferences, screen
+from ..common.block_reference import BlockReference
 from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
+from ..session import jobs, shared_worker, source_info
 from .base import LINKED_SCENE, InternalOperator, ModalOperator
 
 
@@ -49,9 +50,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
 
     @classmethod
     def lacks(cls, context):
-        if context.scene is None or not context.scene.is_editable:
-            return LINKED_SCENE
-        return shared_worker.capture_sentence()
+        return why_no_capture(context)
 
     def begin(self, context):
         """Queue the capture, and follow the queue where nobody does."""
@@ -148,6 +147,16 @@ class MANIENT_OT_clear_captures(InternalOperator, bpy.types.Operator):
     def run(self, context):
         jobs.forget_finished()
         screen.redraw_sidebars()
+
+
+def why_no_capture(context: bpy.types.Context, *, alone: bool = False) -> str:
+    """Why no capture can begin, or none as long as another one is under way (`alone`): a sentence for a
+    tooltip; empty where one can."""
+    if context.scene is None or not context.scene.is_editable:
+        return LINKED_SCENE
+    if alone and jobs.busy():
+        return "A capture is running: wait for it, or stop it"
+    return shared_worker.capture_sentence()
 
 
 def new_job(

@@ -17,11 +17,11 @@ from handfit_core.files import shown, written_whole
 from handfit_core.retarget.hand_map import HandMap, read_preset, to_preset
 from handfit_core.skeleton import SIDES, other_side
 
-from ..block_reference import BlockReference
-from ..properties import SIDE_ITEMS
+from ..common.block_reference import BlockReference
+from ..common.wording import capitalised, counted
 from ..scene.characters import hand_map_of, hands_to_move, keep_map, recognise_again, table_of
 from ..scene.onto_character import TransferOptions, putting, shortcomings
-from ..wording import capitalised, counted
+from ..session.properties import SIDE_ITEMS
 from .base import CharacterOperator, StepsOperator, polled_character, select_alone, show_frame_again
 
 _OPPOSITE = 0.02

@@ -13,8 +13,9 @@ from handfit_core.worker.client import Worker
 from handfit_core.worker.events import Event
 from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python
 
-from .. import cache, details, installation, preferences, screen, shared_worker
-from ..wording import capitalised
+from ..common import installation, preferences, screen
+from ..common.wording import capitalised
+from ..session import cache, details, shared_worker
 from . import housekeeping
 from .base import InternalOperator, ModalOperator
 
@@ -149,7 +150,9 @@ class _Check:
         other = shared_worker.current()
         if other is not None and not other.alive and other.details():
             parts.append(f"The process of the last capture said:\n{other.details()}")
-        text = _without_home("\n\n".join(parts)) + "\n"
+        text, home = "\n\n".join(parts) + "\n", str(Path.home())
+        # A bug report need not tell the user's name.
+        text = text.replace(home, "~") if len(home) > 1 else text
         return Result(ok, sentence, preferences.get().python), text
 
 
@@ -185,12 +188,6 @@ def _settings_text(worker: Worker) -> str:
     if chosen.mano_folder:
         lines += [f"  {result.sentence}" for result in housekeeping.check(chosen.mano_folder)]
     return "\n".join(lines)
-
-
-def _without_home(text: str) -> str:
-    """A bug report need not tell the user's name."""
-    home = str(Path.home())
-    return text.replace(home, "~") if len(home) > 1 else text
 
 
 def unregister() -> None:

@@ -8,12 +8,12 @@ from handfit_core.edit.corrections import Pins
 from handfit_core.errors import OptionError
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-from .. import shared_worker
-from ..modes import keypoints as mode
-from ..modes import view
-from ..refiner import Refiner, why_not
 from ..scene.store import active_hand, hand_of
+from ..session import shared_worker
+from ..session.refiner import Refiner, why_not
 from .base import ManientOperator, ModalOperator, show_frame_again
+from .modes import keypoints as mode
+from .modes import view
 
 _KEYS = (
     "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    "

@@ -11,15 +11,15 @@ import bpy
 
 from handfit_core.errors import OptionError
 
+from ..common.section import sentence, split
 from ..exporters import EXPORTERS, PRESETS
 from ..exporters.export_hands import Stage, export_hands
 from ..exporters.exporter import Exporter, HandObjects
-from ..properties import EXPORT_FORMATS
 from ..scene.characters import CharacterObjects, active_character, why_not_written
 from ..scene.editable import why_not_readable
 from ..scene.keys import read_pose_keys
 from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
-from ..section import sentence, split
+from ..session.properties import EXPORT_FORMATS
 from .base import NO_CHARACTER, HandOperator, ManientOperator, polled_character, polled_hand
 
 _OF_HANDS = "holds captured hands, no characters"

@@ -9,11 +9,11 @@ from handfit_core.errors import HandfitError, OptionError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions
 
-from .. import jobs, shared_worker, source_info
-from ..modes import find_hands as mode
-from ..modes import view
-from .base import LINKED_SCENE, ManientOperator, ModalOperator
-from .capture import new_job
+from ..session import jobs, source_info
+from .base import ManientOperator, ModalOperator
+from .capture import new_job, why_no_capture
+from .modes import find_hands as mode
+from .modes import view
 
 _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
 """Keys that do what they do elsewhere"""
@@ -30,11 +30,7 @@ class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
     def lacks(cls, context):
         if mode.current is not None:
             return "Hands are being chosen already"
-        if context.scene is None or not context.scene.is_editable:
-            return LINKED_SCENE
-        if jobs.busy():
-            return "A capture is running: wait for it, or stop it"
-        return shared_worker.capture_sentence()
+        return why_no_capture(context, alone=True)
 
     def begin(self, context):
         """Begin the mode in the viewport under the mouse, or the largest one."""

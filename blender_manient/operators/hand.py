@@ -9,6 +9,8 @@ from handfit_core.errors import OptionError, TakeError
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 from handfit_core.take import Take
 
+from ..common.section import split
+from ..common.wording import counted
 from ..rigs.controls import in_use, with_moved
 from ..scene import corrections
 from ..scene.apply import apply_hand, apply_track, track_for
@@ -19,8 +21,6 @@ from ..scene.origin import origin_to_wrist, why_not_at_wrist
 from ..scene.reshape import reset
 from ..scene.store import CapturedHand, captured_hands
 from ..scene.timing import span_of
-from ..section import split
-from ..wording import counted
 from .base import HandOperator, polled_hand, select_alone, show_frame_again
 
 _FINGER_ITEMS = tuple(

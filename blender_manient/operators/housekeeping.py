@@ -11,7 +11,8 @@ from handfit_core.files import shown, why
 from handfit_core.hand_model import load_model
 from handfit_core.skeleton import SIDES, Side
 
-from .. import cache, details, plugins, preferences, screen, shared_worker
+from ..common import plugins, preferences, screen
+from ..session import cache, details, shared_worker
 from .base import InternalOperator
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from .. import key_preview
 from ..scene.actions import strip_below
 from ..scene.editable import why_not_editable, why_not_keyable
 from ..scene.layer import add_layer, end_layer
 from ..scene.simplify import hands_to_simplify, kept_action, restore, write
+from ..session import key_preview
 from .base import ManientOperator
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from .. import screen
-from ..modes import find_hands as find_mode
+from ..common import screen
 from . import add_hand, find_hands
 from .base import InternalOperator
+from .modes import find_hands as find_mode
 from .refit_range import RangeFitOperator
 
 _LEAVE = {"FIND": find_hands.unregister, "ADD": add_hand.unregister, "FIT": RangeFitOperator.stop}

@@ -14,15 +14,16 @@ from handfit_core.errors import HandfitError, InputError
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 from handfit_core.take import Take
 
-from .. import jobs, preferences, screen, source_info
-from ..cache import cache_folder
-from ..properties import MATCHING, POSE_CORRECTIVES
+from ..common import preferences, screen
+from ..common.section import sentence
 from ..scene.build import build_take
 from ..scene.captures import comes_in_front
 from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..scene.plate import rows_of
 from ..scene.preview import write_png
-from ..section import sentence
+from ..session import jobs, source_info
+from ..session.cache import cache_folder
+from ..session.properties import MATCHING, POSE_CORRECTIVES
 from .base import ManientOperator, SceneOperator
 from .capture import new_job
 
@@ -130,8 +131,9 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
         """What was dropped, and which hands are wanted."""
         layout = self.layout
         paths = self._paths()
+        icon = "FILE_MOVIE" if paths[0].suffix.lower() in VIDEO_SUFFIXES else "FILE_IMAGE"
         text = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
-        layout.label(text=text, icon="FILE_MOVIE" if _is_video(paths[0]) else "FILE_IMAGE", translate=False)
+        layout.label(text=text, icon=icon, translate=False)
         if len(paths) > 1:
             layout.prop(self, "as_sequence")
         settings, scene = context.scene.manient, context.scene
@@ -177,7 +179,6 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
 
 
 class MANIENT_FH_media(bpy.types.FileHandler):
-    bl_idname = "MANIENT_FH_media"
     bl_label = "Capture Hands"
     bl_import_operator = MANIENT_OT_drop_media.bl_idname
     bl_file_extensions = ";".join(sorted(PHOTO_SUFFIXES | VIDEO_SUFFIXES))
@@ -189,7 +190,6 @@ class MANIENT_FH_media(bpy.types.FileHandler):
 
 
 class MANIENT_FH_take(bpy.types.FileHandler):
-    bl_idname = "MANIENT_FH_take"
     bl_label = "Hand Take"
     bl_import_operator = MANIENT_OT_import_take.bl_idname
     bl_file_extensions = ".npz"
@@ -198,10 +198,6 @@ class MANIENT_FH_take(bpy.types.FileHandler):
     def poll_drop(cls, context):
         """Only where hands can appear."""
         return context.area is not None and context.area.type == "VIEW_3D"
-
-
-def _is_video(path: Path) -> bool:
-    return path.suffix.lower() in VIDEO_SUFFIXES
 
 
 @dataclass(frozen=True)
@@ -294,7 +290,6 @@ def _clip_path(name: str) -> tuple[str, bool]:
 
 
 class MANIENT_MT_sources(bpy.types.Menu):
-    bl_idname = "MANIENT_MT_sources"
     bl_label = "From This File"
     bl_description = "Use a picture or clip that this file already has"
 

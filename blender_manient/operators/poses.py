@@ -11,8 +11,7 @@ import numpy as np
 from handfit_core.errors import HandfitError, OptionError
 from handfit_core.hand_model.poses import Pose
 
-from ..blender_versions import channels, new_slot, property_group
-from ..properties import BLEND
+from ..common.blender_versions import channels, new_slot, property_group
 from ..scene.controls import rotations_now
 from ..scene.keys import PoseKeys, write_pose_keys
 from ..scene.poses import (
@@ -28,6 +27,7 @@ from ..scene.poses import (
 )
 from ..scene.spans import SCOPES, RequestedFrames, suggested_range
 from ..scene.store import CapturedHand
+from ..session.properties import BLEND
 from .base import ManientOperator, show_frame_again
 
 

@@ -11,15 +11,16 @@ import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
 
-from .. import details, screen, shared_worker
-from ..refiner import BonePoses, Refiner, smoothing_of, why_not
+from ..common import screen
+from ..common.section import sentence
+from ..common.wording import counted
 from ..scene import spans
 from ..scene.corrections import corrections_of
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import active_hand, scene_frames
 from ..scene.timing import span_of
-from ..section import sentence
-from ..wording import counted
+from ..session import details, shared_worker
+from ..session.refiner import BonePoses, Refiner, smoothing_of, why_not
 from .base import StepsOperator, Waiting, Work, polled_hand, show_frame_again
 
 _WIDTH = 360

@@ -7,6 +7,7 @@ import numpy as np
 
 from handfit_core.errors import OptionError
 
+from ..common.wording import counted
 from ..scene import captures
 from ..scene.confidence import (
     doubtful_ranges,
@@ -18,7 +19,6 @@ from ..scene.confidence import (
 )
 from ..scene.retime import other_rate, put_rate_back, retime
 from ..scene.store import hand_of, scene_frames
-from ..wording import counted
 from .base import ManientOperator, ModalOperator, SceneOperator, named_hand, select_alone
 
 

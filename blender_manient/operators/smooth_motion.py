@@ -9,11 +9,11 @@ import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
 
-from .. import properties
-from ..refiner import Refiner, smoothing_of, why_not_smoothable
+from ..common.wording import capitalised, counted
 from ..scene.own_keys import captured_poses, smoothed, writing
 from ..scene.store import active_hand
-from ..wording import capitalised, counted
+from ..session import properties
+from ..session.refiner import Refiner, smoothing_of, why_not_smoothable
 from .base import polled_hand
 from .refit_range import MotionFit, RangeFitOperator
 

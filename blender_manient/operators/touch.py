@@ -10,10 +10,10 @@ import numpy as np
 from handfit_core.edit import POINT_NAMES, touching_pair
 from handfit_core.errors import HandfitError, OptionError
 
-from ..refiner import Refiner
+from ..common.wording import capitalised, counted
 from ..scene.corrections import correct_frames
 from ..scene.timing import frame_rate
-from ..wording import capitalised, counted
+from ..session.refiner import Refiner
 from .base import polled_hand
 from .refit_range import RangeFit, RangeFitOperator, rows_within, suggested_range
 

@@ -6,25 +6,23 @@ import bpy
 
 from handfit_core.options import OPTIONS
 
-from .. import jobs, shared_worker, source_info
-from ..modes import find_hands as find_mode
+from ..common.section import Section, fitted, sentence, split
+from ..common.wording import counted
 from ..operators import add_hand
+from ..operators.modes import find_hands as find_mode
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
-from ..section import Section, fitted, sentence, split
-from ..steady import is_pressable
-from ..wording import counted
+from ..session import jobs, shared_worker, source_info
+from .steady import is_pressable
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 
 
 class MANIENT_PT_capture(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_capture"
     bl_label = "Capture"
     bl_order = 3
 
     def draw(self, context):
-        """Settings, buttons, progress."""
         layout, settings = self.layout, context.scene.manient
         column = split(layout.column())
         column.prop(settings, "preset")
@@ -156,13 +154,11 @@ def _scene_message(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only
 
 
 class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_capture_advanced"
     bl_label = "Advanced"
     bl_parent_id = "MANIENT_PT_capture"
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """What few change."""
         layout, settings = self.layout, context.scene.manient
         split(layout)
         if settings.preset == "PAPER":

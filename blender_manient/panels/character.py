@@ -10,7 +10,8 @@ from handfit_core.errors import HandfitError, HandModelError
 from handfit_core.retarget.hand_map import PALM_FINGERS
 from handfit_core.skeleton import FINGERS, SIDES, Side, other_side
 
-from .. import hand_adjusting, live_link
+from ..common.section import Section, fitted, sentence, split
+from ..common.wording import capitalised, counted
 from ..rigs import troubles
 from ..scene.characters import (
     active_character,
@@ -23,21 +24,18 @@ from ..scene.characters import (
     why_not_reachable,
 )
 from ..scene.onto_character import why_not_turned
-from ..section import Section, fitted, sentence, split
-from ..wording import capitalised, counted
+from ..session import hand_adjusting, live_link
 
 _SURE, _LIKELY = 0.75, 0.45
 """How sure a hand must be recognised for these words"""
 
 
 class MANIENT_PT_character(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_character"
     bl_label = "Character"
     bl_order = 7
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """Whose hands, whose motion, and how."""
         layout, armature = self.layout, active_character(context)
         if armature is None:
             text = "Select a character, its armature or a mesh that it deforms, to have it move as captured"
@@ -118,18 +116,15 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
 
 
 class MANIENT_PT_character_bones(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_character_bones"
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
-        """Only with a character."""
         return active_character(context) is not None
 
     def draw(self, context):
-        """One hand's table."""
         layout, armature = self.layout, active_character(context)
         assert armature is not None
         table = context.scene.manient.hand_table

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import bpy
 
+from ..common.section import Section, fitted, sentence, split
 from ..exporters import EXPORTERS
 from ..operators.export import format_buttons
 from ..scene.characters import active_character, why_not_written
 from ..scene.store import active_hand, hand_of
-from ..section import Section, fitted, sentence, split
 
 
 class MANIENT_PT_export(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_export"
     bl_label = "Export"
     bl_order = 9
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """What is exported, format, preset, button."""
         layout, settings = self.layout, context.scene.manient
         chosen = context.active_object
         character = None if chosen is not None and hand_of(chosen) is not None else active_character(context)

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import bpy
 
-from .. import preferences
+from ..common import preferences
+from ..common.section import Section, sentence, split
 from ..operators import housekeeping
-from ..section import Section, sentence, split
 
 
 class MANIENT_PT_hand(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_hand"
     bl_label = "Hand"
     bl_order = 2
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """Hands, model and size."""
         layout, settings = self.layout, context.scene.manient
         split(layout)
         layout.prop(settings, "hands")

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import bpy
 
-from .. import shared_worker
-from ..preferences import ADDON
-from ..section import Section, sentence
+from ..common.preferences import ADDON
+from ..common.section import Section, sentence
+from ..session import shared_worker
 
 
 class MANIENT_PT_installation(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_installation"
     bl_label = "Installation"
     bl_order = 0
 
     @classmethod
     def poll(cls, _context):
-        """Whether there is anything to say."""
         return bool(shared_worker.capture_sentence())
 
     def draw(self, context):
-        """What is wrong and what to do."""
         layout = self.layout
         sentence(layout, context, shared_worker.capture_sentence(), "ERROR", alert=True)
         layout.operator("manient.check_installation", icon="CHECKMARK")

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import bpy
 
+from ..common.section import Section, sentence, split
 from ..scene.poses import posed_by
-from ..section import Section, sentence, split
 
 
 class MANIENT_PT_poses(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_poses"
     bl_label = "Poses"
     bl_order = 8
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """The pictures, and what is done with the chosen one."""
         layout, settings = self.layout, context.scene.manient
         if posed_by(context) is None:
             sentence(layout, context, "Select a captured hand or a character to pose it", "INFO")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import bpy
 
-from .. import cache, plugins, preferences, shared_worker
+from ..common import plugins, preferences
+from ..common.section import sentence, split
+from ..common.wording import capitalised
 from ..operators import check_installation, housekeeping
-from ..section import sentence, split
-from ..wording import capitalised
+from ..session import cache, shared_worker
 
 
 class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
@@ -16,7 +17,6 @@ class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
     bl_idname = preferences.ADDON
 
     def draw(self, context):
-        """One block per subject."""
         layout = self.layout
         split(layout)
         for draw in (_draw_worker, _draw_mano, _draw_cache, _draw_habits, _draw_plugins):

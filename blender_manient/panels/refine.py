@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import bpy
 
-from .. import preferences
+from ..common import preferences
+from ..common.section import Section, sentence
+from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
-from ..refiner import why_not_refinable, why_not_smoothable
 from ..scene import corrections
 from ..scene.store import CapturedHand, active_hand
-from ..section import Section, sentence
-from ..steady import is_pressable
-from ..wording import capitalised, counted
+from ..session.refiner import why_not_refinable, why_not_smoothable
+from .steady import is_pressable
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_refine"
     bl_label = "Refine"
     bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """Editing, range and locks."""
         layout, settings = self.layout, context.scene.manient
         hand = active_hand(context)
         if hand is None:

@@ -6,14 +6,14 @@ import bpy
 
 from handfit_core.fit_quality import NOT_KNOWN
 
+from ..common.section import Section, fitted, sentence
+from ..common.wording import capitalised, counted
 from ..scene import captures, corrections
 from ..scene.confidence import errors_of, is_marked
 from ..scene.plate import missing_picture
 from ..scene.retime import other_rate
 from ..scene.store import CapturedHand, captured_hands, hand_of
 from ..scene.timing import frame_rate
-from ..section import Section, fitted, sentence
-from ..wording import capitalised, counted
 
 _ROWS = 5
 """of the list that are seen at once"""
@@ -21,8 +21,6 @@ _ROWS = 5
 
 class MANIENT_UL_captures(bpy.types.UIList):
     """The captures among all collections of the file."""
-
-    bl_idname = "MANIENT_UL_captures"
 
     def filter_items(self, context, data, propname):
         """Show the captures of the scene whose name has what is typed."""
@@ -47,12 +45,10 @@ class MANIENT_UL_captures(bpy.types.UIList):
 
 
 class MANIENT_PT_result(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_result"
     bl_label = "Result"
     bl_order = 4
 
     def draw(self, context):
-        """The captures, and one block per hand of those that are shown."""
         layout = self.layout
         self._captures(context)
         armatures = captured_hands(context.scene, shown=True)
@@ -66,7 +62,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         if not found:
             return
         rows = min(len(found), _ROWS)
-        names = MANIENT_UL_captures.bl_idname, "", bpy.data, "collections", context.scene, "manient_capture"
+        names = MANIENT_UL_captures.__name__, "", bpy.data, "collections", context.scene, "manient_capture"
         layout.template_list(*names, rows=rows, maxrows=max(rows, 2), sort_lock=True)
         if len(found) > 1:
             hide = captures.others_shown(context.scene)

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import bpy
 
+from ..common.section import Section, sentence
 from ..scene import reshape
 from ..scene.store import active_hand
-from ..section import Section, sentence
 
 
 class MANIENT_PT_shape(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_shape"
     bl_label = "Shape and Pose"
     bl_order = 6
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        """What is done with the whole hand."""
         layout, hand = self.layout, active_hand(context)
         if hand is None:
             sentence(layout, context, "Select a captured hand to shape it", "INFO")
@@ -39,18 +37,15 @@ class MANIENT_PT_shape(Section, bpy.types.Panel):
 
 
 class MANIENT_PT_proportions(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_proportions"
     bl_label = "Proportions"
     bl_parent_id = "MANIENT_PT_shape"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
-        """Only with a hand."""
         return active_hand(context) is not None
 
     def draw(self, context):
-        """The betas whose effect has a name."""
         layout, hand = self.layout, active_hand(context)
         assert hand is not None
         column = layout.column(align=True)
@@ -64,19 +59,16 @@ class MANIENT_PT_proportions(Section, bpy.types.Panel):
 
 
 class MANIENT_PT_other_proportions(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_other_proportions"
     bl_label = "Without a Name"
     bl_parent_id = "MANIENT_PT_proportions"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
-        """Only with a hand that has such proportions."""
         hand = active_hand(context)
         return hand is not None and None in reshape.shape_names_of(hand)
 
     def draw(self, context):
-        """The betas that change several things at once, or hardly anything."""
         layout, hand = self.layout, active_hand(context)
         assert hand is not None
         column = layout.column(align=True)

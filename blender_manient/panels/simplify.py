@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import bpy
 
-from .. import key_preview
+from ..common.section import Section, sentence, split
 from ..operators.keys import armature_of
 from ..scene.actions import strip_below
 from ..scene.editable import why_not_keyable
 from ..scene.simplify import PARTS, Thinned, kept_action
 from ..scene.store import active_hand
-from ..section import Section, sentence, split
+from ..session import key_preview
 
 
 class MANIENT_PT_keys(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_keys"
     bl_label = "Keys"
     bl_parent_id = "MANIENT_PT_shape"
     bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):
-        """Whether there is a hand."""
         return armature_of(context) is not None
 
     def draw(self, context):
-        """Bounds, what they would leave, and the layer."""
         layout, settings = self.layout, context.scene.manient
         armature = armature_of(context)
         assert armature is not None

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from .. import source_info
+from ..common.section import Section, sentence, split
 from ..operators.media import MANIENT_MT_sources
-from ..section import Section, sentence, split
+from ..session import source_info
 
 _KINDS = {
     "photo": ("Photo", "IMAGE_DATA"),
@@ -22,12 +22,10 @@ _PICTURE_LINES = 5
 
 
 class MANIENT_PT_source(Section, bpy.types.Panel):
-    bl_idname = "MANIENT_PT_source"
     bl_label = "Source"
     bl_order = 1
 
     def draw(self, context):
-        """The file, what it is, and which of its frames are used."""
         layout, settings = self.layout, context.scene.manient
         row = layout.row(align=True)
         row.prop(settings, "source", text="")

@@ -1,4 +1,5 @@
-"""Which bones of an armature are a hand, and what a pose is to them. One file per kind of rig.
+"""Which bones of an armature are a hand, and what a pose is to them, one file per kind of rig. A line here
+runs in Blender and knows bones by name; it knows of no take and no scene.
 
 A `Rig` has all of MANO's joints, as the hands that captures build; a `Character` is any other armature, whose
 bones a `HandMap` names.
@@ -14,7 +15,7 @@ from handfit_core.errors import HandModelError
 from handfit_core.retarget.hand_map import HandMap, SeveralHands
 from handfit_core.skeleton import SIDES, Side
 
-from ..plugins import failure_sentence, find_plugins, print_once
+from ..common.plugins import failure_sentence, find_plugins, print_once
 from .character import Character, Found, bones_of
 from .rig import Rig
 

@@ -25,7 +25,7 @@ from handfit_core.hand_model.anatomy import JointLimits, anatomical_angles
 from handfit_core.hand_model.axes import ANATOMICAL_IN_BONE
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
-from ..blender_versions import channels, used_actions
+from ..common.blender_versions import channels, used_actions
 
 MARK: Final = "hand_control"
 """A bone's custom property: what it controls. The artist may give it another name"""

@@ -15,8 +15,8 @@ from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.skeleton import Side
 
-from ..plugins import failure_sentence
-from ..wording import capitalised
+from ..common.plugins import failure_sentence
+from ..common.wording import capitalised
 
 
 def bone_path(name: str) -> str:

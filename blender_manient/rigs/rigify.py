@@ -14,7 +14,7 @@ from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import Found, HandMap
 from handfit_core.skeleton import FINGER_JOINTS, Side
 
-from ..blender_versions import channels, used_actions
+from ..common.blender_versions import channels, used_actions
 from .by_bones import NamedCharacter
 from .character import Character
 from .rig import bone_path

@@ -13,7 +13,7 @@ import numpy as np
 
 from handfit_core.errors import OptionError
 
-from ..blender_versions import action_slot, channels
+from ..common.blender_versions import action_slot, channels
 
 BELOW = "manient_below"
 """Custom property of an action that lies as a layer on another one, which it names (scene/layer.py)"""

@@ -26,8 +26,8 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.take import HandTrack, Take
 
+from ..common.wording import NAME_BYTES, hand_part, named_after, shortened_name
 from ..rigs.captured_hand import build_rig
-from ..wording import NAME_BYTES, hand_part, named_after, shortened_name
 from . import captures
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
@@ -126,7 +126,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     finished = False
     watch = ChangeWatch()
     try:
-        steps = _steps(made, take, _open_scene(), how)
+        steps = _steps(made, take, bpy.context.scene, how)
         done = 0.0
         while True:
             is_over = slice_clock()
@@ -144,7 +144,6 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     except ReferenceError as error:
         raise BuildInterrupted(f"something was deleted while hands were being built ({error})") from error
     finally:
-        watch.stop()
         if not finished:
             _remove(made)
 
@@ -369,27 +368,28 @@ class _Work:
         return min(1.0, self._done / self._all)
 
 
+_changes = 0
+"""Counts undos, redos and other files"""
+
+
+def _count_change(*_args) -> None:
+    global _changes
+    _changes += 1
+
+
+HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _count_change)
+
+
 class ChangeWatch:
-    """Notices an undo, a redo and another file, until `stop`."""
+    """Notices an undo, a redo and another file from now on."""
 
     def __init__(self) -> None:
-        self.changed = False
+        self._before = _changes
 
-        @bpy.app.handlers.persistent
-        def notice(*_args) -> None:
-            self.changed = True
-
-        self._notice = notice
-        handlers = bpy.app.handlers
-        self._lists = (handlers.undo_post, handlers.redo_post, handlers.load_post)
-        for each in self._lists:
-            each.append(notice)
-
-    def stop(self) -> None:
-        """Notice nothing more. May be called twice."""
-        for handlers in self._lists:
-            if self._notice in handlers:
-                handlers.remove(self._notice)
+    @property
+    def changed(self) -> bool:
+        """Whether there was any."""
+        return _changes != self._before
 
 
 def _remove(made: Sequence[bpy.types.ID]) -> None:
@@ -427,10 +427,3 @@ def _rate(scene: bpy.types.Scene, take: Take, matched: bool) -> float:
     if not has_rate(take) or len(take.frame_numbers) == 1:
         return 0.0
     return take.fps if matched else frame_rate(scene)
-
-
-def _open_scene() -> bpy.types.Scene:
-    """The one that is evaluated, and that has a current frame to show."""
-    scene = bpy.context.scene
-    assert scene is not None
-    return scene

@@ -15,7 +15,6 @@ from collections.abc import Container, Iterable, Iterator
 import bpy
 
 from handfit_core.errors import TakeError
-from handfit_core.take import Take
 
 from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
@@ -33,7 +32,7 @@ def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
     if not has_properties():  # scripts may build hands without the add-on
         return []
     found = dict.fromkeys(c for c in scene.collection.children_recursive if c.manient.is_capture)
-    return sorted(found, key=_name)
+    return sorted(found, key=lambda capture: capture.name)
 
 
 def active_capture(scene: bpy.types.Scene) -> bpy.types.Collection | None:
@@ -152,17 +151,9 @@ def facts(capture: bpy.types.Collection) -> str:
             take = kept_take(capture)
         except TakeError:
             return ""
-        _facts[digest] = _facts_of(take)
+        count = len(take.frame_numbers)
+        _facts[digest] = f"{count}f {take.fps:.4g}fps" if count > 1 else "1f"
     return _facts[digest]
-
-
-def _facts_of(take: Take) -> str:
-    count = len(take.frame_numbers)
-    return f"{count}f {take.fps:.4g}fps" if count > 1 else "1f"
-
-
-def _name(block: bpy.types.ID) -> str:
-    return block.name
 
 
 def _layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
@@ -320,9 +311,8 @@ def _choose(scene: bpy.types.Scene, index: int) -> None:
         show(scene, chosen)
 
 
-def register() -> None:
-    """Add what the list of captures needs, and keeps nowhere: the active one's place among collections."""
-    bpy.types.Scene.manient_capture = bpy.props.IntProperty(
+PROPERTIES = {
+    (bpy.types.Scene, "manient_capture"): lambda: bpy.props.IntProperty(
         name="Active Capture",
         description="The capture whose picture and camera are shown, among all collections of the file. "
         "Click one to show it",
@@ -330,8 +320,5 @@ def register() -> None:
         set=_choose,
         options={"HIDDEN"},
     )
-
-
-def unregister() -> None:
-    """Take it away again."""
-    del bpy.types.Scene.manient_capture
+}
+"""The place of the active capture among all collections, which is kept nowhere; for the list of captures"""

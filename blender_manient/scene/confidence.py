@@ -42,6 +42,9 @@ UNSEEN_COLOR: Final = (0.35, 0.35, 0.35)
 _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 0.08)])
 """sRGB of what is good, fair and poor"""
 
+_following = False
+"""Whether some hand shows its colours"""
+
 
 @dataclass(frozen=True, eq=False)
 class Errors:
@@ -190,15 +193,13 @@ def _refresh(scene: bpy.types.Scene) -> None:
             _color(hand, scene.frame_current_final)
 
 
-@bpy.app.handlers.persistent
 def _on_frame(scene: bpy.types.Scene, *_args) -> None:
     # Before the frame is evaluated, so that the colours are evaluated with it. While a picture is rendered
     # the scene belongs to the renderer, which draws no bones.
-    if not bpy.app.is_job_running("RENDER"):
+    if _following and not bpy.app.is_job_running("RENDER"):
         _refresh(scene)
 
 
-@bpy.app.handlers.persistent
 def _on_change(*_args) -> None:
     """Another file, or an undo: other hands may be shown, at another frame."""
     _follow()
@@ -207,13 +208,9 @@ def _on_change(*_args) -> None:
 
 
 def _follow() -> None:
-    """Follow the frame as long as some hand shows its colours, and no longer."""
-    handlers = bpy.app.handlers.frame_change_pre
-    needed = any(_shown(scene) for scene in bpy.data.scenes)
-    if needed and _on_frame not in handlers:
-        handlers.append(_on_frame)
-    elif not needed and _on_frame in handlers:
-        handlers.remove(_on_frame)
+    """Follow the frame as long as some hand shows its colours: who looks costs time in every frame."""
+    global _following
+    _following = any(_shown(scene) for scene in bpy.data.scenes)
 
 
 def _ends_of_bones() -> tuple[list[int], ...]:
@@ -226,7 +223,10 @@ def _ends_of_bones() -> tuple[list[int], ...]:
 
 _ENDS: Final = _ends_of_bones()
 
-HANDLERS: Final = dict.fromkeys(("load_post", "undo_post", "redo_post"), _on_change)
+HANDLERS: Final = {
+    **dict.fromkeys(("load_post", "undo_post", "redo_post"), _on_change),
+    "frame_change_pre": _on_frame,
+}
 LISTENERS: Final = {"confidence": shown_changed}
 
 
@@ -235,8 +235,6 @@ def unregister() -> None:
     for scene in getattr(bpy.data, "scenes", ()):
         for armature in _shown(scene):
             armature.manient.show_confidence = False
-    if _on_frame in bpy.app.handlers.frame_change_pre:
-        bpy.app.handlers.frame_change_pre.remove(_on_frame)
     _errors.cache_clear()
 
 

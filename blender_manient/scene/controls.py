@@ -7,7 +7,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..blender_versions import channels, used_actions
+from ..common.blender_versions import channels, used_actions
 from ..rigs import controls
 from ..rigs.rig import PosedBones, Rig
 from .actions import own_action

@@ -32,8 +32,8 @@ from handfit_core.edit.corrections import (
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.skeleton import NUM_JOINTS
 
-from ..blender_versions import action_slot, property_group
-from ..block_reference import BlockReference
+from ..common.blender_versions import action_slot, property_group
+from ..common.block_reference import BlockReference
 from ..rigs import rig_of
 from ..rigs.rig import Rig
 from . import store

@@ -16,7 +16,7 @@ import numpy as np
 
 from handfit_core.skeleton import Side
 
-from ..blender_versions import action_slot, channels, property_group
+from ..common.blender_versions import action_slot, channels, property_group
 from ..rigs.character import CharacterBones
 from .actions import users_of
 from .keys import PoseKeys, nearest, read_pose_keys

@@ -29,7 +29,7 @@ from handfit_core.hand_model.axes import RestPose
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_JOINTS
 
-from ..blender_versions import assign_action, channels, first_slot
+from ..common.blender_versions import assign_action, channels, first_slot
 from ..rigs.rig import PosedBones, Rig, bone_path
 from .actions import channels_of, curves_in, own_action, strip_below
 

@@ -13,10 +13,10 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, quat_multiply, unflip_quats
 from handfit_core.slices import run_to_completion
 
-from ..blender_versions import action_slot, assign_action, channels
+from ..common.blender_versions import action_slot, assign_action, channels
+from ..common.wording import with_note
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
-from ..wording import with_note
 from .actions import BELOW, channels_of, curves_in, is_tweaked, own_action, push_down, strip_below, use_action
 from .corrections import marks_renewed
 from .editable import check_keyable

@@ -18,8 +18,8 @@ from handfit_core.errors import OptionError
 from handfit_core.retiming import check_rate
 from handfit_core.take import Take
 
-from ..blender_versions import has_strips
-from ..wording import capitalised
+from ..common.blender_versions import has_strips
+from ..common.wording import capitalised
 from .store import has_properties
 from .timing import frame_rate, has_rate, is_retimed, nearest_rate
 
@@ -132,17 +132,14 @@ def scene_sentence(
     comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
     why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""
     comes += f": the scene stays, as {why}" if why else ": the scene stays as it is"
-    if footage is None or not _retimes(scene, footage):
+    moves = footage is not None and footage.timed and footage.last > footage.first
+    if footage is None or not moves or not is_retimed(scene, footage.fps):
         return comes
     try:
         check_rate(frame_rate(scene))
     except OptionError as error:
         return capitalised(str(error))
     return f"{comes}. The clip of {footage.fps:.5g} fps {'is' if done is None else 'was'} retimed to it"
-
-
-def _retimes(scene: bpy.types.Scene, footage: Footage) -> bool:
-    return footage.timed and footage.last > footage.first and is_retimed(scene, footage.fps)
 
 
 def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.nails import nail_polygons
 
-from ..blender_versions import use_nodes
+from ..common.blender_versions import use_nodes
 from ..rigs.rig import Rig
 
 _LEAST_WEIGHT = 1e-6
@@ -44,7 +44,8 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy
     polygons = model.polygons
     mesh.from_pydata(axes.points_to_rest(shaped.vertices).tolist(), [], polygons.tolist())
     mesh.polygons.foreach_set("use_smooth", np.ones(len(polygons), dtype=bool))
-    _set_uvs(mesh, *_texture_coordinates(model))
+    uv, uv_faces = _texture_coordinates(model)
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv[uv_faces].astype(np.float32).ravel())
     nails = nail_polygons(model)
     for material in hand_materials(nails=bool(nails.any())):
         mesh.materials.append(material)
@@ -62,14 +63,10 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy
 
 
 def _texture_coordinates(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
-    """UVs (U, 2) and, per polygon corner, the index into them."""
+    """UVs (U, 2) and, per polygon corner, the index into them. For models without: the palm flattened into
+    the left half, the back into the right."""
     if model.uv is not None and model.uv_faces is not None:
         return model.uv, model.uv_faces
-    return _palm_and_back(model)
-
-
-def _palm_and_back(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
-    """For models without UVs: the palm flattened into the left half, the back into the right."""
     flat = model.v_template[:, [0, 2]]
     low, high = flat.min(axis=0), flat.max(axis=0)
     size = (high - low).max()
@@ -81,11 +78,6 @@ def _palm_and_back(model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     normal_y = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 1]
     is_back = normal_y > 0
     return uv, model.polygons + np.where(is_back, len(flat), 0)[:, None]
-
-
-def _set_uvs(mesh: bpy.types.Mesh, uv: np.ndarray, uv_faces: np.ndarray) -> None:
-    layer = mesh.uv_layers.new(name="UVMap")
-    layer.data.foreach_set("uv", uv[uv_faces].astype(np.float32).ravel())
 
 
 def hand_materials(nails: bool) -> list[bpy.types.Material]:

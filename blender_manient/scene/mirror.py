@@ -16,10 +16,10 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack
 
-from ..blender_versions import action_slot, assign_action
+from ..common.blender_versions import action_slot, assign_action
+from ..common.wording import hand_part, named_after
 from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig
-from ..wording import hand_part, named_after
 from .actions import channels_of, curves_in
 from .editable import check_unlayered
 from .keys import change_places, displayed_pose, read_pose_keys, set_pose, write_pose_keys

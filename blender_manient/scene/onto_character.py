@@ -33,12 +33,12 @@ from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 from handfit_core.slices import map_yields, run_to_completion
 from handfit_core.take import HandTrack, Take
 
-from ..blender_versions import action_slot, channels, new_slot
+from ..common.blender_versions import action_slot, channels, new_slot
+from ..common.wording import counted
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
-from ..wording import counted
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
 from .characters import why_not_reachable
 from .editable import check, check_unlayered

@@ -15,7 +15,7 @@ from mathutils import Matrix
 
 from handfit_core.edit.corrections import CorrectionField
 
-from ..blender_versions import channels, used_actions
+from ..common.blender_versions import channels, used_actions
 from .actions import curves_in, is_layered, is_tweaked, own_action, strips_of
 from .corrections import corrections_of, keep_turned
 from .editable import check, check_editable

@@ -17,7 +17,7 @@ from handfit_core.media.size_limit import check_for_blender, common_limit, is_pi
 from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
-from .. import preferences
+from ..common import preferences
 from .timing import Timing
 
 _MOST_TURNED = 16e6
@@ -103,7 +103,9 @@ def loading_plate(
         plate = movie_plate(image, take, timing)
     elif take.source.kind == "sequence":
         image.source = "SEQUENCE"
-        plate = _sequence(image, take, timing)
+        # Blender shows file number (scene frame - start + 1 + offset): both ends on the same numbers.
+        first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
+        plate = Plate(image, _first_scene_frame(take, timing), first - 1, last - first + 1)
     else:
         plate = Plate(image)
     if take.source.kind == "photo" and take.source.orientation != 1:
@@ -177,13 +179,6 @@ def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int)
     wanted = f"floor({number} + (frame - ({first})) / {timing.scale!r} + 0.5)"
     plain = f"max(0, min({duration}, frame - ({start - 1})))"
     return Plate(image, start, 0, duration, f"max(1, min({last}, {wanted})) - {plain}")
-
-
-def _sequence(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
-    """Blender shows file number (scene frame - start + 1 + offset): both ends on the same numbers."""
-    first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
-    start = _first_scene_frame(take, timing)
-    return Plate(image, frame_start=start, frame_offset=first - 1, frame_duration=last - first + 1)
 
 
 def _first_scene_frame(take: Take, timing: Timing) -> int:

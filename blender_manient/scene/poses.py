@@ -26,7 +26,7 @@ from handfit_core.retarget.transfer import SourceHand, target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES, other_side
 from handfit_core.slices import run_to_completion
 
-from ..blender_versions import property_group
+from ..common.blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import with_moved
 from ..rigs.rig import PosedBones

@@ -17,8 +17,8 @@ from mathutils import Vector
 from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
-from ..blender_versions import use_nodes
-from ..wording import named_after
+from ..common.blender_versions import use_nodes
+from ..common.wording import named_after
 from .camera import put_before
 from .matching import is_untouched
 from .plate import Plate
@@ -159,7 +159,6 @@ _seen: dict[int, tuple[int, int, int]] = {}
 """session_uid of a scene -> what it was when `follow_camera` was last asked about it"""
 
 
-@bpy.app.handlers.persistent
 def _on_update(scene: bpy.types.Scene, *_args) -> None:
     """Another camera, or a deletion. Blender calls this after every step: what it compares is cheap."""
     settings = scene.manient

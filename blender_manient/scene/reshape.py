@@ -23,7 +23,6 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 
 from handfit_core.edit.corrections import CorrectionField
 from handfit_core.errors import HandfitError, HandModelError, OptionError
@@ -34,7 +33,7 @@ from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.shape_names import shape_names
 from handfit_core.skeleton import NUM_BETAS
 
-from ..blender_versions import channels
+from ..common.blender_versions import channels
 from ..rigs.rig import Rig
 from .actions import own_action
 from .corrections import corrections_of, keep_turned
@@ -188,7 +187,6 @@ def _catch_up() -> None:
                 _reshape_or_note(armature)
 
 
-@persistent
 def _after_time_travel(*_: Any) -> None:
     """Undo, redo and loading may end between a slider's change and the hand's."""
     for armature in [o for o in bpy.data.objects if o.type == "ARMATURE" and o.library is None]:
@@ -283,11 +281,10 @@ def _move(points: Any, moved: np.ndarray) -> None:
 
 HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _after_time_travel)
 LISTENERS = {"shape": lambda group: shape_changed(group.id_data)}
+TIMERS = (_catch_up,)
 
 
 def unregister() -> None:
     """Forget what waits."""
-    if bpy.app.timers.is_registered(_catch_up):
-        bpy.app.timers.unregister(_catch_up)
     _waiting.clear()
     _troubles.clear()

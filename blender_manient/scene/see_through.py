@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import bpy
 
-from ..block_reference import BlockReference
+from ..common.block_reference import BlockReference
 from .plate import drive_offset, offset_driver
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
@@ -37,14 +37,12 @@ def begin(camera: bpy.types.Camera, opacity: Callable[[], float]) -> None:
     follow()
 
 
-@bpy.app.handlers.persistent
 def follow(*_: object) -> None:
     """Show as much as the opacity asks for now."""
     if _shown is not None and (camera := _shown[0].find()) is not None:
         lay_over(camera, _shown[1]())
 
 
-@bpy.app.handlers.persistent
 def hide(*_: object) -> None:
     """Show the camera's pictures as the artist had them."""
     if _shown is not None and (camera := _shown[0].find()) is not None:
@@ -120,7 +118,6 @@ def _copy(source: bpy.types.bpy_struct, target: bpy.types.bpy_struct) -> None:
             _copy(getattr(source, name), getattr(target, name))
 
 
-@bpy.app.handlers.persistent
 def _on_change(*_args) -> None:
     """An undo, a redo or a file may have brought copies."""
     for camera in bpy.data.cameras:
@@ -139,14 +136,13 @@ HANDLERS = {
 LISTENERS = {"hand_opacity": follow}
 
 
-def register() -> None:
-    """Let cameras remember their copies."""
-    bpy.types.Camera.manient_see_through = bpy.props.CollectionProperty(
+PROPERTIES = {
+    (bpy.types.Camera, "manient_see_through"): lambda: bpy.props.CollectionProperty(
         type=Copied, description="Background images that are copies, with which keypoints are edited"
     )
+}
 
 
 def unregister() -> None:
     """Leave no copies behind."""
     end()
-    del bpy.types.Camera.manient_see_through

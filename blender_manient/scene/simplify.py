@@ -23,10 +23,10 @@ from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 
-from ..blender_versions import action_slot, channels, property_group, used_actions
+from ..common.blender_versions import action_slot, channels, property_group, used_actions
+from ..common.wording import with_note
 from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
-from ..wording import with_note
 from . import corrections
 from .actions import curves_in, same_slot, strip_below, use_action
 from .characters import active_character, table_of
@@ -205,7 +205,10 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
         )
     data = armature.animation_data
     present, (dense, _) = data.action, _source(armature)
-    note = _note(present) if dense is not present else _first_note(armature, dense)
+    note = _note(present)
+    if dense is present:
+        corrected = armature.manient.corrections
+        note = {"name": dense.name, "fake_user": dense.use_fake_user, "corrections": corrected}
     action = present.copy()  # other parts may have been simplified before
     use_action(data, action, action_slot(data))
     for one in thinned:
@@ -328,14 +331,6 @@ def _source(armature: bpy.types.Object) -> tuple[Any, Any]:
     if dense is None or not _is_unchanged(data):
         return action, slot
     return dense, same_slot(dense, slot)
-
-
-def _first_note(armature: bpy.types.Object, action: bpy.types.Action) -> dict[str, Any]:
-    return {
-        "name": action.name,
-        "fake_user": action.use_fake_user,
-        "corrections": armature.manient.corrections,
-    }
 
 
 def _note(action: bpy.types.Action) -> dict[str, Any]:

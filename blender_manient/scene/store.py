@@ -184,17 +184,13 @@ def captured_hands(scene: bpy.types.Scene, *, shown: bool = False) -> list[bpy.t
     if not has_properties():
         return []
     hands = [o for o in scene.objects if o.type == "ARMATURE" and o.manient.is_hand]
-    return sorted((o for o in hands if not (shown and is_in_hidden_capture(o))), key=_place)
+    hands = [o for o in hands if not (shown and is_in_hidden_capture(o))]
+    return sorted(hands, key=lambda o: (o.manient.capture.name if o.manient.capture else "", o.name))
 
 
 def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
     """Whether an object is in hidden captures only (`captures.hide_others`)."""
     return all(c.manient.is_capture and c.hide_viewport for c in obj.users_collection)
-
-
-def _place(armature: bpy.types.Object) -> tuple[str, str]:
-    capture = armature.manient.capture
-    return capture.name if capture is not None else "", armature.name
 
 
 def hand_of(obj: bpy.types.Object) -> CapturedHand | None:

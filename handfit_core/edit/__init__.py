@@ -1,5 +1,5 @@
 """Re-fitting frames of a captured hand with an artist's corrections: points that are pinned to where they
-belong in the picture, and joints that are locked.
+belong in the picture, and joints that are locked. A line here may ask the fit; it knows takes, and no scene.
 
 Light to import: SciPy loads with the first range.
 """

@@ -12,7 +12,6 @@ from handfit_core.arrays import LARGEST, array, array_dataclass, check_arrays, p
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.hand import RefineHand
-from handfit_core.edit.recent import Recent
 from handfit_core.edit.refit import refit_each, refit_range
 from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.hand_model.motion import HandMotion
@@ -20,7 +19,10 @@ from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.solvers import ShouldStop
 
 MODES = ("each", "draft", "range")
-_RECENT = Recent()
+_LAST: list[tuple[tuple[object, ...], HandMotion]] = []
+"""The last result of a single frame, and what it was of: none or one. A drag asks many times for the same
+frame with a pin that has moved a little; the solver needs a few steps from the last result, and many from
+where the drag began"""
 
 
 @array_dataclass
@@ -114,14 +116,22 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
     if mode == "range":
         result = refit_range(hand, should_stop)
     else:
-        draft = mode == "draft"
-        result = refit_each(hand, _RECENT.of(hand) if draft else None, draft=draft)
-        _RECENT.keep(hand, result)
+        key = _drag(hand)
+        guess = next((last for of, last in _LAST if of == key), None)
+        result = refit_each(hand, guess, draft=mode == "draft")
+        _LAST[:] = [(key, result)] if len(hand) == 1 else []
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
     # A fit that ran away, as one close to the camera can, costs its own frame and no other.
     lost = np.logical_or.reduce([(np.abs(rows) > LARGEST).any(axis=1) for rows in result.pose])
     return {"result": packed(result.posed_at(~lost)), "seconds": time.perf_counter() - begin}
+
+
+def _drag(hand: RefineHand) -> tuple[object, ...]:
+    """What stays the same during a drag: the frame, the pose that it began from, the shape and the locks."""
+    arrays = [hand.betas, *hand.pose, hand.locked, hand.detections.keypoints]
+    numbers = (np.asarray(a, dtype=np.float64).tobytes() for a in arrays)
+    return (hand.side, hand.model, hand.intrinsics, len(hand), *numbers)
 
 
 def result_from_message(done: Mapping[str, Any], count: int = 1) -> HandMotion:

@@ -111,8 +111,8 @@ class _Frames(Batch):
         if len(alone):
             some = self.select(alone)
             found, held[alone] = some._solve_fingers()
-            state = _put(state, alone, found)
-        seen = pinning.landmarks_of_pose(_points(self.fitter, state), self.intrinsics).where(
+            state = state.replaced(alone, found)
+        seen = pinning.landmarks_of_pose(self.fitter.chain.points(state), self.intrinsics).where(
             self.posed, self.seen
         )
         left = pinning.displacement(self.pins, seen.pixels)
@@ -121,7 +121,7 @@ class _Frames(Batch):
         if len(palm):
             some = self.select(palm)
             found, held[palm] = some._solve_palm(state.select(palm), seen.select(palm), left[palm])
-            state = _put(state, palm, found)
+            state = state.replaced(palm, found)
         return state, held
 
     @property
@@ -169,20 +169,15 @@ class _Frames(Batch):
                         bends[same] = np.median((found.angles - self.own.angles)[same], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
                 found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
-            left = pinning.displacement(pins, self.intrinsics.project(_points(self.fitter, found)))
+            left = pinning.displacement(pins, self.intrinsics.project(self.fitter.chain.points(found)))
             short = np.flatnonzero(left.max(axis=1) > pinning.PINS.reached_pixels)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
                 starts = [found.select(short), *some._restart_poses()]
-                others = (
-                    seen.select(short),
-                    kept,
-                    free_distance[short],
-                    uncertainty[short],
-                    held[short],
-                    starts,
+                own = uncertainty[short], held[short], starts
+                found = found.replaced(
+                    short, some._solved(seen.select(short), kept, free_distance[short], *own)
                 )
-                found = _put(found, short, some._solved(*others))
         return found, held
 
     def _restart_poses(self) -> list[State]:
@@ -267,7 +262,8 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
     if not len(rows):
         return HandMotion(hand.side, hand.betas, *(np.full(np.shape(each), np.nan) for each in hand.pose))
     keep = pinning.landmarks_of_pose(points[rows], hand.intrinsics)
-    seen = _detected(hand, rows).where(hand.detected[rows], _as_stand_in(keep))
+    stand_in = EDITS.stand_in_factor * keep.pixel_sigma, keep.depth, EDITS.stand_in_factor * keep.depth_sigma
+    seen = _detected(hand, rows).where(hand.detected[rows], Landmarked(keep.pixels, *stand_in))
     # Cuts are found before pins are applied, as one of these may lie far away.
     cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
     locked = posed[:, None] & np.asarray(hand.locked, dtype=bool)
@@ -384,18 +380,6 @@ def _joints(wrist: np.ndarray, fingers: np.ndarray) -> np.ndarray:
     return joints
 
 
-def _points(fitter: FastFitter, state: State) -> np.ndarray:
-    """(B, 21, 3) landmarks, metres, camera frame."""
-    return fitter.chain.points(state)
-
-
-def _put(state: State, rows: np.ndarray, found: State) -> State:
-    """`state` with other poses in those rows."""
-    order = np.arange(len(state))
-    order[rows] = len(state) + np.arange(len(rows))
-    return State.concatenate([state, found]).select(order)
-
-
 def _check(should_stop: ShouldStop) -> None:
     if should_stop():
         raise Cancelled("re-fitting was stopped; nothing was changed")
@@ -416,14 +400,9 @@ def _detected(hand: RefineHand, rows: np.ndarray) -> Landmarked:
     """Corrected landmarks of the frames `rows`; NaN where nothing is detected."""
     there = hand.detected[rows]
     detections = hand.detections.select(np.searchsorted(hand.detections.frame, rows[there]))
-    count = len(rows)
-    points = (count, NUM_KEYPOINTS)
-    whole = Landmarked(*(np.full(shape, np.nan) for shape in ((*points, 2), (*points, 2), points, points)))
-    if len(detections):
-        found = _corrected_once(hand.side, detections)
-        order = np.where(there, np.cumsum(there) - 1, 0)
-        whole = found.select(order).where(there, whole)
-    return whole
+    found = _corrected_once(hand.side, detections)
+    columns = (found.pixels, found.pixel_sigma, found.depth, found.depth_sigma)
+    return Landmarked(*(scatter(each, there, len(rows)) for each in columns))
 
 
 _LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
@@ -437,15 +416,6 @@ def _corrected_once(side: Side, detections: Detections) -> Landmarked:
     if "one" not in _LAST or _LAST["one"][0] != key:
         _LAST["one"] = key, landmarked(detections, side)
     return _LAST["one"][1]
-
-
-def _as_stand_in(seen: Landmarked) -> Landmarked:
-    return Landmarked(
-        seen.pixels,
-        EDITS.stand_in_factor * seen.pixel_sigma,
-        seen.depth,
-        EDITS.stand_in_factor * seen.depth_sigma,
-    )
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -63,9 +63,7 @@ Frame = tuple[int, Entry, Labels]
 ReadUnit = Callable[[Unit], UnitDetections]
 
 
-def rows_of(
-    units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, camera: str, max_hands: int = 2
-) -> Rows:
+def rows_of(units: Sequence[Unit], detect: ReadUnit, *, protocol: ProtocolName, camera: str) -> Rows:
     """Detect and pair with labels. `camera` is `assumed` or `labelled`: what solvers are told."""
     found = Rows()
     for unit in units:
@@ -83,7 +81,7 @@ def rows_of(
             if protocol == "paper":
                 _paper_rows(frames, seen, intrinsics, found)
             else:
-                _strict_rows(unit, frames, seen, intrinsics, max_hands, found)
+                _strict_rows(unit, frames, seen, intrinsics, found)
     return found
 
 
@@ -121,16 +119,11 @@ def _is_labelled(hand: HandLabel) -> bool:
 
 
 def _strict_rows(
-    unit: Unit,
-    frames: Sequence[Frame],
-    seen: UnitDetections,
-    intrinsics: Intrinsics,
-    max_hands: int,
-    found: Rows,
+    unit: Unit, frames: Sequence[Frame], seen: UnitDetections, intrinsics: Intrinsics, found: Rows
 ) -> None:
     """Tracks as a capture makes them; every labelled hand is a row, found or not."""
     try:
-        tracks = link_tracks(seen.hands, len(unit.entries), "auto", max_hands, _fps(unit))
+        tracks = link_tracks(seen.hands, len(unit.entries), "auto", 2, _fps(unit))
     except NoHandFoundError:
         tracks = ()
     first = len(found.tracks)

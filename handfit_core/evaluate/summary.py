@@ -14,8 +14,16 @@ import pandas as pd
 
 from handfit_core.errors import OptionError
 from handfit_core.evaluate import ProtocolName
-from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
+from handfit_core.evaluate.metrics import (
+    PCK_THRESHOLDS_MM,
+    acceleration_error,
+    auc,
+    bone_length_variation,
+    jitter_spectrum,
+    labelled_points,
+    mean_of_labelled,
+    pck_curve,
+)
 from handfit_core.evaluate.scores import Comparison, Scores
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
@@ -165,7 +173,7 @@ def pck_root(scores: Scores) -> np.ndarray:
 
 def _paper(scores: Scores) -> dict[str, float]:
     mean, _, area = paper_pck(_paper_rows(scores))
-    return {"detection_rate": _detection_rate(scores), "epe": mean, "auc": area}
+    return {"detection_rate": float(100.0 * scores.hands["detected"].mean()), "epe": mean, "auc": area}
 
 
 def _paper_rows(scores: Scores) -> np.ndarray:
@@ -174,48 +182,38 @@ def _paper_rows(scores: Scores) -> np.ndarray:
 
 
 def _strict(scores: Scores) -> dict[str, float]:
-    hands = scores.hands
+    hands, means = scores.hands, pd.DataFrame({key: hand_means(scores, key) for key in HAND_METRICS})
+    depths = hands["penetration"].dropna()
     values = {
-        "detection_rate": _detection_rate(scores),
+        **means.mean(),
+        "detection_rate": 100.0 * hands["detected"].mean(),
         "handedness": 100.0 * hands["side_correct"].mean(),
-        "epe": _mean(_counted_epe(scores)),
-        "epe_median": _median(hand_means(scores, "epe")),
+        "epe": mean_of_labelled(_counted_epe(scores)),
+        "epe_median": means["epe"].dropna().median(),
         "auc": auc(pck(scores, "strict"), PCK_THRESHOLDS_MM),
         "auc_root": auc(pck_root(scores), PCK_THRESHOLDS_MM),
-        "pa_mpjpe_median": _median(hand_means(scores, "pa_mpjpe")),
-        "f5": hands["f5"].mean(),
-        "f15": hands["f15"].mean(),
-        **_in_itself(hands["penetration"].dropna()),
-        **doubt_figures(hands["expected_error"].to_numpy(), hand_means(scores, "pa_mpjpe")),
+        "pa_mpjpe_median": means["pa_mpjpe"].dropna().median(),
+        **hands[["f5", "f15"]].mean(),
+        **{f"deeper_{mm}": 100.0 * (depths > mm).mean() for mm in (2, 4)},
+        "penetration_95": depths.quantile(0.95),
+        **_doubt(hands["expected_error"], means["pa_mpjpe"]),
         # A picture is detected once, however many of its hands are labelled.
         "detect_ms": hands.drop_duplicates("sample")["detect_ms"].dropna().median(),
         "fit_ms": hands["fit_ms"].dropna().median(),
-        **{key: _mean(hand_means(scores, key)) for key in HAND_METRICS if key != "epe"},
         **_of_clips(scores),
     }
     return {key: float(values[key]) for key in METRICS}
 
 
-def _in_itself(depths: pd.Series) -> dict[str, float]:
-    """How much of the depths in mm that are known is deeper than skin gives."""
-    shares = {f"deeper_{mm}": 100.0 * (depths > mm).mean() for mm in (2, 4)}
-    return {**shares, "penetration_95": depths.quantile(0.95)}
-
-
-def doubt_figures(expected: np.ndarray, errors: np.ndarray) -> dict[str, float]:
+def _doubt(expected: pd.Series, errors: pd.Series) -> dict[str, float]:
     """How well expected errors (N,) tell of true ones, both in mm; hands without either are left out."""
-    known = np.isfinite(expected) & np.isfinite(errors)
-    expected, errors = expected[known], errors[known]
+    known = expected.notna() & errors.notna()
     wrong, doubted = errors > 1000.0 * DOUBT.wrong_error, 100.0 * (expected > 1000.0 * DOUBT.doubtful_error)
     return {
-        "doubt_rank": float(pd.Series(expected).corr(pd.Series(errors), method="spearman")),
-        "doubted_wrong": _mean(doubted[wrong]),
-        "doubted_right": _mean(doubted[~wrong]),
+        "doubt_rank": float(expected[known].corr(errors[known], method="spearman")),
+        "doubted_wrong": doubted[known & wrong].mean(),
+        "doubted_right": doubted[known & ~wrong].mean(),
     }
-
-
-def _detection_rate(scores: Scores) -> float:
-    return 100.0 * _mean(scores.detected)
 
 
 def _counted_epe(scores: Scores) -> np.ndarray:
@@ -256,15 +254,6 @@ def _of_clip(scores: Scores, rows: np.ndarray) -> tuple[int, float, float, float
         acceleration_error(points, truth, times),
         1000.0 * jitter_spectrum(points, truth, 1.0 / step),
     )
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(mean_of_labelled(values))
-
-
-def _median(values: np.ndarray) -> float:
-    known = values[~np.isnan(values)]
-    return float(np.median(known)) if len(known) else float("nan")
 
 
 def compare(first: Scores, second: Scores, metric: str, *, resamples: int = 2000) -> Comparison:

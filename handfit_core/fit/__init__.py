@@ -1,4 +1,5 @@
-"""Fitting hands to observed landmarks: a `Problem` in, a `Solution` out. NumPy; SciPy for clips.
+"""Fitting hands to observed landmarks: a `Problem` in, a `Solution` out. A line here computes with NumPy, and
+SciPy for clips; it opens no file and sees no picture.
 
 The two solvers that are made of it load with the first fit.
 """

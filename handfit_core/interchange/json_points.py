@@ -181,14 +181,12 @@ def _frame_files(document: Document) -> tuple[list[tuple[int, Path]], tuple[str,
         return list(enumerate(files, 1)), (said,) if len(files) > 1 else ()
     around = {(file.stem[: match.start()], file.stem[match.end() :]) for match, file in numbered}
     if len(around) > 1:
-        raise InputError(f"{shown(document.path)}: {several_clips(around)}; give each its own folder")
+        first, second = ("..".join(each) for each in sorted(around)[:2])
+        raise InputError(
+            f"{shown(document.path)}: its frames belong to several clips ({first} and {second}, for "
+            "example); give each its own folder"
+        )
     return [(int(match[0]), file) for match, file in numbered], (f"{which}: left out",) if others else ()
-
-
-def several_clips(around: Collection[tuple[str, ...]]) -> str:
-    """What is wrong with names that differ in more than their numbers, by what stands around these."""
-    first, second = ("..".join(each) for each in sorted(around)[:2])
-    return f"its frames belong to several clips ({first} and {second}, for example)"
 
 
 def _last_number(text: str) -> re.Match[str] | None:

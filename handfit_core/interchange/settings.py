@@ -52,8 +52,6 @@ class FileLimits:
     bvh_bytes: int = 1 << 27
     """bytes of a .bvh"""
     bvh_bones: int = 2048
-    bvh_turns: int = 1 << 23
-    """bones of a .bvh times frames"""
     relative: float = 3.0
     """Beyond it, coordinates are no parts of the picture's size"""
 

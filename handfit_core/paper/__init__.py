@@ -1,5 +1,6 @@
 """The paper's method: "Monocular 3D Hand Pose Estimation with Implicit Camera Alignment" (arXiv 2506.11133),
-its experiments A to H, and A+, which is made of A. They need torch, which loads with the first fit."""
+its experiments A to H, and A+, which is made of A. A line here may import torch, which loads with the first
+fit; no part of a capture imports it before its solver is asked for."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 import bpy
 import numpy as np
 
-from blender_manient.blender_versions import use_nodes
+from blender_manient.common.blender_versions import use_nodes
 
 from .tint import random_colour
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from blender_manient.blender_versions import use_nodes
+from blender_manient.common.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
 from handfit_core.errors import OptionError
 from handfit_core.hand_model import axes

@@ -14,8 +14,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 import blender_manient  # noqa: E402
-from blender_manient import preferences  # noqa: E402
-from blender_manient.blender_versions import channels, first_slot  # noqa: E402
+from blender_manient.common import preferences  # noqa: E402
+from blender_manient.common.blender_versions import channels, first_slot  # noqa: E402
 from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
 from blender_manient.scene.build import build_take  # noqa: E402
 from handfit_core.geometry.camera import Intrinsics  # noqa: E402

@@ -11,7 +11,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from blender_manient.installation import this_platform, this_python
+from blender_manient.common.installation import this_platform, this_python
 
 ROOT = Path(__file__).resolve().parents[2]
 PLATFORM = this_platform()

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import jobs
-from blender_manient.refiner import Refiner, why_not_refinable
+from blender_manient.exporters.take import retaken
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import captured_hands, hand_of
+from blender_manient.session import jobs
+from blender_manient.session.refiner import Refiner, why_not_refinable
 from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from tests.capturing import needs_capture

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from bpy_extras.object_utils import world_to_camera_view
 
-from blender_manient import jobs, shared_worker
 from blender_manient.operators.capture import new_job
 from blender_manient.scene.store import captured_hands, hand_of
+from blender_manient.session import jobs, shared_worker
 from handfit_core.errors import HandfitError
 from handfit_core.skeleton import FINGERS
 from tests.capturing import needs_capture

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import source_info
 from blender_manient.rigs import rig_of
 from blender_manient.scene import captures, store
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import read_pose_keys
-from blender_manient.scene.matching import Footage, clear_view, scene_sentence, why_kept
+from blender_manient.scene.matching import Footage, clear_view, matches, scene_sentence, why_kept
+from blender_manient.session import source_info
 from handfit_core.media.source import Source
 
 from .characters import build_armature, hand_specs, map_of
-from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, blocks
+from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH
 from .test_live_link import alike, curl, settle
 
 
@@ -122,6 +122,11 @@ def test_the_artists_view_is_not_taken(imported, why):
             assert seen(one, other) == [True, False]
             assert scene.camera == camera
             assert captures.active_capture(scene) == one
+
+
+def blocks() -> set[str]:
+    kinds = "objects collections actions armatures meshes cameras lights images materials shape_keys".split()
+    return {f"{kind}/{block.name}" for kind in kinds for block in getattr(bpy.data, kind)}
 
 
 def test_removing_leaves_nothing_and_the_other_comes_back(imported, model):
@@ -320,6 +325,17 @@ def test_the_start_up_scene_is_matched(clip, tmp_path):
     assert (scene.render.fps, scene.frame_start, scene.frame_end) == (30, FRAMES[0], FRAMES[-1])
     assert (scene.render.resolution_x, scene.render.resolution_y) == (WIDTH, HEIGHT)
     assert scene.camera == armature.manient.capture.manient.camera
+
+
+def test_the_choice_is_the_artists(clip, tmp_path):
+    scene = bpy.context.scene
+    before = state()
+    brought_in(clip, tmp_path, matching="KEEP")
+    assert state() == before
+    scene.frame_end, scene.frame_start = 1120, 1001
+    assert not matches(scene, "AUTO", Footage.of_take(clip))
+    brought_in(clip, tmp_path, matching="MATCH")
+    assert (scene.render.fps, scene.frame_end) == (30, FRAMES[-1])
 
 
 def test_a_second_clip_leaves_the_first_ones_time_alone(clip, make_take, picture, tmp_path):

@@ -14,7 +14,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import command, preferences
+from blender_manient import command
+from blender_manient.common import preferences
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.onto_character import MAX_TOUCH_ERROR, motion_of
 from blender_manient.scene.store import captured_hands, hand_of

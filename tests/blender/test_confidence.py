@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import error_graph
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import confidence, corrections
 from blender_manient.scene.build import build_take
@@ -21,8 +21,8 @@ from blender_manient.scene.confidence import (
     mark_doubtful,
 )
 from blender_manient.scene.keys import pose_at
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
+from blender_manient.session import error_graph
 from handfit_core.fit_quality import EXPECTED, IN_PICTURE
 from handfit_core.skeleton import FINGERS
 
@@ -127,7 +127,7 @@ def test_own_colors_come_back(armature):
 
 
 def handlers() -> int:
-    return sum(h is confidence._on_frame for h in bpy.app.handlers.frame_change_pre)
+    return int(confidence._following)
 
 
 def test_saved_and_opened_again_it_goes_on(armature, tmp_path):

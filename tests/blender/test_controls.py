@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.controls import CAPTURED, LIMIT, MARK, ROLES, in_use
 from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys, write_pose_keys
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, other_side

@@ -7,9 +7,8 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.blender_versions import channels
+from blender_manient.common.blender_versions import channels
 from blender_manient.operators.export import MANIENT_OT_export_hand
-from blender_manient.refiner import why_not
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections, reshape
@@ -18,6 +17,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.editable import why_not_editable, why_not_keyable
 from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
+from blender_manient.session.refiner import why_not
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.errors import HandModelError, OptionError
 

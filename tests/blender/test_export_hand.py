@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_manient.blender_versions import use_nodes
+from blender_manient.common.blender_versions import use_nodes
 from blender_manient.exporters import EXPORTERS
 from blender_manient.exporters.export_hands import export_take
 from blender_manient.panels.export import MANIENT_PT_export

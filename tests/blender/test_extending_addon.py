@@ -69,7 +69,7 @@ assert Path(sys.argv[2] + ".csv").read_text().split("\\n") == ["out", *wrists, "
 from blender_manient.exporters import EXPORTERS
 assert type(EXPORTERS["fbx"]).__name__ == "FbxExporter"
 from blender_manient.panels.preferences import ManientPreferences
-from blender_manient import preferences
+from blender_manient.common import preferences
 from tests.drawn import drawn
 shown = drawn(ManientPreferences, **{name: "" for name in preferences.Values.__annotations__})
 assert "broken.py is left out" in shown.loud.lower(), shown.loud

@@ -9,13 +9,13 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import jobs, shared_worker
-from blender_manient.modes.choice import Choice, FoundHand
-from blender_manient.modes.view import MAX_ZOOM, PictureView
 from blender_manient.operators.capture import new_job
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
+from blender_manient.operators.modes.choice import Choice, FoundHand
+from blender_manient.operators.modes.view import MAX_ZOOM, PictureView
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.scene.store import captured_hands
+from blender_manient.session import jobs, shared_worker
 from handfit_core.arrays import pack
 from handfit_core.detect.detector import Region
 from handfit_core.errors import OptionError

@@ -13,8 +13,9 @@ from pathlib import Path
 import bpy
 import pytest
 
-from blender_manient import details, installation, preferences
+from blender_manient.common import installation, preferences
 from blender_manient.operators import check_installation
+from blender_manient.session import details
 from handfit_core.version import __version__
 from tests.capturing import needs_capture
 

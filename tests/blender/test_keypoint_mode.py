@@ -11,14 +11,14 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
-from blender_manient.modes import keypoints, view
-from blender_manient.modes.drawing import RADIUS, Picture, handle_sizes
-from blender_manient.modes.keypoints import REACH, KeypointMode, forget_views
+from blender_manient.common.screen import enlarged, zoom_and_offset
 from blender_manient.operators import edit_keypoints
-from blender_manient.refiner import Refiner
+from blender_manient.operators.modes import keypoints, view
+from blender_manient.operators.modes.drawing import RADIUS, Picture, handle_sizes
+from blender_manient.operators.modes.keypoints import REACH, KeypointMode, forget_views
 from blender_manient.scene.build import build_take
 from blender_manient.scene.camera import lens_of_camera
-from blender_manient.screen import enlarged, zoom_and_offset
+from blender_manient.session.refiner import Refiner
 from handfit_core.errors import OptionError
 from handfit_core.geometry.picture_map import mapped
 from tests.takes import correctable

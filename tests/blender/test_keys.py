@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.blender_versions import channels, first_slot
+from blender_manient.common.blender_versions import channels, first_slot
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.keys import (

@@ -8,7 +8,6 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import hand_adjusting, live_link
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
@@ -16,6 +15,7 @@ from blender_manient.scene.characters import keep_map
 from blender_manient.scene.hand_motion import MARK, written_keys
 from blender_manient.scene.keys import PoseKeys, pose_at, remove_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
+from blender_manient.session import followers, hand_adjusting, live_link
 from tests.drawn import drawn
 
 from .characters import build_armature, hand_specs, joint_name, map_of
@@ -87,7 +87,7 @@ def alike(hand, target, frame):
 def test_switched_on_it_shows_this_frame_before_it_keys_all(hand, monkeypatch):
     target = follower(bend=0.4, stretch=0.2)
     bpy.context.scene.frame_set(6)
-    monkeypatch.setattr(live_link, "slice_clock", lambda: lambda: True)
+    monkeypatch.setattr(followers, "slice_clock", lambda: lambda: True)
     target.manient.character.live = True
     assert live_link.step() is not None
     assert target.manient.character.right.source == hand.armature

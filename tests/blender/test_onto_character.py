@@ -269,15 +269,6 @@ def test_what_else_moves_the_captured_hand_counts(hand, how):
     assert off(target, hand, 6) < 0.1
 
 
-def test_both_hands_are_in_one_action(make_take):
-    built = build_take(make_take().take)
-    rng = np.random.default_rng(17)
-    target = build_armature([*hand_specs("left", rng), *hand_specs("right", rng)])
-    pairs = [(map_of(one.side), hand_of(one.armature)) for one in built.hands]
-    run_to_completion(putting(target, pairs, TransferOptions(contacts=False)))
-    assert len(keyed_bones(target)) == 30
-
-
 def pinched(make_take, side):
     """A captured hand whose thumb and index finger touch in every frame."""
     made = make_take(sides=(side,)).take

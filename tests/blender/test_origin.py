@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.scene.actions import BELOW, strip_below
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import clear_corrections, displaced
 from blender_manient.scene.keys import pose_at, read_pose_keys
 from blender_manient.scene.layer import add_layer, end_layer
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
 from handfit_core.skeleton import SIDES
 

@@ -114,15 +114,11 @@ def test_the_words_follow_the_range(armature):
     assert replaced(bpy.context, 5000, 6000) == ("None of these frames was captured", False)
     armature.manient.locked[7] = True  # it keeps its keys
     assert "2 keys set by hand, on 1 frame" in replaced(bpy.context, frames[0], frames[-1])[0]
-
-
-def test_corrections_are_named_too(armature):
-    first, last = round(place(armature, 0)), round(place(armature, 11))
-    bpy.context.scene.frame_set(first)
+    bpy.context.scene.frame_set(frames[7])
     assert bpy.ops.manient.apply_pose(pose="Relaxed") == {"FINISHED"}
-    correct(armature, 8, 2)
-    words = "Fits 12 frames again. Replaces 1 applied pose. The points of 1 corrected frame stay"
-    assert replaced(bpy.context, first, last) == (words, True)
+    correct(armature, 10, 1)
+    words = "Replaces 1 applied pose. The points of 1 corrected frame stay"
+    assert replaced(bpy.context, frames[5], frames[-1]) == (f"Fits 7 frames again. {words}", True)
 
 
 def test_the_range_that_is_offered_is_never_everything(make_take):

@@ -9,23 +9,21 @@ import bpy
 import cv2
 import numpy as np
 import pytest
-from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
-from blender_manient import source_info
 from blender_manient.scene.build import build_take
 from blender_manient.scene.plate import load_plate, rows_of
 from blender_manient.scene.preview import preview_rows, render_plate, render_preview, spread_frames
 from blender_manient.scene.timing import timing_in
+from blender_manient.session import source_info
 from handfit_core.geometry.picture_map import mapped, picture_to_region
 from handfit_core.media.source import Source
-from handfit_core.skeleton import FINGER_JOINTS
 from tests.bombs import clip, with_claimed_size
 from tests.child import peak_megabytes
 from tests.listener import listening
 from tests.playlists import names, playlists
 
-from .conftest import FRAMES, HEIGHT, OFF_CENTRE, UNSEEN, WIDTH, joint_heads, write_png
+from .conftest import FRAMES, HEIGHT, OFF_CENTRE, UNSEEN, WIDTH, write_png
 
 
 def background(built):
@@ -183,17 +181,15 @@ def test_frames_are_spread(make_take):
 # Handles lie where Blender draws the picture
 
 
-@pytest.fixture
-def seen(make_take):
-    made = make_take(sides=("right",))
-    built = build_take(made.take)
-    bpy.context.scene.frame_set(made.seen[3][1])
-    return made, built
-
-
-def perspective(camera) -> np.ndarray:
-    """What RegionView3D.perspective_matrix is in a region that shows just the picture."""
-    render = bpy.context.scene.render
+@pytest.mark.parametrize("moved", [False, True])
+def test_the_picture_fills_a_region_of_its_size(make_take, moved):
+    made, render = make_take(sides=("right",)), bpy.context.scene.render
+    camera = build_take(made.take).camera
+    if moved:
+        place = Matrix.LocRotScale(Vector((0.3, -2.0, 1.1)), Euler((0.4, -0.2, 2.1)), Vector((2.0, 2.0, 2.0)))
+        camera.matrix_world = place @ camera.matrix_world
+    bpy.context.view_layer.update()
+    # What RegionView3D.perspective_matrix is in a region that shows just the picture.
     projection = camera.calc_matrix_camera(
         bpy.context.evaluated_depsgraph_get(),
         x=render.resolution_x,
@@ -201,39 +197,13 @@ def perspective(camera) -> np.ndarray:
         scale_x=render.pixel_aspect_x,
         scale_y=render.pixel_aspect_y,
     )
-    return np.array(projection @ camera.matrix_world.normalized().inverted())
-
-
-def region_of(made, camera, size) -> np.ndarray:
-    """From the picture to a region of that size that shows just the picture."""
+    perspective = np.array(projection @ camera.matrix_world.normalized().inverted())
     place = np.array(camera.matrix_world)
-    return picture_to_region(made.take.intrinsics, place, perspective(camera), size)
-
-
-@pytest.mark.parametrize("moved", [False, True])
-def test_the_picture_fills_a_region_of_its_size(seen, moved):
-    made, built = seen
-    if moved:
-        place = Matrix.LocRotScale(Vector((0.3, -2.0, 1.1)), Euler((0.4, -0.2, 2.1)), Vector((2.0, 2.0, 2.0)))
-        built.camera.matrix_world = place @ built.camera.matrix_world
-        bpy.context.view_layer.update()
-    matrix = region_of(made, built.camera, (WIDTH, HEIGHT))
+    matrix = picture_to_region(made.take.intrinsics, place, perspective, (WIDTH, HEIGHT))
     pixels = np.array([[0.0, 0.0], [WIDTH, 0.0], [WIDTH, HEIGHT], [31.0, 47.5]])
     expected = np.stack([pixels[:, 0], HEIGHT - pixels[:, 1]], axis=-1)
     np.testing.assert_allclose(mapped(matrix, pixels), expected, atol=0.02)
     np.testing.assert_allclose(mapped(np.linalg.inv(matrix), expected), pixels, atol=0.02)
-
-
-def test_a_joint_is_drawn_where_its_pixel_is(seen):
-    """In a region twice as large, by Blender's projection of the bone's head."""
-    made, built = seen
-    row, _ = made.seen[3]
-    matrix = region_of(made, built.camera, (2 * WIDTH, 2 * HEIGHT))
-    joint = FINGER_JOINTS["index"][1]
-    pixel = made.take.intrinsics.project(made.joints["right"][row][joint])
-    head = joint_heads(built.hands[0].armature, "right")[joint]
-    view = world_to_camera_view(bpy.context.scene, built.camera, Vector(head))
-    np.testing.assert_allclose(mapped(matrix, pixel), [view.x * 2 * WIDTH, view.y * 2 * HEIGHT], atol=0.1)
 
 
 # A take may name any file: what Blender is given as the picture behind the hands is looked at first.

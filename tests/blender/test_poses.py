@@ -125,7 +125,12 @@ def test_it_fades_out_over_spread_and_clear_takes_it_back(hand, fields, frames):
     np.testing.assert_array_equal(after.locations[np.isin(after.frames, before.frames)], before.locations)
     assert corrections.corrected_frames(armature) == frames
     scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 6, 12
-    assert bpy.ops.manient.clear_corrections(scope="RANGE") == {"FINISHED"}
+    scene.frame_set(20)
+    with pytest.raises(RuntimeError, match="no correction in this frame"):
+        bpy.ops.manient.clear_corrections(scope="FRAME")
+    scene.frame_set(6)
+    scope = "RANGE" if fields else "FRAME"
+    assert bpy.ops.manient.clear_corrections(scope=scope) == {"FINISHED"}
     assert turned(before, read_pose_keys(rig_of(armature))).max() < 1e-5
 
 

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import cache, preferences, shared_worker
 from blender_manient.batch.arguments import add_arguments
+from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
+from blender_manient.session import cache, shared_worker
 from handfit_core.errors import OutputError
 from handfit_core.options import OPTIONS, CaptureOptions
 from tests.conftest import ROOT

@@ -13,20 +13,21 @@ import numpy as np
 import pytest
 
 import blender_manient
-from blender_manient import preferences, shared_worker
-from blender_manient.modes.keypoints import KeypointMode
+from blender_manient.common import preferences
+from blender_manient.exporters.take import retaken
 from blender_manient.operators import edit_keypoints
+from blender_manient.operators.modes.keypoints import KeypointMode
 from blender_manient.operators.refit_range import replaced
 from blender_manient.operators.touch import MANIENT_OT_touch, touching_range
-from blender_manient.refiner import BonePoses, Refiner, why_not_smoothable
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys, write_pose_keys
 from blender_manient.scene.own_keys import keyed_by_hand
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.store import hand_of
+from blender_manient.session import shared_worker
+from blender_manient.session.refiner import BonePoses, Refiner, why_not_smoothable
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
@@ -394,22 +395,6 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
     while shared_worker.worker().alive and time.monotonic() < deadline:
         time.sleep(0.01)
     drag(armature)
-
-
-def test_in_pose_mode_with_another_rotation_mode(armature):
-    """Bones that the artist switched to Euler angles are corrected too."""
-    bone = armature.pose.bones[bone_names(armature.manient.side)[2]]
-    keys = all_keys(armature)
-    bone.rotation_mode = "XYZ"
-    write_pose_keys(rig_of(armature), keys)
-    before = landmarks(armature)
-    bpy.ops.object.mode_set(mode="POSE")
-    place = drag(armature)
-    assert np.linalg.norm(landmarks(armature)[TIP] - place) < 1.0
-    assert bpy.context.mode == "POSE"
-    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
-    np.testing.assert_allclose(landmarks(armature), before, atol=0.01)
-    bpy.ops.object.mode_set(mode="OBJECT")
 
 
 def mode_without_a_window(armature) -> KeypointMode:

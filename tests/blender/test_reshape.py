@@ -6,14 +6,13 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import preferences
+from blender_manient.common import preferences
 from blender_manient.panels.shape import MANIENT_PT_shape
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import reshape
 from blender_manient.scene.actions import push_down
 from blender_manient.scene.build import build_take
-from blender_manient.scene.corrections import clear_corrections
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.store import hand_of
@@ -26,7 +25,6 @@ from tests.drawn import drawn
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 from .looking import curves_of
-from .test_corrections import correct
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -212,17 +210,6 @@ def test_a_strip_follows_and_a_pose_without_keys_stays(made, built, armature, mo
     assert shape_error(made, built.hands, BETAS, [3]) < 1e-4
 
 
-def test_corrections_can_still_be_taken_out(armature):
-    captured, start = read_pose_keys(rig_of(armature)), np.array(armature.manient.betas)
-    correct(armature, frame=5, spread=3.0)
-    armature.manient.betas = BETAS
-    clear_corrections(armature)
-    armature.manient.betas = start
-    restored = read_pose_keys(rig_of(armature))
-    np.testing.assert_allclose(restored.quats, captured.quats, atol=1e-4)
-    np.testing.assert_allclose(restored.locations, captured.locations, atol=1e-5)
-
-
 def test_a_changed_mesh_and_other_objects_are_left_alone(built):
     (hand,) = built.hands
     count = len(hand.mesh.data.vertices)
@@ -256,8 +243,8 @@ def test_the_forearm_can_be_hidden(made, built, with_own_key):
     shape.forearm = False
     # Blender leaves out products of the pose that move the skin by less than 0.2 mm.
     np.testing.assert_allclose(evaluated_vertices(hand.mesh), cap, atol=5e-5)
-    for shape.betas in (BETAS, track.betas):  # the shape of what is shown now
-        pass
+    shape.betas = BETAS  # the shape of what is shown now
+    shape.betas = track.betas
     np.testing.assert_allclose(evaluated_vertices(hand.mesh), cap, atol=5e-5)
     mirrored = mirror_hand(hand_of(hand.armature)).manient
     assert (mirrored.wrist, mirrored.forearm) == ("cap", False)

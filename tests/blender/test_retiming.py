@@ -8,8 +8,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import source_info
-from blender_manient.refiner import Refiner
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.scene import store
 from blender_manient.scene.apply import apply_track
@@ -18,9 +17,10 @@ from blender_manient.scene.corrections import corrected_frames
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.plate import load_plate
 from blender_manient.scene.preview import render_plate
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene
+from blender_manient.session import source_info
+from blender_manient.session.refiner import Refiner
 from handfit_core.errors import OptionError
 from handfit_core.media.source import Source
 from handfit_core.retiming import shown_numbers

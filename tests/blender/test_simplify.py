@@ -8,11 +8,12 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import key_preview
-from blender_manient.blender_versions import action_slot, assign_action, channels
+from blender_manient.common.blender_versions import action_slot, assign_action, channels
+from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
+from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.editable import why_not_keyable
@@ -22,7 +23,6 @@ from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.onto_character import reading_motion
 from blender_manient.scene.origin import origin_to_wrist
 from blender_manient.scene.own_keys import keyed_by_hand
-from blender_manient.scene.retake import retaken
 from blender_manient.scene.simplify import (
     DENSE,
     Bounds,
@@ -33,6 +33,7 @@ from blender_manient.scene.simplify import (
     write,
 )
 from blender_manient.scene.store import hand_of
+from blender_manient.session import key_preview
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, rotvec_to_quat
 from handfit_core.retarget.hand_map import HandMap
@@ -130,22 +131,7 @@ def test_changes_since_are_kept_when_all_keys_come_back(armature):
     assert (kept.use_fake_user, kept.get(DENSE)) == (True, None)
 
 
-def test_actions_that_others_use_stay(armature):
-    before = contents(armature)
-    simplify()
-    other = armature.copy()
-    bpy.context.collection.objects.link(other)
-    simplify(Bounds(5.0, 9.0))
-    shared = other.animation_data.action
-    assert shared != armature.animation_data.action
-    assert kept_action(other) == kept_action(armature)
-    restore(armature)
-    assert other.animation_data.action == shared
-    restore(other)
-    assert contents(other) == contents(armature) == before
-
-
-def test_only_the_chosen_fingers_lose_keys(armature):
+def test_only_the_chosen_fingers_lose_keys(armature, make_take):
     """What follows the hand gets all of its motion."""
     counts, quats = [contents(armature)], poses(armature, FRAMES)
     for finger, bounds in (("thumb", (2.0, 3.0)), ("index", (6.0, 9.0))):
@@ -157,9 +143,11 @@ def test_only_the_chosen_fingers_lose_keys(armature):
         assert all(counts[-1][path] == counts[-2][path] for path in counts[0] if path not in fewer)
     motion = run_to_completion(reading_motion(hand_of(armature)))
     np.testing.assert_array_equal(motion.frames, FRAMES)
-    other = mirror_hand(hand_of(armature))
-    turned = rig_of(armature).rest.turned_to(rig_of(other).rest, poses(armature, FRAMES))
-    assert apart(poses(other, FRAMES), turned) < 0.5
+    same = build_take(make_take(sides=("right",), frame_numbers=FRAMES, seed=5).take).hands[0].armature
+    apply_hand(same, armature, "ANIMATION", 1.0)
+    for other in (same, mirror_hand(hand_of(armature))):
+        turned = rig_of(armature).rest.turned_to(rig_of(other).rest, poses(armature, FRAMES))
+        assert apart(poses(other, FRAMES), turned) < 0.5
     restore(armature)
     assert contents(armature) == counts[0]
     np.testing.assert_array_equal(poses(armature, FRAMES), quats)
@@ -246,7 +234,8 @@ def finish_preview() -> None:
 def test_the_preview_says_what_the_operator_does_and_follows_the_sliders(armature):
     settings = bpy.context.scene.manient
     found = []
-    for settings.keys_degrees, settings.keys_pixels in ((2.0, 3.0), (4.0, 9.0)):
+    for degrees, pixels in ((2.0, 3.0), (4.0, 9.0)):
+        settings.keys_degrees, settings.keys_pixels = degrees, pixels
         assert key_preview.preview(bpy.context) is None
         finish_preview()
         found.append(key_preview.preview(bpy.context))
@@ -305,17 +294,12 @@ def test_the_preview_is_found_for_the_hand_that_the_panel_shows(armature):
 def key_change(armature, bone: str, frame: float, turn) -> None:
     """Key a rotation in the layer, as an artist does who keys what the bone shows."""
     data = armature.animation_data
-    curves = channels(data.action, action_slot(assigned(armature)), make=True).fcurves
+    assign_action(armature, data.action)
+    curves = channels(data.action, action_slot(data), make=True).fcurves
     path = f'pose.bones["{bone}"].rotation_quaternion'
     for i, value in enumerate(rotvec_to_quat(np.array(turn))):
         curve = curves.find(path, index=i) or curves.new(path, index=i)
         curve.keyframe_points.insert(frame, value)
-
-
-def assigned(armature):
-    """The animation data, with a slot in its action."""
-    assign_action(armature, armature.animation_data.action)
-    return armature.animation_data
 
 
 def change(armature, turn=(0.4, 0.2, 0.0)) -> None:
@@ -363,8 +347,7 @@ def test_a_layer_is_added_and_merged_or_taken_away(armature, simplified):
 
 
 def test_a_layer_with_keys_on_everything_is_merged_without_what_changes_nothing(armature):
-    bone = armature.pose.bones[bone_names("right")[2]]
-    paths = set(contents(armature))
+    bone, paths = armature.pose.bones[bone_names("right")[2]], set(contents(armature))
     add_layer(armature)
     for frame, bend in ((20, 0.0), (40, 0.4), (60, 0.0)):
         bpy.context.scene.frame_set(frame)

@@ -10,17 +10,18 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from blender_manient import jobs, source_info, steady
-from blender_manient.modes import find_hands as find_mode
-from blender_manient.modes.find_hands import row_of
 from blender_manient.operators import add_hand
 from blender_manient.operators.base import Work
 from blender_manient.operators.capture import new_job
+from blender_manient.operators.modes import find_hands as find_mode
+from blender_manient.operators.modes.find_hands import row_of
 from blender_manient.operators.refit_range import MANIENT_OT_refit_range
+from blender_manient.panels import steady
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.source import MANIENT_PT_source
 from blender_manient.scene.build import build_take
+from blender_manient.session import jobs, source_info
 from tests.drawn import drawn
 from tests.takes import correctable
 
@@ -47,7 +48,9 @@ def clock(monkeypatch) -> SimpleNamespace:
 @pytest.mark.parametrize("matching", ["AUTO", "MATCH", "KEEP"])
 def test_rows_stay_when_the_worker_answers(settings, tmp_path, kind, matching, monkeypatch):
     # As narrow as a sidebar: no window tells here how wide letters are.
-    monkeypatch.setattr("blender_manient.section.wrapped", lambda text, _: textwrap.wrap(text, 28) or [""])
+    monkeypatch.setattr(
+        "blender_manient.common.section.wrapped", lambda text, _: textwrap.wrap(text, 28) or [""]
+    )
     path, settings.matching = SAMPLE, matching
     if kind != "sequence":  # nobody reads what is in it
         name = {"photo": "photo.jpg", "video": "clip.mp4", "data": "poses.smplx.npz"}[kind]
@@ -135,7 +138,7 @@ def test_rows_stay_while_hands_are_chosen_and_added(settings, clock, monkeypatch
 
 
 def test_the_buttons_over_the_picture_stay(monkeypatch):
-    monkeypatch.setattr("blender_manient.modes.find_hands.ui_scale", lambda: 1.0)
+    monkeypatch.setattr("blender_manient.operators.modes.find_hands.ui_scale", lambda: 1.0)
     free = (0.0, 0.0, 900.0, 600.0)
     capture, leave, add = ("capture", "Capture 12 Hands"), ("leave", "Leave"), ("add", "Add Hand")
     alone, full = row_of(None, leave, None, free), row_of(capture, leave, add, free)

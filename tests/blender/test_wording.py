@@ -9,9 +9,15 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient import jobs, refiner
-from blender_manient.block_reference import BlockReference
-from blender_manient.jobs import Building, Job
+from blender_manient.common.block_reference import BlockReference
+from blender_manient.common.wording import (
+    NAME_BYTES,
+    capitalised,
+    named_after,
+    shortened,
+    shortened_name,
+    without_name,
+)
 from blender_manient.operators.review import MANIENT_OT_jump_worst
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
@@ -20,14 +26,8 @@ from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_P
 from blender_manient.scene import confidence, reshape, store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
-from blender_manient.wording import (
-    NAME_BYTES,
-    capitalised,
-    named_after,
-    shortened,
-    shortened_name,
-    without_name,
-)
+from blender_manient.session import jobs, refiner
+from blender_manient.session.jobs import Building, Job
 from handfit_core.fit_quality import EXPECTED, mean_relative_error, relative_errors
 from handfit_core.media.source import Source
 from handfit_core.options import CaptureOptions

@@ -45,7 +45,7 @@ def state(name=NAME):
     return {
         "enabled": name in bpy.context.preferences.addons,
         "runs": module.runs(),
-        "problems": [found.sentence for found in [module.installation.fault()] if found],
+        "problems": [found.sentence for found in [module.common.installation.fault()] if found],
         "sections": [n for n in dir(bpy.types) if n.startswith("MANIENT_PT_")],
         "scene": hasattr(bpy.types.Scene, "manient"),
     }
@@ -114,9 +114,10 @@ report = bpy.data.texts["Hand Capture Check"].as_string()
 disable()
 off = classes()
 enable()
-module = sys.modules[NAME + ".details"]
+module = sys.modules[NAME + ".session.details"]
 bpy.utils.load_scripts(reload_scripts=True)
-seen = [state(), sys.modules[NAME + ".details"] is module, str(sys.modules[NAME + ".cache"].folder_path())]
+cache = str(sys.modules[NAME + ".session.cache"].folder_path())
+seen = [state(), sys.modules[NAME + ".session.details"] is module, cache]
 uninstall()
 found([before, report, off, *seen, files()])
 """)
@@ -159,7 +160,7 @@ def test_a_broken_zip_is_a_sentence_and_nothing_else(blender, damage, after, sai
 def test_without_mediapipe_only_capturing_is_impossible(blender):
     code = """
 install(ZIP)
-shared_worker = sys.modules[NAME + ".shared_worker"]
+shared_worker = sys.modules[NAME + ".session.shared_worker"]
 section = bpy.types.MANIENT_PT_installation
 def shown():
     return section.poll(bpy.context), shared_worker.capture_sentence()
@@ -200,7 +201,7 @@ def test_nothing_old_runs_after_an_update(blender, how):
         f"""
 def marks():
     import handfit_core
-    names = ("", ".installation", ".details", ".wording")
+    names = ("", ".common.installation", ".session.details", ".common.wording")
     return [getattr(sys.modules.get(NAME + n), "MARK", None) for n in names] + [handfit_core.MARK]
 install(ZIP)
 before = marks()

@@ -1,11 +1,11 @@
-"""Differences between Blender's versions are met in one module, blender_manient/blender_versions.py."""
+"""Differences between Blender's versions are met in one module of the add-on."""
 
 import ast
 from collections.abc import Iterator
 
 from tests.conftest import ROOT
 
-ONLY_HERE = ROOT / "blender_manient" / "blender_versions.py"
+ONLY_HERE = ROOT / "blender_manient" / "common" / "blender_versions.py"
 SOURCES = {
     path: path.read_text(encoding="utf-8")
     for folder in ("blender_manient", "scripts")

@@ -90,7 +90,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads():
 
 
 ASSEMBLIES = ("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take")
-PURE = ("wording", "installation", "batch.arguments", "batch.console", "batch.commands")
+PURE = ("common.wording", "common.installation", "batch.arguments", "batch.console", "batch.commands")
 """Modules of the add-on that work without Blender"""
 
 
@@ -122,13 +122,11 @@ def test_rooms_know_only_what_comes_before_them(room):
 
 
 ROOMS = (
-    "block_reference blender_versions installation plugins preferences screen section wording",
+    "common",
     "rigs",
     "scene",
     "exporters",
-    "cache details error_graph hand_adjusting hand_table jobs key_preview live_link properties refiner "
-    "shared_worker source_info steady",
-    "modes",
+    "session",
     "operators",
     "panels",
     "batch",

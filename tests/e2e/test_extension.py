@@ -27,7 +27,6 @@ from scripts.extension.core_wheel import (
     LANDMARKS_2020,
     NOT_THE_ARTISTS,
 )
-from scripts.extension.staging import extension_tool, run_tool
 from scripts.extension.wheels import PLATFORMS, PYTHONS, TORCH, BuildError, lock_path, read_lock
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,14 +146,6 @@ def test_same_input_same_bytes(built, zipped, tmp_path):
     assert wheels.sha256_of(again) == wheels.sha256_of(built)
 
 
-def test_blender_refuses_a_spoiled_one(tmp_path):
-    with zipfile.ZipFile(tmp_path / "spoiled.zip", "w") as archive:
-        archive.writestr("__init__.py", "")
-        archive.writestr("blender_manifest.toml", 'schema_version = "1.0.0"\nid = "manient"\n')
-    with pytest.raises(BuildError, match="Blender's extension tool refused"):
-        run_tool(extension_tool(), "validate", str(tmp_path / "spoiled.zip"))
-
-
 def test_a_wrong_hash_in_a_lock_is_refused(tmp_path, monkeypatch):
     """Although the right wheel is in the cache."""
     lock = lock_path("linux-x64", "3.11")
@@ -166,18 +157,12 @@ def test_a_wrong_hash_in_a_lock_is_refused(tmp_path, monkeypatch):
     assert not list(tmp_path.glob("*.zip"))
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--platform", "amiga"], "amiga: there is no zip for this platform; choose from linux-x64"),
-        (["--platform", ""], ": there is no zip for this platform; choose from linux-x64"),
-        (["--blender", "no/blender"], "no/blender: there is no such Blender"),
-    ],
-)
-def test_a_wrong_option_is_one_sentence(tmp_path, options, said):
-    command = [sys.executable, str(ROOT / "scripts" / "build_extension.py"), *options, "-o", str(tmp_path)]
+def test_an_unknown_platform_is_one_sentence(tmp_path):
+    script = ROOT / "scripts" / "build_extension.py"
+    command = [sys.executable, str(script), "--platform", "amiga", "-o", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert done.stderr.startswith(f"error: {said}")
+    said = "error: amiga: there is no zip for this platform; choose from linux-x64"
+    assert done.stderr.startswith(said)
     assert done.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())

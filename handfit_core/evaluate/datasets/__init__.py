@@ -1,4 +1,5 @@
-"""Labelled data sets, one reader per file. Every reader lists at once and reads labels when asked for."""
+"""Labelled data sets, one reader per file, which lists at once and reads labels when asked for. A line here
+knows files and labels, and no solver."""
 
 from __future__ import annotations
 

@@ -127,12 +127,12 @@ def mesh_of(path: Path, index: int, axes: np.ndarray | float = 1.0) -> MeshLabel
         places = _mesh_places(path)
         if index >= len(places):
             raise DatasetError(f"{path}: damaged or cut off before mesh {index}; copy it again")
-        if places[index] is None:
+        place = places[index]
+        if place is None:
             raise DatasetError(f"{path}: mesh {index} is null")
-        first, end = places[index]
         with path.open("rb") as stream:
-            stream.seek(first)
-            mesh = _parsed(path, stream.read(end - first))
+            stream.seek(place[0])
+            mesh = _parsed(path, stream.read(place[1] - place[0]))
         return numbers(f"{path}: mesh {index}", mesh, (len(mesh), 3)) * axes
 
     return MeshLabel(vertices) if path.is_file() else None

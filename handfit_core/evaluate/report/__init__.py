@@ -1,10 +1,10 @@
-"""The report of an evaluation: tables, plots and picture sheets in a folder, with a page that shows them."""
+"""The report of an evaluation: tables, plots and picture sheets in a folder, with a page that shows them. A
+line here draws and writes what was scored, and scores nothing."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-from importlib import resources
 from pathlib import Path
 
 import pandas as pd
@@ -114,13 +114,12 @@ def _page(
     evaluation: Evaluation, numbers: list[str], plots: dict[str, tuple[str, str]], sheets: list[Sheet]
 ) -> str:
     """One HTML file beside its pictures, that opens offline."""
-    template = resources.files("handfit_core.evaluate.report").joinpath("page.html.j2")
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     by_number = sorted(evaluation.problems.items(), key=lambda problem: -len(problem[1]))
     environment.globals |= {**vars(tables), "headline": headline}
-    page = environment.from_string(template.read_text(encoding="utf-8"))
+    page = environment.from_string(Path(__file__).with_name("page.html.j2").read_text(encoding="utf-8"))
     return page.render(evaluation=evaluation, problems=by_number, plots=plots, sheets=sheets, files=numbers)
 
 

@@ -1,4 +1,5 @@
-"""The residual terms of a fit, one a file, each with its Jacobian.
+"""The residual terms of a fit, one a file, each with its Jacobian. A line here computes rows from poses, and
+neither solves nor decides.
 
 A term is called with posed hands and their `Observation`, and returns `Rows`, or `PairRows` where it couples
 two parts of a hand. All residuals are divided by their expected size (their sigma), so that costs add up.

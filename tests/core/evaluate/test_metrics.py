@@ -9,8 +9,12 @@ import pytest
 from scipy.spatial import procrustes
 
 from handfit_core.evaluate import metrics
-from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM
+from handfit_core.evaluate.metrics import (
+    PCK_THRESHOLDS_MM,
+    acceleration_error,
+    bone_length_variation,
+    jitter_spectrum,
+)
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.skeleton import KEYPOINT_PARENTS
 from tests.core.evaluate.made import make_hands

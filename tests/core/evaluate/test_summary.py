@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import OptionError
-from handfit_core.evaluate.clip_metrics import acceleration_error, bone_length_variation, jitter_spectrum
-from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc
+from handfit_core.evaluate.metrics import (
+    PCK_THRESHOLDS_MM,
+    acceleration_error,
+    auc,
+    bone_length_variation,
+    jitter_spectrum,
+)
 from handfit_core.evaluate.summary import compare, paper_pck, pck, pck_root, summarise
 from tests.core.evaluate.made import make_hands, make_scores, with_errors, with_hands
 

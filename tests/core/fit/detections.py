@@ -4,23 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
 from handfit_core.detect.keypoints import Detections, HandDetection, Track
+from handfit_core.fit import doubt
+from handfit_core.fit.fast import fitter_of
+from handfit_core.fit.solution import Solution
 from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
-from handfit_core.hand_model.landmarks import detector_landmarks
+from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
+from handfit_core.hand_model.landmarks import Landmarks, detector_landmarks
 from handfit_core.paper.placement import turn_to_ray
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, Side, other_side
 from scripts.benchmark.kinematics import MIRROR_ROTVEC
 
 CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)
 """What the solver assumes of a picture of 640 x 480 pixels"""
+Pose = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""betas (N, 10), global_orient (N, 3), hand_pose (N, 45) and transl (N, 3)"""
 
 
 @cache
@@ -28,9 +34,8 @@ def model_of(side: Side) -> HandModel:
     return load_model("open-hand", side)
 
 
-def poses(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """betas (N, 10), global_orient (N, 3), hand_pose (N, 45) and transl (N, 3) of right hands, bent
-    and spread at random, palm or back to the camera, fingers up, give or take 40 degrees."""
+def poses(count: int, seed: int = 0, side: Side = "right") -> Pose:
+    """Hands bent and spread at random, palm or back to the camera, fingers up, give or take 40 degrees."""
     rng = np.random.default_rng(seed)
     axes = anatomical_axes(model_of("right"))
     bend = np.zeros((count, 15))
@@ -49,32 +54,33 @@ def poses(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray
     transl = np.stack(
         [rng.uniform(-0.12, 0.12, count), rng.uniform(-0.02, 0.14, count), rng.uniform(0.45, 0.7, count)], -1
     )
-    return rng.normal(size=(count, 10)) * 0.5, orient, pose, transl
+    right = rng.normal(size=(count, 10)) * 0.5, orient, pose, transl
+    return right if side == "right" else mirrored(*right)
 
 
-def mirrored(
-    betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def mirrored(betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray) -> Pose:
     """The same parameters for the mirror image by x -> -x, of the other side's model."""
     flip = MIRROR_ROTVEC
     return betas, orient * flip, pose * np.tile(flip, 15), transl * np.array([-1.0, 1.0, 1.0])
 
 
-def keypoints_of(
-    side: Side, betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray
-) -> np.ndarray:
+def keypoints_of(side: Side, *pose: np.ndarray) -> np.ndarray:
     """(N, 21, 3) the model's own keypoints, by the mesh."""
-    rows = zip(betas, orient, pose, transl, strict=True)
-    return np.array([model_of(side).keypoints(b, o[None], p[None], t[None])[0] for b, o, p, t in rows])
+    return np.array([model_of(side).keypoints(*one) for one in zip(*pose, strict=True)])
 
 
 def landmarks_of(
-    side: Side, betas: np.ndarray, orient: np.ndarray, pose: np.ndarray, transl: np.ndarray
+    side: Side,
+    betas: np.ndarray,
+    orient: np.ndarray,
+    pose: np.ndarray,
+    transl: np.ndarray,
+    landmarks: Landmarks | None = None,
 ) -> np.ndarray:
-    """(N, 21, 3) the model's keypoints with the calibrated offsets, by the mesh and not by `Chain.pose`."""
+    """(N, 21, 3) the model's keypoints with offsets, by the mesh and not by `Chain.pose`."""
     model = model_of(side)
     points = keypoints_of(side, betas, orient, pose, transl)
-    offsets = detector_landmarks().in_metres(model)
+    offsets = (landmarks or detector_landmarks()).in_metres(model)
     axes = anatomical_axes(model)
     rotations = rotvec_to_rotmat(pose.reshape(-1, 15, 3))
     world = rotvec_to_rotmat(orient)
@@ -107,6 +113,12 @@ def seen(
     )
 
 
+def detections_of(side: Side, pose: Pose, noise: float = 0.0) -> list[HandDetection]:
+    """Each of N hands as `seen`."""
+    points = landmarks_of(side, *pose)
+    return [seen(one, side, noise=noise, seed=seed) for seed, one in enumerate(points)]
+
+
 def columns(hands: Sequence[HandDetection | None]) -> Detections:
     """One hand's detections in T frames; None where there is none."""
     return Detections.of([[] if hand is None else [hand] for hand in hands])
@@ -125,11 +137,6 @@ def mirror_image(detection: HandDetection, camera: Intrinsics = CAMERA) -> HandD
     return HandDetection(other_side(detection.side), detection.score, keypoints, world)
 
 
-def angles_of_pose(pose: np.ndarray, side: Side) -> np.ndarray:
-    """(N, 45) -> (N, 15, 3) twist, spread, bend in radians."""
-    return anatomical_angles(rotvec_to_rotmat(pose.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
-
-
 def ends_of_range(side: Side) -> tuple[np.ndarray, np.ndarray]:
     """(15, 3) radians: the least and the most that a hand bends joints to, closed as far as it goes."""
     ranges, closed = joint_limits(side), np.zeros((15, 3))
@@ -141,3 +148,26 @@ def laid_error(found: np.ndarray, aims: np.ndarray) -> np.ndarray:
     """(N,) metres, mean over the points after similarity transforms."""
     laid = np.array([align(f, a, with_scale=True).apply(f) for f, a in zip(found, aims, strict=True)])
     return np.linalg.norm(laid - aims, axis=-1).mean(axis=1)
+
+
+class FrameFits(NamedTuple):
+    """B pictures of hands, each fitted by itself."""
+
+    pose: Pose
+    solution: Solution
+    expected_error: np.ndarray
+    """(B, 5) metres"""
+
+    @property
+    def doubtful(self) -> np.ndarray:
+        return doubt.doubtful(self.expected_error)
+
+
+def fit_frames(side: Side, hands: Sequence[HandDetection], hand_length: float | None = None) -> FrameFits:
+    fitter, detections = fitter_of(model_of(side), hand_length), columns(hands)
+    seen, solution = fitter.solve_pictures(fitter.observe(detections, CAMERA))
+    evidence = doubt.evidence(seen, fitter.chain.points(solution.state), doubt.side_logits(detections, side))
+    factor = doubt.crop_spread_factor(detections) * doubt.lifted_thumb_factor(seen)
+    return FrameFits(
+        fitter.chain.parameters(solution.state), solution, doubt.expected_error(evidence, factor)
+    )

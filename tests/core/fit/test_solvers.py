@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -30,96 +30,85 @@ from tests.core.fit.hands import (
     problem_of,
 )
 
-Solve = Callable[[Problem, State], State]
-
-
-@dataclass(frozen=True)
-class Case:
-    """Hands of a forward pass, seen exactly."""
-
-    name: str
-    side: Side
-    spread: float
-    """of their angles about a relaxed hand"""
-    start: str
-    """`relaxed`, or `near` for the truth, shaken"""
-    most: float
-    """metres that the worst point's hand may be off on average, but for its distance"""
-
-
-CASES = [
-    Case("a right hand", "right", 0.15, "relaxed", 0.002),
-    Case("a left hand", "left", 0.15, "relaxed", 0.002),
-    Case("bent fingers", "right", 0.25, "relaxed", 0.004),
-    Case("from nearby", "left", 0.2, "near", 0.002),
-]
-SOLVERS: dict[str, Solve] = {
-    "each by itself": lambda p, s: exactly(p, s).state,
-    "one shape": lambda p, s: exactly(replace(p, shape="one"), s).state,
-    "as a clip that may move as it likes": lambda p, s: smooth_clip(as_clip(p), s),
-}
-
 
 def exactly(problem: Problem, start: State) -> Solution:
     return solve(problem, start, max_iterations=60, tolerance=1e-8)
 
 
-def as_clip(problem: Problem) -> Problem:
-    return replace(problem, shape="given", motion=MotionPrior(1e3, 1e3))
+def relaxed(problem: Problem) -> State:
+    side = problem.chain.model.side
+    return relaxed_start(
+        problem.chain, problem.seen, RELAXED if side == "right" else RELAXED * MIRROR, np.zeros(10)
+    )
 
 
-def start_of(case: Case, problem: Problem, truth: State) -> State:
-    if case.start == "relaxed":
-        angles = RELAXED if case.side == "right" else RELAXED * MIRROR
-        return relaxed_start(problem.chain, problem.seen, angles, np.zeros(10))
-    count = len(truth)
-    return truth.moved(random(count, 7, scale=0.03), random(count, 5, 9, seed=1, scale=0.1))
+def test_start_of_a_single_spot() -> None:
+    """A detector has put all landmarks on one pixel."""
+    start = relaxed(problem_of(chain_of(), observe(np.tile([0.0, 0.0, 0.5], (1, 21, 1)))))
+    assert all(np.isfinite(rows).all() for _, rows in start._rows())
 
 
-def problem_for(case: Case, count: int = 8, noise: float = 0.0) -> tuple[Problem, State]:
-    chain = chain_of(case.side, OFFSETS)
+def problem_for(side: Side, spread: float, count: int = 8, noise: float = 0.0) -> tuple[Problem, State]:
+    """Hands of a forward pass, whose angles differ by `spread` from a relaxed hand's, and the truth."""
+    chain = chain_of(side, OFFSETS)
     betas = np.broadcast_to(random(1, 10, scale=0.7), (count, 10))
-    truth = replace(make_state(count, chain, seed=5, spread=case.spread), betas=betas)
-    seen = observe(chain.pose(truth).points, sigma=1.0, noise=noise)
-    return problem_of(chain, seen, terms=points_alone(case.side)), truth
+    truth = replace(make_state(count, chain, seed=5, spread=spread), betas=betas)
+    seen = observe(chain.points(truth), sigma=1.0, noise=noise)
+    return problem_of(chain, seen, terms=points_alone(side)), truth
 
 
-def cost_of(problem: Problem, state: State) -> np.ndarray:
-    return problem.blocks(state).cost
+def as_clip(problem: Problem, start: State, truth: State) -> State:
+    """One that may move as it likes, whose shape is known, and whose frames are near."""
+    start = replace(exactly(problem, start).state, betas=truth.betas)
+    return smooth_clip(replace(problem, shape="given", motion=MotionPrior(1e3, 1e3)), start)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_known_hands_are_recovered(solver: str, case: Case) -> None:
-    problem, truth = problem_for(case)
-    start = start_of(case, problem, truth)
-    if solver.startswith("as a clip"):  # whose shape is known, and whose frames are near
-        start = replace(exactly(problem, start).state, betas=truth.betas)
-    found = SOLVERS[solver](problem, start)
-    assert cost_of(problem, found).sum() < cost_of(problem, start).sum()
-    aims, points = problem.chain.pose(truth).points, problem.chain.pose(found).points
+@pytest.mark.parametrize(
+    "solved",
+    [
+        lambda problem, start, _: exactly(problem, start).state,
+        lambda problem, start, _: exactly(replace(problem, shape="one"), start).state,
+        as_clip,
+    ],
+    ids=["each by itself", "one shape", "a clip"],
+)
+@pytest.mark.parametrize(
+    ("side", "spread", "near", "most"),
+    [
+        ("right", 0.15, False, 0.002),
+        ("left", 0.15, False, 0.002),
+        ("right", 0.25, False, 0.004),
+        ("left", 0.2, True, 0.002),
+    ],
+)
+def test_known_hands_are_recovered(
+    side: Side, spread: float, near: bool, most: float, solved: Callable[..., State]
+) -> None:
+    """To so many metres, but for their distance, from a relaxed hand or from nearby."""
+    problem, truth = problem_for(side, spread)
+    shaken = truth.moved(random(8, 7, scale=0.03), random(8, 5, 9, seed=1, scale=0.1))
+    start = shaken if near else relaxed(problem)
+    found = solved(problem, start, truth)
+    assert problem.blocks(found).cost.sum() < problem.blocks(start).cost.sum()
+    aims, points = problem.chain.points(truth), problem.chain.points(found)
     scale = np.linalg.norm(aims, axis=-1).mean(axis=1) / np.linalg.norm(points, axis=-1).mean(axis=1)
     error = np.linalg.norm(points * scale[:, None, None] - aims, axis=-1).mean(axis=1)
-    assert error.max() < case.most
+    assert error.max() < most
 
 
-def noisy(count: int = 9, spread: float = 0.4) -> tuple[Problem, State]:
+def noisy(count: int = 9) -> tuple[Problem, State]:
     chain = chain_of()
-    points = chain.pose(make_state(count, chain, seed=5, spread=spread)).points
-    problem = problem_of(chain, observe(points, noise=2.0))
-    return problem, relaxed_start(chain, problem.seen, RELAXED, np.zeros(10))
+    seen = observe(chain.points(make_state(count, chain, seed=5, spread=0.4)), noise=2.0)
+    problem = problem_of(chain, seen)
+    return problem, relaxed(problem)
 
 
-def test_cost_falls_with_every_iteration() -> None:
+def test_cost_falls_to_a_minimum() -> None:
+    """A step that does not help is not taken: the cost may stay, but never rise."""
     problem, start = noisy()
     costs = np.stack([solve(problem, start, max_iterations=i, tolerance=1e-8).cost for i in range(1, 12)])
-    # A step that does not help is not taken: the cost may stay, never rise; and it falls by the end.
     assert (np.diff(costs, axis=0) <= 0).all()
     assert (costs[-1] < costs[0]).all()
-
-
-def test_cost_is_minimum() -> None:
-    problem, start = noisy()
     solution = exactly(problem, start)
     blocks = problem.blocks(solution.state)
     close(solution.cost, blocks.cost)
@@ -131,15 +120,14 @@ def test_each_problem_has_its_own_end() -> None:
     whole = solve(problem, start, max_iterations=60, tolerance=1e-4)
     assert len(set(whole.iterations.tolist())) > 1
     for i in range(9):
-        index = np.array([i])
-        one = solve(problem.select(index), start.select(index), max_iterations=60, tolerance=1e-4)
-        assert one.iterations[0] == whole.iterations[i]
-        close(one.cost[0], whole.cost[i], rtol=1e-6, atol=1e-9)
-        close(one.state.wrist[0], whole.state.wrist[i], rtol=1e-5, atol=1e-6)
+        at = slice(i, i + 1)
+        one = solve(problem.select(at), start.select(at), max_iterations=60, tolerance=1e-4)
+        assert one.iterations == whole.iterations[at]
+        close(one.cost, whole.cost[at], rtol=1e-6, atol=1e-9)
+        close(one.state.wrist, whole.state.wrist[at], rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("what", ["pixels", "depth"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize(("what", "value"), [("pixels", np.nan), ("depth", np.inf)])
 def test_not_finite_problem_is_isolated(what: str, value: float) -> None:
     problem, start = noisy(4)
     expected = exactly(problem, start)
@@ -149,8 +137,7 @@ def test_not_finite_problem_is_isolated(what: str, value: float) -> None:
     solution = exactly(problem, start)
     assert solution.status[1] == Status.NO_NUMBERS
     assert solution.converged.tolist() == [True, False, True, True]
-    others = [0, 2, 3]
-    close(solution.cost[others], expected.cost[others], rtol=1e-6, atol=1e-9)
+    close(solution.cost[solution.converged], expected.cost[solution.converged], rtol=1e-6, atol=1e-9)
     together = exactly(replace(problem, shape="one"), start)
     assert (together.status == Status.NO_NUMBERS).all()
 
@@ -159,37 +146,35 @@ def test_the_status_says_why_it_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, start = noisy(3)
     short = solve(problem, start, max_iterations=2, tolerance=0.0)
     assert short.iterations.tolist() == [2, 2, 2]
-    assert (short.status == Status.ITERATIONS).all()
+    assert short.status.tolist() == [Status.ITERATIONS] * 3
     assert not short.converged.any()
     first = exactly(problem, start)
-    assert (first.status == Status.CONVERGED).all()
+    assert first.status.tolist() == [Status.CONVERGED] * 3
     again = solve(problem, first.state, max_iterations=60, tolerance=1e-5)
     assert again.converged.all()
     assert again.iterations.max() <= 2
-    close(again.cost, first.cost, rtol=1e-4, atol=0)
     # No step helps: as at a minimum that is as deep as numbers go.
-    monkeypatch.setattr(levenberg, "SOLVER", replace(levenberg.SOLVER, max_damping=1e-2))
     blocks = partial(Problem.blocks, problem)
 
-    def never_better(_problem: Problem, state: State):
+    def never_better(_: Problem, state: State):
         found = blocks(state)
-        return replace(found, cost=np.full_like(found.cost, found.cost[0] if state is first.state else 1e9))
+        return found if state is first.state else replace(found, cost=found.cost + 1e9)
 
+    monkeypatch.setattr(levenberg, "SOLVER", replace(levenberg.SOLVER, max_damping=1e-2))
     monkeypatch.setattr(Problem, "blocks", never_better)
     stuck = solve(problem, first.state, max_iterations=60, tolerance=0.0)
-    assert (stuck.status == Status.STUCK).all()
+    assert stuck.status.tolist() == [Status.STUCK] * 3
     assert stuck.converged.all()
 
 
 def test_a_shared_shape_is_one_shape() -> None:
-    problem, truth = problem_for(CASES[0], 4, noise=1.0)
-    start = start_of(CASES[0], problem, truth)
-    solution = solve(replace(problem, shape="one"), start, max_iterations=200, tolerance=1e-4)
+    problem, _ = problem_for("right", 0.15, 4, noise=1.0)
+    solution = solve(replace(problem, shape="one"), relaxed(problem), max_iterations=200, tolerance=1e-4)
     assert solution.converged.all()
     assert len(set(solution.iterations.tolist())) == 1
-    close(solution.state.betas, np.broadcast_to(solution.state.betas[:1], (4, 10)))
-    # One shape for all explains less than each hand's own.
-    assert solution.cost.sum() >= exactly(problem, start).cost.sum() - 1e-6
+    close(solution.state.betas, np.tile(solution.state.betas[:1], (4, 1)))
+    # It explains less than each hand's own.
+    assert solution.cost.sum() >= exactly(problem, relaxed(problem)).cost.sum() - 1e-6
 
 
 def test_steps_stay_in_angle_bounds() -> None:
@@ -205,5 +190,4 @@ def test_steps_stay_in_angle_bounds() -> None:
     assert found.converged.all()
     wild = random(6, 5, 9, scale=10.0)
     cut = start.angles + bounded.clip_to_bounds(start, wild)
-    assert (np.abs(cut - np.clip(start.angles + wild, least, most))[1:] < 1e-12).all()
-    assert problem.clip_to_bounds(start, wild) is wild
+    close(cut[1:], np.clip(start.angles + wild, least, most)[1:])

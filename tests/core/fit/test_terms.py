@@ -3,9 +3,8 @@ says."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -25,11 +24,13 @@ from handfit_core.fit.terms import (
     reprojection,
 )
 from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
+from handfit_core.fit.terms.motion import inverse_right_jacobian, place_acceleration, rotation_acceleration
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import BEND, SPREAD
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
-from tests.core.fit.differences import by_each, close, random
+from tests.core.fit.differences import by_each, close, random, unit
 from tests.core.fit.hands import MIRROR, OFFSETS, chain_of, kept_near, make_state, observe
 
 CHAIN = chain_of("right", OFFSETS)
@@ -38,7 +39,7 @@ COVARIANCE = ROOT @ ROOT.swapaxes(-1, -2)
 MEAN = random(5, 9, seed=1, scale=0.3)
 RATES = random(10, seed=5) * 0.01
 
-EACH_TERM: list[Term] = [
+TERMS_OF_FITS: list[Term] = [
     reprojection,
     depth,
     Limits("right"),
@@ -51,65 +52,35 @@ EACH_TERM: list[Term] = [
     Shape(random(10, seed=6), RATES, 0.3, measured=False),
 ]
 every_term = pytest.mark.parametrize(
-    "term", EACH_TERM, ids=lambda t: getattr(t, "__name__", type(t).__name__)
+    "term", TERMS_OF_FITS, ids=lambda t: getattr(t, "__name__", type(t).__name__)
 )
+VARIABLES = {
+    POINTS: [(slice(0, 3), "points"), (slice(3, 4), "depth_zero")],
+    FINGERS: [(slice(0, 9), "angles")],
+    HAND: [(BETAS, "betas"), (PLACE, "wrist"), (DEPTH_ZERO, "depth_zero")],
+}
+"""What each kind's rows are derivatives by, and in which columns"""
 
 
-def hands(batch: int = 3, spread: float = 0.8) -> tuple[Posed, Observation]:
+def changed(posed: Posed, **values: np.ndarray) -> Posed:
+    """With other points, or other values of its state."""
+    points = values.pop("points", posed.points)
+    return replace(posed, points=points, state=replace(posed.state, **values))
+
+
+def hands(batch: int = 3) -> tuple[Posed, Observation]:
     """Hands far from what is seen, some angles beyond their range, of which some poses are to be kept."""
-    state = make_state(batch, CHAIN, spread=spread)
-    state.angles[0, 3, BEND], state.angles[0, 4, BEND] = (
-        2.0,
-        -0.2,
-    )  # beyond 90 degrees the spread's range stays
+    state = make_state(batch, CHAIN, spread=0.8)
+    state.angles[0, [3, 4], BEND] = 2.0, -0.2  # beyond 90 degrees the spread's range stays
     other = make_state(batch, CHAIN, seed=1)
-    seen = replace(observe(CHAIN.pose(other).points, noise=5.0), kept=kept_near(other))
+    seen = replace(observe(CHAIN.points(other), noise=5.0), kept=kept_near(other))
     return CHAIN.pose(state), seen
 
 
 def with_angles(angles: np.ndarray) -> tuple[Posed, Observation]:
     """Hands of these angles (B, 5, 9)."""
     posed, seen = hands(len(angles))
-    return replace(posed, state=replace(posed.state, angles=angles)), seen
-
-
-VARIABLES: dict[
-    str, list[tuple[slice, Callable[[Posed], np.ndarray], Callable[[Posed, np.ndarray], Posed]]]
-] = {
-    POINTS: [
-        (slice(0, 3), lambda p: p.points, lambda p, v: replace(p, points=v)),
-        (
-            slice(3, 4),
-            lambda p: p.state.depth_zero,
-            lambda p, v: replace(p, state=replace(p.state, depth_zero=v)),
-        ),
-    ],
-    FINGERS: [
-        (slice(0, 9), lambda p: p.state.angles, lambda p, v: replace(p, state=replace(p.state, angles=v)))
-    ],
-    HAND: [
-        (BETAS, lambda p: p.state.betas, lambda p, v: replace(p, state=replace(p.state, betas=v))),
-        (PLACE, lambda p: p.state.wrist, lambda p, v: replace(p, state=replace(p.state, wrist=v))),
-        (
-            DEPTH_ZERO,
-            lambda p: p.state.depth_zero,
-            lambda p, v: replace(p, state=replace(p.state, depth_zero=v)),
-        ),
-    ],
-}
-"""What each kind's rows are derivatives by: which columns, where it stands, and how it is changed"""
-
-
-def residual_of(
-    term: Term,
-    posed: Posed,
-    seen: Observation,
-    changed: Callable[[Posed, np.ndarray], Posed],
-    value: np.ndarray,
-) -> np.ndarray:
-    rows = term(changed(posed, value), seen)
-    assert isinstance(rows, Rows)
-    return rows.residual[0]
+    return changed(posed, angles=angles), seen
 
 
 @every_term
@@ -117,20 +88,16 @@ def test_derivatives(term: Term) -> None:
     """Rows depend on their own point, finger or hand, and on nothing that they have no derivative by."""
     posed, seen = hands(1)
     rows = term(posed, seen)
-    assert isinstance(rows, Rows)
     groups = SIZES[rows.of][0]
-    for columns, value, changed in VARIABLES[rows.of]:
-        at = value(posed)
-        found = by_each(partial(residual_of, term, posed, seen, changed), at)  # (groups, c, n)
+    for columns, name in VARIABLES[rows.of]:
+        at = posed.points if name == "points" else getattr(posed.state, name)
+        found = by_each(lambda v, name=name: term(changed(posed, **{name: v}), seen).residual[0], at)
         own = rows.jacobian[0, ..., columns]
-        expected = np.zeros((groups, *own.shape[1:]))
-        if found.shape[-1] == own.shape[-1]:  # one value for all groups
-            expected = found
-        else:
+        expected = found  # (groups, c, n), of one value for all groups
+        if found.shape[-1] != own.shape[-1]:
             whole = found.reshape(*found.shape[:2], groups, -1)
-            for group in range(groups):
-                expected[group] = whole[group, :, group]
-                assert not np.delete(whole[group], group, axis=1).any()
+            expected = np.stack([whole[group, :, group] for group in range(groups)])
+            assert not any(np.delete(whole[group], group, axis=1).any() for group in range(groups))
         close(own, expected, rtol=1e-6, atol=1e-5)
     assert not rows.jacobian[0, ..., :3].any() or rows.of != HAND  # no term is judged by how a hand is turned
 
@@ -154,28 +121,24 @@ def test_reprojection() -> None:
     close(reprojection(posed, seen).residual, reprojection(as_if, seen).residual)
 
 
-def test_depth_zero_is_solved() -> None:
+def test_depth_zero() -> None:
+    """It is solved where it is not known, so that a hand twice as large and far away is seen alike."""
     posed, seen = hands()
-    state = replace(posed.state, depth_zero=2 * posed.state.depth_zero)
-    moved = replace(posed, points=2 * posed.points, state=state)
-    close(depth(moved, seen).residual, depth(posed, seen).residual)
+    plain = depth(posed, seen)
+    moved = changed(posed, points=2 * posed.points, depth_zero=2 * posed.state.depth_zero)
+    close(depth(moved, seen).residual, plain.residual)
     # On the optical axis, the distance along the ray is z.
     along = replace(seen, ray=np.tile([0.0, 0.0, 1.0], (3, 1)))
     expected = (1200.0 * (posed.points[..., 2] - 0.5) - seen.depth) / seen.depth_sigma
     close(depth(posed, along).residual[..., 0], expected)
-
-
-def test_known_depth_zero() -> None:
-    """Where it is not, NaN says so, and all is as without."""
-    posed, seen = hands()
+    # NaN says where it is not known.
     known = replace(seen, depth_zero=np.array([0.6, np.nan, 0.7]))
-    rows, plain = depth(posed, known), depth(posed, seen)
-    close(rows.residual[1], plain.residual[1])
-    close(rows.jacobian[1], plain.jacobian[1])
-    elsewhere = replace(posed, state=replace(posed.state, depth_zero=known.depth_zero))
-    close(rows.residual[[0, 2]], depth(elsewhere, seen).residual[[0, 2]])
+    rows = depth(posed, known)
+    close(rows.columns[1], plain.columns[1])
+    elsewhere = depth(changed(posed, depth_zero=known.depth_zero), seen)
+    close(rows.residual[[0, 2]], elsewhere.residual[[0, 2]])
     assert np.all(rows.jacobian[[0, 2], ..., 3] == 0.0)
-    close(rows.jacobian[[0, 2], ..., :3], depth(elsewhere, seen).jacobian[[0, 2], ..., :3])
+    close(rows.jacobian[[0, 2], ..., :3], elsewhere.jacobian[[0, 2], ..., :3])
 
 
 def test_limits() -> None:
@@ -208,10 +171,7 @@ def test_limits_about_kept_pose() -> None:
     kept.angles[0, 1, 5] = limits.upper[1, 5] + 0.4
     posed, seen = with_angles(np.zeros((1, 5, 9)))
     angles = posed.state.angles
-    angles[0, 1, 5], angles[0, 2, 5] = (
-        limits.upper[1, 5] + 0.41,
-        limits.upper[2, 5] + TERMS.passive_range + 0.02,
-    )
+    angles[0, [1, 2], 5] = limits.upper[[1, 2], 5] + [0.41, TERMS.passive_range + 0.02]
     residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
     assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
     # No less than closed hands have.
@@ -224,33 +184,22 @@ def test_limits_about_kept_pose() -> None:
 
 
 def test_pose_prior() -> None:
-    posed, seen = hands()
-    away = (posed.state.angles - MEAN)[..., None]
-    expected = (away.swapaxes(-1, -2) @ np.linalg.inv(COVARIANCE) @ away)[..., 0, 0]
-    close(
-        np.square(PosePrior(MEAN, COVARIANCE)(posed, seen).residual).sum(axis=-1),
-        TERMS.pose_weight * expected,
-    )
-    left = replace(posed, state=replace(posed.state, angles=posed.state.angles * MIRROR))
-    close(
-        np.square(PosePrior(MEAN, COVARIANCE, "left")(left, seen).residual).sum(axis=-1),
-        TERMS.pose_weight * expected,
-    )
-
-
-def test_pose_prior_of_pinned_hands() -> None:
     """Also while a finger goes for its pin alone, which is then no surer than other points."""
     posed, seen = hands()
     prior = PosePrior(MEAN, COVARIANCE)
-    times = np.sqrt(TERMS.pinned_pose_weight / TERMS.pose_weight)
-    pinned = replace(seen, pinned=np.arange(63).reshape(3, 21) == 25)
-    expected = prior(posed, seen).columns
-    expected[1] *= times
-    close(prior(posed, pinned).columns, expected)
-    corrected = replace(seen, kept=kept_near(posed.state, 0.005))
-    close(prior(posed, corrected).columns, prior(posed, seen).columns * times)
-    at_distance = replace(seen, kept=kept_near(posed.state))
-    close(prior(posed, at_distance).columns, prior(posed, seen).columns)
+    away = (posed.state.angles - MEAN)[..., None]
+    expected = (away.swapaxes(-1, -2) @ np.linalg.inv(COVARIANCE) @ away)[..., 0, 0]
+    left = changed(posed, angles=posed.state.angles * MIRROR)
+    for found in (prior(posed, seen), PosePrior(MEAN, COVARIANCE, "left")(left, seen)):
+        close(np.square(found.residual).sum(axis=-1), TERMS.pose_weight * expected)
+    more = np.sqrt(TERMS.pinned_pose_weight / TERMS.pose_weight)
+    for given, factors in (
+        (replace(seen, pinned=np.arange(63).reshape(3, 21) == 25), (1.0, more, 1.0)),
+        (replace(seen, kept=kept_near(posed.state, 0.005)), (more,) * 3),
+        (replace(seen, kept=kept_near(posed.state)), (1.0,) * 3),  # at a distance
+    ):
+        columns = prior(posed, seen).columns * np.reshape(factors, (3, 1, 1, 1))
+        close(prior(posed, given).columns, columns)
 
 
 def test_coupling() -> None:
@@ -275,40 +224,37 @@ def test_near_pose() -> None:
 
 def test_distance() -> None:
     posed, seen = hands()
-    assert seen.kept is not None
     start = seen.kept.wrist
-    across = np.cross(start, random(3, 3))
-    for wrist, expected in ((1.03 * start, 1.5), (start + across, 0.0)):
-        moved = replace(posed, state=replace(posed.state, wrist=wrist))
-        close(distance(moved, seen).residual[:, 0, 0], np.full(3, expected), atol=1e-9)
+    for wrist, expected in ((1.03 * start, 1.5), (start + np.cross(start, random(3, 3)), 0.0)):
+        rows = distance(changed(posed, wrist=wrist), seen)
+        close(rows.residual[:, 0, 0], np.full(3, expected), atol=1e-9)
     nothing = replace(seen, kept=replace(seen.kept, distance_sigma=np.full(3, np.inf)))
     assert not distance(posed, nothing).columns.any()
+
+
+def across_length() -> np.ndarray:
+    across = random(10, seed=3)
+    return across - RATES * (across @ RATES) / (RATES @ RATES)
 
 
 def test_measured_length() -> None:
     posed, seen = hands(1)
     expected = random(10, seed=6)
-    across = random(10, seed=3)
-    across -= RATES * (across @ RATES) / (RATES @ RATES)
-    for betas, lengths in ((expected, 0.0), (expected + across, 0.0), (expected + RATES, RATES @ RATES)):
-        shaped = replace(posed, state=replace(posed.state, betas=betas[None]))
+    for by, lengths in ((0.0 * RATES, 0.0), (across_length(), 0.0), (RATES, RATES @ RATES)):
+        shaped = changed(posed, betas=(expected + by)[None])
         residual = Shape(expected, RATES)(shaped, seen).residual[0, 0]
-        close(residual[:10], betas - expected)
+        close(residual[:10], by)
         assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
 
 
 def test_unknown_length() -> None:
     posed, seen = hands(1)
-    across = random(10, seed=3)
-    across -= RATES * (across @ RATES) / (RATES @ RATES)
-    term = Shape(np.zeros(10), RATES, measured=False)
-    for way, share in ((RATES, 1.0), (across, TERMS.shape_weight)):
-        betas = 2.0 * way / np.linalg.norm(way)
-        shaped = replace(posed, state=replace(posed.state, betas=betas[None]))
-        assert np.square(term(shaped, seen).residual).sum() == pytest.approx(4.0 * share)
+    for way, share in ((RATES, 1.0), (across_length(), TERMS.shape_weight)):
+        shaped = changed(posed, betas=2.0 * way[None] / np.linalg.norm(way))
         # Of a model whose shapes do not change its length, all are proportions.
-        bare = Shape(np.zeros(10), np.zeros(10), measured=False)
-        assert np.square(bare(shaped, seen).residual).sum() == pytest.approx(4.0 * TERMS.shape_weight)
+        for rates, weight in ((RATES, share), (np.zeros(10), TERMS.shape_weight)):
+            residual = Shape(np.zeros(10), rates, measured=False)(shaped, seen).residual
+            assert np.square(residual).sum() == pytest.approx(4.0 * weight)
 
 
 def test_huber_kernel() -> None:
@@ -326,9 +272,48 @@ def test_huber_kernel() -> None:
     close(weighted[0, 1], columns[0, 1])
     close(weighted[1], columns[1])
     # Half the cost's derivative by a scale of the residual is J^T r of the weighted rows.
-    step = 1e-6
-    ahead, behind = (columns * np.array([1, 1, 1, 1, 1 + s]) for s in (step, -step))
-    slope = (Rows(POINTS, ahead, certain).weighted()[1] - Rows(POINTS, behind, certain).weighted()[1]) / (
-        2 * step
+    slope = by_each(
+        lambda by: Rows(POINTS, columns * np.append(np.ones(4), by), certain).weighted()[1], np.ones(1)
     )
-    close(np.square(weighted[..., -1]).sum(axis=(1, 2)), slope / 2, rtol=1e-6)
+    close(np.square(weighted[..., -1]).sum(axis=(1, 2)), slope[:, 0] / 2, rtol=1e-6)
+
+
+AXES = unit(random(8, 3, seed=3))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.99e-4, 1.01e-4, 1e-3, 0.5, 2.0, 3.1, np.pi - 1e-5])
+def test_inverse_right_jacobian(angle: float) -> None:
+    """log(exp(w) exp(d)) = w + Jr^-1 d, for small d; beyond pi the logarithm jumps."""
+    for axis in AXES:
+        turn = rotvec_to_rotmat(axis * angle)
+        expected = by_each(lambda d, turn=turn: rotmat_to_rotvec(turn @ rotvec_to_rotmat(d)), np.zeros(3))
+        close(inverse_right_jacobian(axis * angle), expected, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("spread", [0.0, 1e-6, 0.02, 0.5, 2.0])
+def test_derivatives_of_rotation_acceleration(spread: float) -> None:
+    turns = rotvec_to_rotmat(np.concatenate([random(1, 2, 3), random(4, 2, 3, seed=1) / 2 * spread]))
+    rotations = [turns[0]]
+    for turn in turns[1:]:
+        rotations.append(rotations[-1] @ turn)
+    jacobian = rotation_acceleration(np.array(rotations))[1]
+    expected = by_each(
+        lambda d: rotation_acceleration(rotations @ rotvec_to_rotmat(d))[0], np.zeros((5, 2, 3))
+    )
+    expected = expected.reshape(3, 2, 3, 5, 2, 3)
+    found = np.zeros_like(expected)
+    for t, frame, joint in product(range(3), range(3), range(2)):
+        found[t, joint, :, t + frame, joint] = jacobian[t, frame, joint]
+    close(found, expected, rtol=0, atol=1e-7)
+
+
+def test_rotation_acceleration_about_one_axis() -> None:
+    """Then it is the second difference of the angle, also over a full circle."""
+    angle = np.cumsum([0.0, 0.1, 0.3, 0.2, -0.1, 2.5, 2.5, 2.5, 2.5])
+    residual, _ = rotation_acceleration(rotvec_to_rotmat(angle[:, None] * AXES[0]))
+    close(residual, np.diff(angle, 2)[:, None] * AXES[0], rtol=0, atol=1e-12)
+
+
+def test_place_acceleration() -> None:
+    t, a = np.arange(6.0)[:, None], np.array([0.01, -0.02, 0.03])
+    close(place_acceleration(0.5 * a * t**2 + 2.0 * t + 1.0), np.tile(a, (4, 1)))

@@ -93,22 +93,15 @@ def test_the_released_left_fault_is_undone(tmp_path: Path, seed: int, left_fault
 # Files that are refused
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"cchumpy\nos.system\n(Vx\ntR.",
-        b"c_codecs\nencode\n(I1\nVlatin1\ntR.",
-        b"cnumpy\nndarray\n(dVevil\nI1\nsb.",
-        b"c__builtin__\nset\n(L99999999999999L\ntR.",
-        b"\x80\x02\xff.",
-        b"<!DOCTYPE html><html>please log in</html>",
-    ],
-)
-def test_odd_files_get_one_line(tmp_path: Path, data: bytes) -> None:
+def test_web_pages_and_programs(tmp_path: Path) -> None:
     path = tmp_path / "MANO_RIGHT.pkl"
-    path.write_bytes(data)
-    message = message_of(path)
-    assert "copy it again" in message or "do not trust it" in message
+    for data, said in (
+        (b"<!DOCTYPE html><html>please log in</html>", "copy it again"),
+        (pickle.dumps([1.0]), "holds no hand model"),
+        (b"cposix\nsystem\n(Vtrue\ntR.", "do not trust it"),
+    ):
+        path.write_bytes(data)
+        assert said in message_of(path)
 
 
 def test_damaged_files(tmp_path: Path) -> None:
@@ -154,29 +147,21 @@ def test_wrong_arrays_are_named(tmp_path: Path, key: str, value: Any, says: str)
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("name", "value"),
     [
-        {"_shape": (16, 10**12)},
-        {"_shape": (16, -778)},
-        {"_shape": (24, 778)},
-        {"_shape": None},
-        {"indices": 16},
-        {"indices": -1},
-        {"indices": 0.0},
-        {"indices": np.full(3, 0, dtype=np.int32)},
-        {"indptr": np.zeros(779, dtype=np.int32)},
-        {"indptr": np.arange(779, dtype=np.int32)[::-1]},
-        {"indptr": np.array([0, 2**62] * 390, dtype=np.int64)[:779]},
-        {"data": np.zeros((2, 2))},
+        *(("_shape", shape) for shape in ((16, 10**12), (16, -778), (24, 778), None)),
+        *(("indices", np.full(12448, index)) for index in (16, -1, 0.0)),
+        *(("indptr", np.array(indptr)) for indptr in ([0] * 779, range(779, 0, -1), [0] + [2**62] * 778)),
+        *(("indices", np.zeros(3, dtype=np.int32)), ("data", np.zeros((2, 2)))),
     ],
     ids=str,
 )
-def test_damaged_sparse_regressors(tmp_path: Path, change: dict[str, Any], monkeypatch) -> None:
+def test_damaged_sparse_regressors(tmp_path: Path, name: str, value: Any, monkeypatch) -> None:
     arrays = imitation_arrays()
     fields = csc_fields(arrays["J_regressor"])
-    if isinstance(change.get("indices"), int | float):
-        change = {"indices": np.full(len(fields["data"]), change["indices"])}
-    monkeypatch.setattr("tests.imitation_mano.csc_fields", lambda _dense: fields | change)
+    if name == "indices" and len(value) > 3:
+        value = value[: len(fields["data"])]
+    monkeypatch.setattr("tests.imitation_mano.csc_fields", lambda _dense: fields | {name: value})
     assert "J_regressor" in message_of(write_mano_pickle(tmp_path / "hand.pkl", arrays))
 
 

@@ -30,11 +30,11 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     ):
         writer_for(folder / name).write(take, folder / name)
         found.setdefault(kind, []).append(folder / name)
+    for layout, kind in point_files.PICTURES.items():
+        saved(f"{layout.__name__}.json", kind, [layout(0)])
     saved("b.json", "openpose", point_files.openpose(0))
-    found["openpose"].append(
-        point_files.folder(folder / "openpose", [{"people": []}, point_files.openpose(0)])
-    )
-    saved("c.json", "mmpose", [point_files.mmpose(0)])
+    openpose = [{"people": []}, point_files.openpose(0)]
+    found["openpose"].append(point_files.folder(folder / "openpose", openpose))
     saved("d.json", "mmpose", {"meta_info": {}, "instance_info": [point_files.instance(0)]})
     hand = {"keypoints": told().pixels["left"][0].tolist(), "keypoint_scores": [0.8] * 21}
     saved("e.json", "mmpose", [hand])
@@ -42,14 +42,9 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     found["freemocap"] = [folder / "mediapipe_left_hand_3d_xyz.npy"]
     found["freemocap"].append(point_files.trajectories(folder / "f.csv", "left"))
     below = point_files.from_below("left", 0).tolist()
-    saved(
-        "g.json",
-        "apple-vision",
-        {"chirality": "left", **dict(zip(point_files.APPLE_CODES, below, strict=True))},
-    )
+    codes = dict(zip(point_files.APPLE_CODES, below, strict=True))
+    saved("g.json", "apple-vision", {"chirality": "left", **codes})
     saved("h.csv", "apple-vision", _line(point_files.named("xy", *point_files.APPLE_NAMES), below))
-    for i, layout in enumerate(point_files.MEDIAPIPE):
-        saved(f"mediapipe{i}.json", "mediapipe", [layout(0)])
     sides = point_files.named("xyz", *(f"left_hand_{name.lower()}" for name in point_files.NAMES))
     for name, header in (("i.csv", point_files.wide()), ("j.csv", sides)):
         saved(name, "mediapipe", _line(header, point_files.landmarks("left", 0)))

@@ -23,6 +23,7 @@ from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import palm_frame
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES, Side
 from handfit_core.take import Take
+from tests.core.interchange.known_hands import HANDS
 from tests.core.retarget.rigs import Built, add_hand, body, names_of
 from tests.takes import take_of, track_of
 
@@ -30,20 +31,13 @@ CAMERA = Intrinsics(1000.0, 1000.0, 640.0, 360.0)
 FRAMES = 5
 
 
-def poses(seed: int = 0, most: float = 0.5) -> np.ndarray:
-    """(T, 45) radians."""
-    return np.random.default_rng(seed).uniform(-most, most, (FRAMES, 45))
-
-
 def take(betas: np.ndarray | None = None) -> Take:
     """Both hands, turned every way."""
-    rng = np.random.default_rng(5)
-    hands = []
-    for side in SIDES:
-        orient = rng.uniform(-2.0, 2.0, (FRAMES, 3))
-        place = np.array([0.1 if side == "left" else -0.1, 0.0, 0.8]) + rng.uniform(-0.05, 0.05, (FRAMES, 3))
-        shape = {} if betas is None else {"betas": betas}
-        hands.append(track_of(side, orient, poses(int(side == "left")), place, CAMERA, **shape))
+    rows, shape = slice(FRAMES), {} if betas is None else {"betas": betas}
+    hands = [
+        track_of(side, 2.0 * h.global_orient[rows], h.hand_pose[rows], h.transl[rows], CAMERA, **shape)
+        for side, h in HANDS.items()
+    ]
     return take_of(hands, CAMERA, 1280, 720, fps=30.0, frame_numbers=np.arange(3, 3 + FRAMES))
 
 
@@ -134,7 +128,7 @@ def test_flat_rest_needs_no_mapping(tmp_path: Path, side: Side, order: str) -> N
         built.add(names[joint], PARENTS[joint], joints[joint])
     for finger, tip in zip(FINGERS, rest.tips @ REST_FROM_MODEL.T, strict=True):
         built.add(f"{finger} tip", FINGER_JOINTS[finger][2], tip)
-    pose = poses(2)
+    pose = HANDS[side].hand_pose[:FRAMES]
     turns = np.broadcast_to(np.eye(3), (FRAMES, 21, 3, 3)).copy()
     turns[:, 1:16] = REST_FROM_MODEL @ rotvec_to_rotmat(pose.reshape(FRAMES, 15, 3)) @ REST_FROM_MODEL.T
     (hand,) = read(tmp_path, text_of(built.bones(), turns, order, 1.0)).posed

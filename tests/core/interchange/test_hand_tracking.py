@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +9,14 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError
-from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, rotvec_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import forward_kinematics
-from handfit_core.interchange.opening import read_recording
-from handfit_core.interchange.recording import Recording
-from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
+from tests.core.interchange.known_hands import FRAMES, HANDS, assert_same_hand, hand_of, read, says
+from tests.core.interchange.point_files import saved
 
-FRAMES = 4
 FLIP = np.diag([1.0, -1.0, -1.0])
 WEBXR = [
     "wrist",
@@ -32,27 +29,12 @@ WEBXR = [
 ]
 
 
-def truth(side: Side) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(T, 3), (T, 45), (T, 3): a hand that turns and bends."""
-    rng = np.random.default_rng(SIDES.index(side))
-    place = rng.uniform(-0.05, 0.05, (FRAMES, 3)) + [0.1 if side == "left" else -0.1, 0.0, 0.7]
-    return rng.uniform(-2.0, 2.0, (FRAMES, 3)), rng.uniform(-0.6, 0.6, (FRAMES, 45)), place
-
-
 def joints(side: Side) -> tuple[np.ndarray, np.ndarray]:
     """Where a headset has the 25 joints (T, 25, 3), metres, y up, and their axes (T, 25, 3, 3)."""
-    orient, pose, transl = truth(side)
-    shaped = load_model(None, side).shaped()
-    local = rotvec_to_rotmat(np.concatenate([orient, pose], axis=1).reshape(FRAMES, 16, 3))
-    turned, places = forward_kinematics(local, shaped.joints)
-    tips = np.stack(
-        [
-            places[:, FINGER_JOINTS[f][2]]
-            + turned[:, FINGER_JOINTS[f][2]] @ (shaped.tips[i] - shaped.joints[FINGER_JOINTS[f][2]])
-            for i, f in enumerate(FINGERS)
-        ],
-        axis=1,
-    )
+    hand, shaped = HANDS[side], load_model(None, side).shaped()
+    turned, places = forward_kinematics(hand.matrices, shaped.joints)
+    last = [FINGER_JOINTS[finger][2] for finger in FINGERS]
+    tips = places[:, last] + (turned[:, last] @ (shaped.tips - shaped.joints[last])[..., None])[..., 0]
     sign = np.array([-1.0 if side == "left" else 1.0, 1.0, 1.0])
     where = np.empty((FRAMES, 25, 3))
     axes = np.empty((FRAMES, 25, 3, 3))
@@ -62,7 +44,7 @@ def joints(side: Side) -> tuple[np.ndarray, np.ndarray]:
         y = up - z * (up @ z)
         y /= np.linalg.norm(y)
         flat = np.stack([np.cross(y, z), y, z], axis=-1)
-        where[:, at], axes[:, at] = (place + transl) @ FLIP, FLIP @ turned[:, joint] @ flat
+        where[:, at], axes[:, at] = (place + hand.transl) @ FLIP, FLIP @ turned[:, joint] @ flat
 
     back = np.array([0.0, 1.0, 0.0])
     put(0, 0, places[:, 0], shaped.joints[4] - shaped.joints[0], back)
@@ -90,11 +72,8 @@ def frames(kind: str = "named") -> Any:
     for row in range(FRAMES):
         hands: dict[str, Any] = {}
         for side, (places, axes) in told.items():
-            where, quats = (
-                places[row],
-                np.roll(rotmat_to_quat(axes[row]), 0 if kind == "wxyz" else -1, axis=-1),
-            )
-            each = list(zip(where.tolist(), quats.tolist(), strict=True))
+            quats = np.roll(rotmat_to_quat(axes[row]), 0 if kind == "wxyz" else -1, axis=-1)
+            each = list(zip(places[row].tolist(), quats.tolist(), strict=True))
             if kind == "flat":
                 hands[side] = [[*p, *q] for p, q in each]
             elif kind == "openxr":
@@ -112,37 +91,23 @@ def frames(kind: str = "named") -> Any:
     return {"frames": out} if kind != "flat" else out
 
 
-def read(tmp_path: Path, content: Any) -> Recording:
-    path = tmp_path / "hands.json"
-    path.write_text(json.dumps(content), encoding="utf-8")
-    return read_recording(path, CaptureOptions())
-
-
 @pytest.mark.parametrize("kind", ["named", "listed", "flat", "openxr", "wxyz"])
 def test_angles_come_back(tmp_path: Path, kind: str) -> None:
-    recording = read(tmp_path, frames(kind))
+    recording = read(saved(tmp_path / "a.json", frames(kind)))
     assert recording.format == "hand-tracking"
     assert recording.fps == pytest.approx(50.0)
-    assert any("w, x, y, z" in phrase for phrase in recording.assumed) == (kind == "wxyz")
-    for hand in recording.posed:
-        orient, pose, transl = truth(hand.side)
-        for found, true in ((hand.hand_pose, pose), (hand.global_orient, orient)):
-            ours, theirs = (rotvec_to_rotmat(np.reshape(x, (-1, 3))) for x in (found, true))
-            np.testing.assert_allclose(ours, theirs, atol=1e-5)
-        assert np.abs(hand.transl - transl).max() < 1e-4
-
-
-def test_a_take_of_them(tmp_path: Path) -> None:
-    (tmp_path / "a.json").write_text(json.dumps(frames()), encoding="utf-8")
-    assert sorted(hand.side for hand in capture(tmp_path / "a.json").hands) == ["left", "right"]
+    assert says(recording, "w, x, y, z") == (kind == "wxyz")
+    for side in SIDES:
+        assert_same_hand(hand_of(recording, side), HANDS[side])
 
 
 def test_frames_without_a_hand_and_untracked_joints(tmp_path: Path) -> None:
     content = frames()
     del content["frames"][1]["left"]
     content["frames"][2]["left"]["index-finger-phalanx-distal"] = None
-    left = next(hand for hand in read(tmp_path, content).posed if hand.side == "left")
-    assert left.present.tolist() == [True, False, False, True]
+    path = saved(tmp_path / "a.json", content)
+    assert hand_of(read(path), "left").present.tolist() == [True, False, False, *[True] * 4]
+    assert sorted(hand.side for hand in capture(path).hands) == ["left", "right"]
 
 
 QUARTER = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
@@ -175,17 +140,17 @@ def test_bad_files_are_named_in_a_sentence(tmp_path: Path, which: str, change: A
             if change is not None:
                 hand[name] = change(joint)
     with pytest.raises(InputError, match=words):
-        read(tmp_path, content)
+        read(saved(tmp_path / "a.json", content))
 
 
 def test_a_second_hand_of_a_side_is_left_out_and_said(tmp_path: Path) -> None:
     """Not a joint of it gets into the first one's."""
     content = frames("listed")
-    told = read(tmp_path, content)
-    assert not any("several" in phrase for phrase in told.assumed)
+    told = read(saved(tmp_path / "a.json", content))
+    assert not says(told, "several")
     for frame in content["frames"][:2]:
         frame["hands"].append({"handedness": "right", "joints": frame["hands"][0]["joints"]})
-    recording = read(tmp_path, content)
+    recording = read(saved(tmp_path / "a.json", content))
     assert "2 frames have several right hands: the first was taken" in recording.assumed
     for hand, alone in zip(recording.posed, told.posed, strict=True):
         np.testing.assert_array_equal(hand.hand_pose, alone.hand_pose)

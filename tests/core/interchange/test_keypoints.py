@@ -538,6 +538,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ("openpose", of_left_hand(["a"] * 63), "frame 1 is not as OpenPose writes it"),
     ("openpose", of_left_hand([0.0] * 63), "at least 6 points"),
     ("openpose", of_left_hand([1e300] * 63), "beyond"),
+    ("openpose", of_left_hand([1e7, 1.0, 0.5] * 21), "a point lies beyond"),
     ("openpose", {"people": []}, "--hand"),
     ("mmpose", of_mmpose([[1.0, 2.0]] * 17, [0.9] * 17), "17 points; expected 133, 136, 21"),
     ("mmpose", of_mmpose([[1.0, 2.0, 3.0]] * 133, [0.9] * 133), "3 numbers; expected xy"),
@@ -546,6 +547,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ("mmpose", [files.mmpose(0), {"frame_id": 1, "instances": 3}], "it has no list of instances"),
     ("mmpose", [files.mmpose(0), {"frame_id": 0, "instances": []}], "frame 0 is there twice"),
     ("mediapipe", of_side(files.points(np.ones((20, 3)))), "20 points; expected 21"),
+    ("mediapipe", of_side("x"), "neither a list nor an object"),
     ("mediapipe", of_side([{"x": "a", "y": 1, "z": 1}] * 21), "not as MediaPipe"),
     ("mediapipe", of_side([[None] * 3] * 21), "at least 6"),
     ("mediapipe", [{"landmarks": [], "handedness": []}], "none of its frames has a hand"),
@@ -614,6 +616,7 @@ def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any
         (np.full((FRAMES, 21, 3), np.nan), "none of its frames has a hand"),
         (np.full((FRAMES, 21, 3), 7.0), "its palms are 0 long"),
         (np.array([{}], dtype=object), "no array"),
+        (np.full((FRAMES, 21, 3), 1e300), "beyond"),
         (files.in_room("left")[:4], "different numbers of frames"),
     ],
 )

@@ -80,38 +80,32 @@ def samples(recording: Recording) -> dict[int, int]:
     return dict(zip(numbers, rows, strict=True))
 
 
-@pytest.mark.parametrize(("pictures", "keypoints"), [(1, 0), (1, 1), (0, 1), (3, 0), (3, 1), (1001, 0)])
-def test_a_part_of_a_sequence_has_its_own_frames_keypoints(
-    tmp_path: Path, pictures: int, keypoints: int
+EQUAL = [(1, 0), (1, 1), (0, 1), (3, 0), (3, 1), (1001, 0)]
+
+
+@pytest.mark.parametrize(
+    ("pictures", "rows", "first", "found", "said"),
+    [
+        *((p, range(5), k, {p + i: i for i in range(5)}, "as there are as many of both") for p, k in EQUAL),
+        (3, range(3), 0, {3: 0, 4: 1, 5: 2}, "as it counts from 0"),
+        (1, range(10), 0, {1 + i: i for i in range(5)}, "as it counts from 0"),
+        (3, range(2), 4, {4: 0, 5: 1}, "by their numbers"),
+        (1, range(2, 4), 2, {2: 2, 3: 3}, "by their numbers; if it counts from 0, give it a frame 0 without"),
+    ],
+)
+def test_which_frame_is_which_pictures(
+    tmp_path: Path, pictures: int, rows: range, first: int, found: dict[int, int], said: str
 ) -> None:
-    shot, path = numbered(tmp_path / "shot", pictures), openpose(tmp_path / "op", range(COUNT), keypoints)
-    assert samples(laid_beside(shot, path)) == {pictures + i: i for i in range(COUNT)}
+    """Of five pictures, and of a part of them; what is taken for what is said."""
+    shot, path = numbered(tmp_path / "shot", pictures), openpose(tmp_path / "op", rows, first)
+    whole = laid_beside(shot, path)
     part = laid_beside(shot, path, f"{pictures + 2}-{pictures + 3}")
-    assert samples(part) == {pictures + 2: 2, pictures + 3: 3}
-    said = f"its frame {keypoints} is taken for the pictures' frame {pictures}, as there are as many of both"
-    assert said in part.assumed
-
-
-def test_keypoints_of_some_of_a_sequence(tmp_path: Path) -> None:
-    shot = numbered(tmp_path / "shot", 3)
-    recording = laid_beside(shot, openpose(tmp_path / "from_0", range(3)))
-    assert samples(recording) == {3: 0, 4: 1, 5: 2}
-    assert "its frame 0 is taken for the pictures' frame 3, as it counts from 0" in recording.assumed
-    recording = laid_beside(shot, openpose(tmp_path / "by_number", range(2), first=4))
-    assert samples(recording) == {4: 0, 5: 1}
-    assert "its frame 4 is taken for the pictures' frame 4, by their numbers" in recording.assumed
-    with pytest.raises(InputError, match="its frames are 4 to 4, and the pictures' are 5 to 5"):
-        laid_beside(shot, openpose(tmp_path / "one", range(1), first=4), "5")
-
-
-def test_keypoints_that_may_count_from_0_are_doubted(tmp_path: Path) -> None:
-    """The first frames have no hand, and the file tells nothing of them."""
-    shot, path = numbered(tmp_path / "shot", 1), openpose(tmp_path / "op", range(2, 4), first=2)
-    recording = laid_beside(shot, path)
-    assert samples(recording) == {2: 2, 3: 3}
-    assert any("if it counts from 0, give it a frame 0 without" in phrase for phrase in recording.assumed)
-    (path / "clip_000000000000_keypoints.json").write_text(json.dumps({"people": []}))
-    assert samples(laid_beside(shot, path)) == {3: 2, 4: 3}
+    assert samples(whole) == found
+    assert samples(part) == {n: row for n, row in found.items() if n - pictures in (2, 3)}
+    for recording in (whole, part):
+        assert f"its frame {first} is taken for the pictures' frame {min(found)}, {said}" in " ".join(
+            recording.assumed
+        )
 
 
 def test_captures_beside_pictures(tmp_path: Path, video: Path) -> None:
@@ -173,36 +167,24 @@ def test_missing_and_doubtful_points_pull_less(tmp_path: Path) -> None:
     assert off["doubtful"][:, 8].mean() < 0.7 * off["sure"][:, 8].mean()
 
 
-def test_the_pictures_size_is_told_or_its_keypoints_are_refused(tmp_path: Path) -> None:
-    path = openpose(tmp_path / "op", range(24), scale=3.0)
-    pictures = str(SAMPLE / "hand.%04d.jpg")
+def test_keypoints_of_pictures_of_another_size(tmp_path: Path, points: Path) -> None:
+    """They are brought to the pictures' size, which the file tells or an option; else they are refused."""
+    path, pictures = openpose(tmp_path / "op", range(24), scale=3.0), str(SAMPLE / "hand.%04d.jpg")
     with pytest.raises(InputError, match=r"outside the pictures.*--picture-size"):
         capture(pictures, keypoints=path)
     take = capture(pictures, keypoints=path, picture_size=(3 * TRUTH.width, 3 * TRUTH.height))
     assert apart(take, range(24)) < 1e-6
-
-
-@pytest.mark.parametrize("by_the_file", [True, False])
-def test_points_of_a_smaller_copy(points: Path, by_the_file: bool) -> None:
-    """They are brought to the pictures' size."""
-    size = TRUTH.width // 2, TRUTH.height // 2
     hand = {"side": SIDE, "keypoints_2d": (PIXELS / 2.0).tolist()}
-    told = {"width": size[0], "height": size[1]} if by_the_file else {"width": None, "height": None}
-    changed(points, hands=[hand], intrinsics=None, **told)
-    options = {} if by_the_file else {"picture_size": size}
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=points, frames="3-4", **options)
-    assert apart(take, range(2, 4)) < 0.01
+    camera = {name: value / 2.0 for name, value in vars(TRUTH.intrinsics).items()}
+    changed(points, hands=[hand], intrinsics=camera, width=TRUTH.width // 2, height=TRUTH.height // 2)
+    assert apart(capture(pictures, keypoints=points, frames="3-4"), range(2, 4)) < 0.01
 
 
-def test_keypoints_of_another_clip_are_refused(tmp_path: Path, video: Path) -> None:
+def test_keypoints_of_another_clip_or_hand_are_refused(tmp_path: Path, video: Path) -> None:
     with pytest.raises(InputError, match=r"its frames are 500 to 504, and the pictures' are 1 to 5"):
         capture(video, keypoints=openpose(tmp_path / "op", range(COUNT), first=500))
-
-
-def test_the_other_side_is_not_there(tmp_path: Path, video: Path) -> None:
-    other = "left" if SIDE == "right" else "right"
     with pytest.raises(NoHandFoundError):
-        capture(video, hands=other, keypoints=openpose(tmp_path / "op", range(COUNT)))
+        capture(video, hands=other_side(SIDE), keypoints=openpose(tmp_path / "five", range(COUNT)))
 
 
 # Recordings alone
@@ -264,12 +246,6 @@ def test_frames_without_the_hand_are_told_from_a_mistake(points: Path, kind: str
     changed(points, hands=[{"side": SIDE, kind: [[p, *[None] * 20] for p in hand[kind][0][:1]] * 24}])
     with pytest.raises((InputError, NoHandFoundError), match="6 points"):
         capture(points, frames="1-3")
-
-
-def test_more_hands_in_a_frame_than_are_read(points: Path) -> None:
-    changed(points, hands=[{"side": SIDE, "keypoints_2d": PIXELS.tolist()}] * 4001)
-    with pytest.raises(InputError, match="there are 4001 hands in frame"):
-        read_recording(points, CaptureOptions())
 
 
 def test_questions_of_pictures_are_refused(points: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import pytest
@@ -36,11 +37,30 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
             assert takers == ([] if kind == "mediapipe" else [kind]), path.name
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"format": "another"}', "a,b\n1,2\n", "\0\1\2"])
-def test_a_file_of_no_known_format_is_described(tmp_path: Path, content: str) -> None:
-    (tmp_path / "file.csv").write_text(content)
-    with pytest.raises(InputError, match=r"no hands or keypoints of a program that is known \(.*Points"):
-        read(tmp_path / "file.csv")
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        *(
+            ("a.csv", text)
+            for text in (b"", b"{", b"[]", b"a,b\n1,2\n", b"a,b\n1\n", b"\0\1\2", b"a,b\n\xff,1\n")
+        ),
+        *(("a.json", text) for text in (b'{"format": "another"}', b'{"landmarks": ["x"]}', b"\xff")),
+        *(
+            ("a.bvh", b"\xff"),
+            ("a.npz", b"PK\3\4"),
+            ("a.npy", b"\x93NUMPY"),
+            ("a.pkl", pickle.dumps({"a": 1})),
+        ),
+        *(("a.pkl", b"\x80\x05("), ("a.pkl", b"\x80\x02cposix\nsystem\n.")),
+    ],
+)
+def test_a_file_of_no_known_format_is_described(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(
+        InputError, match=r"no hands or keypoints of a program that is known \(.*Points"
+    ) as said:
+        read(tmp_path / name)
+    assert "\n" not in str(said.value)
 
 
 @pytest.mark.parametrize(

@@ -193,18 +193,15 @@ def test_slices_do_not_show(monkeypatch):
 
 def test_mirrored_hand():
     built, names = Built(), tuple(f"b{joint}" for joint in range(NUM_JOINTS))
-    add_hand(
-        *(built, "right", dict(enumerate(names)), np.random.default_rng(6)), bend=0.3, stretch=0.25, tips=True
-    )
+    how = {"bend": 0.3, "stretch": 0.25, "tips": True}
+    add_hand(built, "right", dict(enumerate(names)), np.random.default_rng(6), **how)
     bones, own, tips, turns = built.bones(), source("right"), skins("right"), pinching("right", "ring")
-    mirrored = replace(bones, heads=bones.heads @ MIRROR_X, tails=bones.tails @ MIRROR_X)
+    other = replace(bones, heads=bones.heads @ MIRROR_X, tails=bones.tails @ MIRROR_X)
     found = []
-    for its, hand, skin, does in (
-        (bones, own, tips, turns),
-        (mirrored, own.mirrored(), tips.mirrored(), mirrored_turns(turns)),
-    ):
-        target = target_hand(its, HandMap(hand.side, names), hand)
-        kept = run_to_completion(keeping_contacts(target, hand, skin, does, np.arange(len(turns)) / FPS))
+    for hand in ((bones, own, tips, turns), (other, own.mirrored(), tips.mirrored(), mirrored_turns(turns))):
+        its, captured, skin, does = hand
+        target = target_hand(its, HandMap(captured.side, names), captured)
+        kept = run_to_completion(keeping_contacts(target, captured, skin, does, np.arange(len(does)) / FPS))
         found.append((target.points(kept.standing)[1], kept.apart))
     np.testing.assert_allclose(found[1][0], found[0][0] @ MIRROR_X, atol=1e-9)
     np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-9)
@@ -283,18 +280,14 @@ def test_touch_weights():
 
 
 def test_side_by_side_is_no_touch():
-    side = "right"
-    angles = np.zeros((2, NUM_JOINTS - 1, 3))
-    angles[0, [0, 3], 1] = np.radians([-6.0, 6.0])
-    # The middle finger lies over the index finger's back.
-    angles[1, [0, 3], 1] = np.radians([-12.0, 12.0])
-    angles[1, 0, 2] = np.radians(8.0)
-    found = [touches(side, turns_of(side, one[None])) for one in angles]
+    """But a middle finger that lies over the index finger's back is one."""
     pair = PAIRS.tolist().index([1, 2])
-    assert found[0].gap[0, pair] < TOUCHES.touch_gap[0]
-    assert found[0].weights[0, pair] == 0.0
-    assert found[1].gap[0, pair] < TOUCHES.touch_gap[0]
-    assert found[1].weights[0, pair] > 0.9
+    for spread, bend, low, high in ((6.0, 0.0, 0.0, 0.0), (12.0, 8.0, 0.9, 1.0)):
+        angles = np.zeros((1, NUM_JOINTS - 1, 3))
+        angles[0, [0, 3], 1], angles[0, 0, 2] = np.radians([-spread, spread]), np.radians(bend)
+        found = touches("right", turns_of("right", angles))
+        assert found.gap[0, pair] < TOUCHES.touch_gap[0]
+        assert low <= found.weights[0, pair] <= high
 
 
 @pytest.mark.parametrize("finger", PINCHES)

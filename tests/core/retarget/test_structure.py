@@ -12,10 +12,9 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import HandMap, SeveralHands, the_surest
 from handfit_core.retarget.structure import structured_hands
-from handfit_core.retarget.transfer import target_hand
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 
-from .rigs import Built, add_hand, body, source
+from .rigs import Built, add_hand, body
 
 PALM = range(NUM_JOINTS, NUM_JOINTS + 4)
 
@@ -129,17 +128,6 @@ def test_mittens(hint):
         for finger, joints in FINGER_JOINTS.items():
             wanted = joints if finger == "thumb" else FINGER_JOINTS["middle"]
             assert [found.hand_map.bones[j] for j in joints] == [names[j] for j in wanted]
-        target = target_hand(bones, found.hand_map, source(side))
-        turns = np.broadcast_to(np.eye(3), (1, NUM_JOINTS, 3, 3)).copy()
-        turns[:, 1:13] = rotvec_to_rotmat(np.array([0.1, -0.2, 0.3]))  # alike in all fingers but the thumb
-        heads, _ = target.points(target.standing(turns))
-        at = target.bones.index(names[5])
-        pointing = heads[0, at] - heads[0, target.bones.index(names[4])]
-        joints, _ = source(side).points(turns)
-        along = joints[0, [2, 5, 8, 11]] - joints[0, [1, 4, 7, 10]]  # each finger's first segment
-        ours = target.aligned @ (along / np.linalg.norm(along, axis=-1, keepdims=True)).sum(axis=0)
-        across = np.cross(pointing, ours) / np.linalg.norm(pointing) / np.linalg.norm(ours)
-        assert np.degrees(np.arcsin(np.linalg.norm(across))) < 0.1
 
 
 def test_side_of_flat_hand():

@@ -160,7 +160,7 @@ def refitted() -> None:
     name = hand().name
     bpy.context.scene.frame_set(12)
     before = places(hand(), 12)
-    refiner = module("refiner").Refiner(hand())
+    refiner = module("session.refiner").Refiner(hand())
     x, y = refiner.keyed_poses([refiner.row_at(12)]).landmarks[0][8] + [30.0, -20.0]
     finished(bpy.ops.manient.move_keypoint, hand=name, frame=12, keypoint=8, x=x, y=y)
     finished(bpy.ops.manient.refit_range, scope="CUSTOM", first=7, last=17)
@@ -245,7 +245,7 @@ def gone(how: str, operator: Any, before: dict[str, list[str]], **arguments: Any
 
 def worker() -> int:
     """The process that captures."""
-    return module("shared_worker").current().pid
+    return module("session.shared_worker").current().pid
 
 
 def finished(operator: Any, **arguments: Any) -> None:

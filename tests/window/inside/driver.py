@@ -54,6 +54,8 @@ class Driver:
             self._answer("")
         except BaseException as error:
             shown = TracebackException.from_exception(error, limit=-4, capture_locals=True)
+            for frame in shown.stack:
+                frame.locals = {name: value[:200] for name, value in frame.locals.items()}
             self._answer("".join(shown.format()))
         return 0.0
 

@@ -100,6 +100,6 @@ def mode():
 def in_window(place) -> tuple[float, float]:
     """Pixels of the picture -> of the window, in Add Hand and in Edit Keypoints."""
     now = mode() or operator()._mode
-    there = part("modes.view").viewport_at(bpy.context, now.view.address)
+    there = part("operators.modes.view").viewport_at(bpy.context, now.view.address)
     x, y, w = now.matrix(there) @ [*place, 1.0]
     return float(x / w + there.region.x), float(y / w + there.region.y)

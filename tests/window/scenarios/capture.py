@@ -102,7 +102,9 @@ def double_clicked(stage, source, frames):
     """A double click on Capture does not stop it; then a click on the button that stands there does."""
     yield from stage.open_sidebar()
     bpy.context.scene.manient.source = source
-    yield from stage.until(lambda: part("source_info").of(bpy.context.scene.manient).width, 30.0, "its size")
+    yield from stage.until(
+        lambda: part("session.source_info").of(bpy.context.scene.manient).width, 30.0, "its size"
+    )
     start = yield from stage.find_button("bpy.ops.manient.capture(")
     yield from stage.click(start)
     yield from stage.key("LEFTMOUSE")
@@ -257,7 +259,7 @@ def dropped(stage, source):
     said = [_said_of(job)]
     for step in (stage.undo, stage.undo, stage.redo, stage.redo):
         yield from step()
-        shown = part("source_info").of(bpy.context.scene.manient)
+        shown = part("session.source_info").of(bpy.context.scene.manient)
         if shown.path:
             yield from stage.until(lambda: shown.width, 10.0, "the size of the source")  # noqa: B023
         said.append(_said_of(job))
@@ -269,5 +271,5 @@ def _said_of(job) -> tuple[int, bool, str, str]:
     """How many hands there are, whether the panel says that the capture was undone, the source, and the
     source that the panel tells of."""
     settings = bpy.context.scene.manient
-    shown = Path(part("source_info").of(settings).path).name
+    shown = Path(part("session.source_info").of(settings).path).name
     return len(hands()), job.undone, Path(settings.source).name, shown

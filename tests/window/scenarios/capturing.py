@@ -18,7 +18,7 @@ def part(name: str) -> ModuleType:
 
 def jobs() -> tuple:
     """The add-on's queue."""
-    return part("jobs").jobs()
+    return part("session.jobs").jobs()
 
 
 def begin(stage, source: str, **settings):

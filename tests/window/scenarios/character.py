@@ -74,7 +74,7 @@ def linked(stage, source, steps=12):
     yield from stage.until(lambda: refine.state()["dragged"] is None, 10.0, "the last fit")
     yield from refine.ended(stage, "RET")
     yield 1.0
-    link = part("live_link")
+    link = part("session.live_link")
     yield from stage.until(lambda: link.keying_progress(follower) is None, 20.0, "the follower's keys")
     assert link.trouble(follower) is None
     after, ours = _index_turns(follower), _index_turns(armature)

@@ -95,11 +95,11 @@ def begun(stage, source):
 
 
 def mode():
-    return part("modes.find_hands").current
+    return part("operators.modes.find_hands").current
 
 
 def viewport():
-    return part("modes.view").viewport_at(bpy.context, mode().address)
+    return part("operators.modes.view").viewport_at(bpy.context, mode().address)
 
 
 def described() -> list[tuple[str, bool]]:

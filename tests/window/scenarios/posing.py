@@ -117,7 +117,7 @@ def keys_simplified(stage, take):
 
 def _previewed() -> int | None:
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
-        found = part("key_preview").preview(bpy.context)
+        found = part("session.key_preview").preview(bpy.context)
     return sum(one.after for one in found) if isinstance(found, list) else None
 
 

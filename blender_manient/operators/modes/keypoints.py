@@ -20,12 +20,14 @@ from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.skeleton import NUM_KEYPOINTS
 
-from .. import details, jobs, preferences, screen, shared_worker
-from ..refiner import BonePoses, Refiner
-from ..rigs import rig_of
-from ..scene import see_through
-from ..scene.keys import set_pose
-from ..wording import capitalised, counted
+from ...common import preferences, screen
+from ...common.wording import capitalised, counted
+from ...rigs import rig_of
+from ...scene import see_through
+from ...scene.keys import set_pose
+from ...session import details, jobs, shared_worker
+from ...session.refiner import BonePoses, Refiner
+from ..base import show_frame_again
 from . import drawing, view
 
 REACH: Final = 14.0
@@ -359,7 +361,7 @@ class KeypointMode(view.Overlay):
         if armature is not None and armature.manient.is_hand:
             set_pose(rig_of(armature), drag.poses_before.quats[0], drag.poses_before.locations[0])
             if context.scene.frame_current_final != drag.frame:
-                refresh(context.scene)  # that was another frame's pose
+                show_frame_again(context)  # that was another frame's pose
         screen.redraw("VIEW_3D")
 
     def tick(self, context: bpy.types.Context) -> None:
@@ -381,7 +383,7 @@ class KeypointMode(view.Overlay):
                 self.drag.waiting = False
             details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
             self.cancel_drag(context)
-            refresh(context.scene)
+            show_frame_again(context)
 
     def _tick_drag(self, context: bpy.types.Context, drag: _Drag) -> None:
         if drag.asked is not None and drag.waiting:
@@ -446,7 +448,7 @@ class KeypointMode(view.Overlay):
             return
         else:
             self.refiner.correct(drag.row, *drag.answer, context.scene.manient.spread)
-        refresh(context.scene)
+        show_frame_again(context)
         self.done, self.undone = self.done + 1, 0
         bpy.ops.ed.undo_push(message="Move Keypoint" if drag.place is not None else "Remove Pin")
         screen.redraw("VIEW_3D")
@@ -480,7 +482,7 @@ class KeypointMode(view.Overlay):
         step = 1 if redo else -1
         self.done, self.undone = self.done + step, self.undone - step
         self.message = ""
-        refresh(bpy.context.scene)
+        show_frame_again(bpy.context)
 
     # Drawing
 
@@ -514,8 +516,3 @@ class KeypointMode(view.Overlay):
         if track.doubtful is not None and track.doubtful[row]:
             return "Doubtful frame", True
         return "", False
-
-
-def refresh(scene: bpy.types.Scene) -> None:
-    """Show what the keys of the present frame say now."""
-    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)

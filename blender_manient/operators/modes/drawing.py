@@ -13,7 +13,7 @@ import numpy as np
 
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, NUM_KEYPOINTS, PALM_KEYPOINTS
 
-from ..screen import Box, draw_shape, ui_scale
+from ...common.screen import Box, draw_shape, ui_scale
 
 FINGER_COLORS: Final = {
     "thumb": (1.00, 0.42, 0.33),

@@ -23,14 +23,14 @@ from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import SOLVERS
 
-from .exporters import EXPORTERS
-from .exporters import PRESETS as PROGRAMS
+from ..common.preferences import PRESETS, notifier
+from ..exporters import EXPORTERS
+from ..exporters import PRESETS as PROGRAMS
+from ..scene.matching import CHOICES
+from ..scene.poses import pose_items
+from ..scene.simplify import PARTS
+from ..scene.spans import SCOPES
 from .hand_table import ManientHandTable
-from .preferences import PRESETS, notifier
-from .scene.matching import CHOICES
-from .scene.poses import pose_items
-from .scene.simplify import PARTS
-from .scene.spans import SCOPES
 
 # Plug-ins may import anything, which Blender's process is to be spared.
 EXPERIMENTS = tuple((name, s.title, s.description) for name, s in SOLVERS.built_in().items() if s.slow)
@@ -322,6 +322,8 @@ class ManientSettings(bpy.types.PropertyGroup):
 
 
 _OVERRIDABLE: Any = {"LIBRARY_OVERRIDABLE"}
+_OF_CHARACTER: Any = {"update": notifier("character"), "override": _OVERRIDABLE}
+_OF_HAND_MOTION: Any = {"update": notifier("hand_motion"), "override": _OVERRIDABLE}
 
 
 class ManientCharacterHand(bpy.types.PropertyGroup):
@@ -331,8 +333,7 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         name="Use",
         description="Whether this hand gets motion",
         default=True,
-        update=notifier("character"),
-        override=_OVERRIDABLE,
+        **_OF_CHARACTER,
     )
     source: PointerProperty(  # type: ignore
         name="Source",
@@ -340,22 +341,19 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
         "scene's only one of its side",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "ARMATURE" and obj.manient.is_hand,
-        update=notifier("character"),
-        override=_OVERRIDABLE,
+        **_OF_CHARACTER,
     )
     offset: PointerProperty(  # type: ignore
         name="Offset",
         description="The empty by whose location this hand's whole motion is moved",
         type=bpy.types.Object,
         poll=lambda _group, obj: obj.type == "EMPTY",
-        update=notifier("hand_motion"),
-        override=_OVERRIDABLE,
+        **_OF_HAND_MOTION,
     )
     hand_map: StringProperty(  # type: ignore
         description="Which bones are this hand, as JSON (handfit_core/retarget/hand_map.py); empty: those "
         "that are recognised",
-        update=notifier("character"),
-        override=_OVERRIDABLE,
+        **_OF_CHARACTER,
     )
 
 
@@ -387,15 +385,13 @@ class ManientCharacter(bpy.types.PropertyGroup):
             ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
         ),
         default="FINGERS",
-        update=notifier("character"),
-        override=_OVERRIDABLE,
+        **_OF_CHARACTER,
     )
     reference: IntProperty(  # type: ignore
         name="Marked Frame",
         description="The scene frame in which the character's hand is as it is to be in the captured pose",
         default=1,
-        update=notifier("hand_motion"),
-        override=_OVERRIDABLE,
+        **_OF_HAND_MOTION,
     )
     travel: FloatProperty(  # type: ignore
         name="Travel",
@@ -404,8 +400,7 @@ class ManientCharacter(bpy.types.PropertyGroup):
         default=1.0,
         min=0.0,
         max=2.0,
-        override=_OVERRIDABLE,
-        update=notifier("hand_motion"),
+        **_OF_HAND_MOTION,
     )
     smoothing: IntProperty(  # type: ignore
         name="Smoothing",
@@ -415,22 +410,19 @@ class ManientCharacter(bpy.types.PropertyGroup):
         min=0,
         soft_max=20,
         max=1000,
-        override=_OVERRIDABLE,
-        update=notifier("hand_motion"),
+        **_OF_HAND_MOTION,
     )
     contacts: BoolProperty(  # type: ignore
         name="Keep Contacts",
         description="Where captured fingertips touch, the character's touch too: both fingers give way",
         default=True,
-        update=notifier("character"),
-        override=_OVERRIDABLE,
+        **_OF_CHARACTER,
     )
     live: BoolProperty(  # type: ignore
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
         default=False,
-        update=notifier("character"),
-        override=_OVERRIDABLE,
+        **_OF_CHARACTER,
     )
     action: PointerProperty(  # type: ignore
         type=bpy.types.Action,

@@ -13,10 +13,11 @@ from typing import Any
 import bpy
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import run_to_completion, slice_clock
+from handfit_core.slices import map_yields, run_to_completion, slice_clock
 
-from .scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, state_of, thinning
-from .wording import capitalised
+from ..common import screen
+from ..common.wording import capitalised
+from ..scene.simplify import Bounds, Hand, Thinned, hands_to_simplify, state_of, thinning
 
 _PAUSE = 0.02
 """seconds between two slices"""
@@ -75,17 +76,8 @@ def _finding(hands: list[Hand], bounds: Bounds) -> Generator[None, None, list[Th
         raise problem
     found = []
     for steps in begun:
-        found.append((yield from _quietly(steps)))
+        found.append((yield from map_yields(steps, lambda: None)))
     return found
-
-
-def _quietly(steps: Generator[int, None, Thinned]) -> Generator[None, None, Thinned]:
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
-        yield
 
 
 def _key_of(scene: bpy.types.Scene, hands: list[Hand]) -> tuple[Any, ...]:
@@ -105,7 +97,7 @@ def _continue() -> float | None:
     global _key, _steps, _found
     if _steps is None or _key is None or _key[0] != _changes:
         _key = _steps = None
-        _redraw()  # which begins anew
+        screen.redraw("VIEW_3D")  # which begins anew
         return None
     over = slice_clock()
     try:
@@ -119,15 +111,8 @@ def _continue() -> float | None:
     except ReferenceError:  # the hand was deleted
         _key = None
     _steps = None
-    _redraw()
+    screen.redraw("VIEW_3D")
     return None
-
-
-def _redraw() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
 
 
 def _after_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
@@ -146,9 +131,10 @@ HANDLERS = {
 }
 
 
+TIMERS = (_continue,)
+
+
 def unregister() -> None:
     """Forget what was found."""
     global _key, _steps, _found
     _key = _steps = _found = None
-    if bpy.app.timers.is_registered(_continue):
-        bpy.app.timers.unregister(_continue)

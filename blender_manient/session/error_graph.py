@@ -14,9 +14,9 @@ import bpy
 import gpu
 import numpy as np
 
-from . import screen
-from .scene.confidence import Errors, colors_of, errors_of
-from .scene.store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
+from ..common import screen
+from ..scene.confidence import Errors, colors_of, errors_of
+from ..scene.store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames
 
 _HEIGHT: Final = (18.0, 64.0)
 """least and most pixels of a hand's graph, at a user interface scale of 1"""
@@ -130,7 +130,6 @@ def _draw_in_editors(wanted: bool) -> None:
         _handles.clear()
 
 
-@bpy.app.handlers.persistent
 def _follow(*_args) -> None:
     """Draw as long as some hand shows its graph, and no longer."""
     _draw_in_editors(any(o.manient.is_hand and o.manient.show_error for o in bpy.data.objects))

@@ -16,7 +16,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap, empty_map
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES
 
-from .scene.characters import active_character, keep_map, table_of, why_not_reachable
+from ..scene.characters import active_character, keep_map, table_of, why_not_reachable
 
 BONES: dict[str, tuple[str, int]] = {
     "hand": ("bones", 0),
@@ -106,7 +106,6 @@ class ManientHandTable(bpy.types.PropertyGroup):
 ManientHandTable.__annotations__ |= {name: f"_bone({name!r})" for name in BONES}
 
 
-@bpy.app.handlers.persistent
 def _read_linked(*_args) -> None:
     """Read the settings of linked characters that have overrides. That makes those that their file does not
     have, without which Blender 5.2 saves the overrides' own settings in a way that it cannot load."""

@@ -25,16 +25,16 @@ from handfit_core.slices import map_yields, slice_clock
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
+from ..common.block_reference import BlockReference
+from ..common.wording import capitalised, counted, without_name
+from ..scene.apply import apply_track, track_for
+from ..scene.build import BuildOptions, building
+from ..scene.captures import comes_in_front
+from ..scene.controls import add_controls
+from ..scene.matching import Choice, Footage, clear_view, matches, scene_sentence
+from ..scene.store import hand_of
 from . import details, shared_worker
-from .block_reference import BlockReference
 from .cache import folder_path, temporary_take
-from .scene.apply import apply_track, track_for
-from .scene.build import BuildOptions, building
-from .scene.captures import comes_in_front
-from .scene.controls import add_controls
-from .scene.matching import Choice, Footage, clear_view, matches, scene_sentence
-from .scene.store import hand_of
-from .wording import capitalised, counted, without_name
 
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
@@ -454,12 +454,7 @@ def _duration(seconds: float) -> str:
     return f"{int(seconds // 60)}:{int(seconds % 60):02d} min"
 
 
-@bpy.app.handlers.persistent
-def _on_load(*_args) -> None:
-    abandon()
-
-
-HANDLERS = {"load_pre": _on_load}
+HANDLERS = {"load_pre": lambda *_args: abandon()}
 
 
 def unregister() -> None:

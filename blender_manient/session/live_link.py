@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
@@ -18,15 +18,14 @@ import bpy
 import numpy as np
 
 from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import map_yields, run_to_completion, slice_clock
+from handfit_core.slices import map_yields, run_to_completion
 
-from . import screen
-from .block_reference import BlockReference
-from .scene.characters import hands_to_move
-from .scene.editable import check_unlayered
-from .scene.hand_motion import BoneKeys, without_artist_keys
-from .scene.keys import nearest, remove_pose_keys, set_pose
-from .scene.onto_character import (
+from ..common import screen
+from ..scene.characters import hands_to_move
+from ..scene.editable import check_unlayered
+from ..scene.hand_motion import BoneKeys, without_artist_keys
+from ..scene.keys import nearest, remove_pose_keys, set_pose
+from ..scene.onto_character import (
     Motion,
     TransferOptions,
     computing,
@@ -36,12 +35,11 @@ from .scene.onto_character import (
     writing,
     writing_anew,
 )
-from .scene.sampling import rotations_of, shown_now
+from ..scene.sampling import rotations_of, shown_now
+from .followers import Follower, Followers
 
 _T = TypeVar("_T")
 
-_TICK = 1 / 60
-"""seconds between two looks while something is to be done"""
 _QUIET_SECONDS = 0.2
 """seconds without a change after which keys are written"""
 _PROGRESS_REDRAWS = 10
@@ -52,24 +50,20 @@ _SAME = 1e-6
 """Parts of quaternions, and locations, that differ by less are the same key"""
 
 
-class _Link:
+class _Link(Follower):
     """A character that follows captured hands."""
 
     def __init__(self, armature: bpy.types.Object, *, shows: bool = False) -> None:
-        self.armature = BlockReference.of("objects", armature)
-        self.changed: float | None = time.monotonic() - _QUIET_SECONDS
-        """When a change was last seen that is not keyed yet"""
+        super().__init__(armature)
+        self.changed = time.monotonic() - _QUIET_SECONDS
         self.shows = shows
         """Whether the pose is to be shown at once"""
         self.written: list[BoneKeys] | None = None
         """What the link has keyed last; None where it does not know any more"""
-        self.steps: Iterator[float] | None = None
-        """What is being keyed, since when, and which share of it is done"""
         self.began = self.done = 0.0
+        """Since when it is being keyed, and which share of that is done"""
 
 
-_links: dict[int, _Link] = {}
-"""By the armatures' session_uid"""
 _settling = False
 """Whether a property is being set by this module itself"""
 _troubles: dict[int, str] = {}
@@ -87,35 +81,13 @@ def keying_progress(armature: bpy.types.Object) -> float | None:
     return None if link is None or link.steps is None else link.done
 
 
-def step() -> float | None:
-    """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
-    None where nothing is to be done."""
-    if bpy.app.is_job_running("RENDER"):
-        return _QUIET_SECONDS
-    is_over = slice_clock()
-    windows = bpy.context.window_manager.windows
-    for uid, link in list(_links.items()):
-        armature = link.armature.find()
-        if armature is None or not armature.manient.character.live:
-            del _links[uid]
-            continue
-        try:
-            with bpy.context.temp_override(window=bpy.context.window or windows[0]):  # timers have none
-                _step(link, armature, is_over)
-        except (HandfitError, ReferenceError) as error:
-            link.steps, link.changed = None, None
-            gone = "the captured hand that this character follows was deleted: choose another one"
-            _troubles[uid] = gone if isinstance(error, ReferenceError) else str(error)
-    return _TICK if any(link.changed is not None or link.shows for link in _links.values()) else None
-
-
-def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) -> None:
+def _go_on(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) -> None:
     if link.shows:
         link.shows = False
         _show(armature)
         return  # so that the window draws it before anything is keyed
     if link.steps is None:
-        if link.changed is None or time.monotonic() - link.changed < _QUIET_SECONDS:
+        if not link.has_rested(_QUIET_SECONDS):
             return
         link.steps, link.began, link.done = _keying(link, armature), time.monotonic(), 0.0
     for done in link.steps:
@@ -130,6 +102,15 @@ def _step(link: _Link, armature: bpy.types.Object, is_over: Callable[[], bool]) 
     _troubles.pop(armature.session_uid, None)
     if link.changed is None or link.changed < link.began:
         link.changed = None
+
+
+def _fail(armature: bpy.types.Object, error: HandfitError | ReferenceError) -> None:
+    gone = "the captured hand that this character follows was deleted: choose another one"
+    _troubles[armature.session_uid] = gone if isinstance(error, ReferenceError) else str(error)
+
+
+_links = Followers(_go_on, _fail, lambda armature: armature.manient.character.live)
+step = _links.step
 
 
 def _show(armature: bpy.types.Object) -> None:
@@ -232,9 +213,10 @@ def _digest(keys: Sequence[BoneKeys]) -> str:
     return sha.hexdigest()[:16]
 
 
-@bpy.app.handlers.persistent
 def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """Something in the scene has changed; changes of the frame alone do not come here."""
+    if not _links:
+        return
     moved = (u for u in depsgraph.updates if u.is_updated_geometry or u.is_updated_transform)
     changed = {update.id.original.session_uid for update in moved}
     for link in _links.values():
@@ -245,7 +227,7 @@ def _on_update(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         sources = [s for s in (character.left.source, character.right.source) if s is not None]
         if any({s.session_uid, s.data.session_uid} & changed for s in sources):
             link.shows, link.changed = True, time.monotonic()
-            _wake()
+            _links.wake()
 
 
 def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
@@ -271,43 +253,27 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
             _troubles[uid] = str(error)
         finally:
             _settling = False
-    _follow()
+        _links.wake()
 
 
-@bpy.app.handlers.persistent
 def _on_time_travel(*_args) -> None:
     """Another file, an undo or a redo: nobody knows what is keyed now."""
     _links.clear()
     for armature in bpy.data.objects:
         if armature.type == "ARMATURE" and armature.manient.character.live:
             _links[armature.session_uid] = _Link(armature)
-    _follow()
+            _links.wake()
 
 
-def _follow() -> None:
-    """Listen to changes as long as some character follows, and no longer."""
-    handlers = bpy.app.handlers.depsgraph_update_post
-    if _links and _on_update not in handlers:
-        handlers.append(_on_update)
-    elif not _links and _on_update in handlers:
-        handlers.remove(_on_update)
-    if _links:
-        _wake()
-
-
-def _wake() -> None:
-    if not bpy.app.timers.is_registered(step):
-        bpy.app.timers.register(step, first_interval=0.0, persistent=True)
-
-
-HANDLERS = dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel)
+HANDLERS = {
+    **dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel),
+    "depsgraph_update_post": _on_update,
+}
 LISTENERS = {"character": on_settings_changed}
+TIMERS = (step,)
 
 
 def unregister() -> None:
     """Follow nobody any more."""
     _links.clear()
     _troubles.clear()
-    _follow()
-    if bpy.app.timers.is_registered(step):
-        bpy.app.timers.unregister(step)

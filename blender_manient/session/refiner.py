@@ -23,14 +23,14 @@ from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS
 from handfit_core.take import HandTrack
 
+from ..common.block_reference import BlockReference
+from ..common.wording import capitalised
+from ..scene import corrections
+from ..scene.editable import why_not_keyable
+from ..scene.keys import displayed_pose, pose_at
+from ..scene.own_keys import note_fitted
+from ..scene.store import CapturedHand, hand_of
 from . import jobs
-from .block_reference import BlockReference
-from .scene import corrections
-from .scene.editable import why_not_keyable
-from .scene.keys import displayed_pose, pose_at
-from .scene.own_keys import note_fitted
-from .scene.store import CapturedHand, hand_of
-from .wording import capitalised
 
 _ON_ROW = 0.01
 """scene frames. The scene stands on a source frame when it is no farther from it"""

@@ -12,7 +12,7 @@ import numpy as np
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.picture_map import picture_to_region
 
-from ..screen import camera_region, enlarged, frame_whole_picture, free_box, redraw, ui_scale
+from ...common.screen import camera_region, enlarged, frame_whole_picture, free_box, redraw, ui_scale
 
 MAX_ZOOM: Final = 64.0
 """pixels of the region for one of the picture"""

@@ -196,7 +196,8 @@ def free_box(area: bpy.types.Area, region: bpy.types.Region) -> Box:
             free = _largest_side(free, (left, bottom, left + other.width, bottom + other.height))
     if min(free[2] - free[0], free[3] - free[1]) < _LEAST * scale:
         free = whole
-    return _shrunk(free, _MARGIN * scale)
+    margin = _MARGIN * scale
+    return free[0] + margin, free[1] + margin, free[2] - margin, free[3] - margin
 
 
 def _largest_side(free: Box, cover: Box) -> Box:
@@ -211,7 +212,3 @@ def _largest_side(free: Box, cover: Box) -> Box:
         (left, max(bottom, cover[3]), right, top),
     )
     return max(rests, key=lambda box: max(0.0, box[2] - box[0]) * max(0.0, box[3] - box[1]))
-
-
-def _shrunk(box: Box, margin: float) -> Box:
-    return box[0] + margin, box[1] + margin, box[2] - margin, box[3] - margin

@@ -145,7 +145,6 @@ def _defaults() -> SimpleNamespace:
 _without_entry = _defaults()
 
 
-@bpy.app.handlers.persistent
 def _apply_default_preset(*_: object) -> None:
     """Give the preferred quality to scenes in which nobody has chosen one."""
     preset = get().default_preset

@@ -12,7 +12,7 @@ from typing import Final
 
 import bpy
 
-from . import screen
+from ..common import screen
 
 _EXTRA_SECONDS: Final = 0.15
 """seconds beyond those of a double click"""

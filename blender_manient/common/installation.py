@@ -1,9 +1,9 @@
 """Whether an installed copy of the add-on is whole, in one sentence.
 
-The zip has wheels.json beside this file: every wheel with its size and version, and for which Pythons it is.
-Blender unpacks the wheels into a folder that all extensions share. Names, sizes and versions are looked at;
-what is inside the files is Blender's and the file system's business. A checkout has no wheels.json, and there
-is nothing to check.
+In the folder of the add-on, the zip has wheels.json: every wheel with its size and version, and for which
+Pythons it is. Blender unpacks the wheels into a folder that all extensions share. Names, sizes and versions
+are looked at; what is inside the files is for Blender and the file system. A checkout has no wheels.json, and
+there is nothing to check.
 
 Only Python's standard library here: handfit_core itself may be what is missing.
 """
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-ADDON_FOLDER = Path(__file__).resolve().parent
+ADDON_FOLDER = Path(__file__).resolve().parents[1]
 CONTENTS = "wheels.json"
 MANIFEST = "blender_manifest.toml"
 CORE = "handfit-core"

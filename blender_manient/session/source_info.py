@@ -23,10 +23,11 @@ from handfit_core.media.size_limit import check_for_blender
 from handfit_core.retiming import shown_numbers
 from handfit_core.take import is_take
 
-from . import jobs, preferences, screen, shared_worker
-from .scene.matching import Footage
-from .scene.store import captures_of, clip_timing
-from .wording import capitalised, without_name
+from ..common import preferences, screen
+from ..common.wording import capitalised, without_name
+from ..scene.matching import Footage
+from ..scene.store import captures_of, clip_timing
+from . import jobs, shared_worker
 
 _POLL_SECONDS = 0.1
 """seconds"""
@@ -290,7 +291,6 @@ def _await_answer() -> float | None:
     return None
 
 
-@bpy.app.handlers.persistent
 def _on_undo(*_args) -> None:
     """Undo and redo change the source without telling."""
     scene = bpy.context.scene
@@ -300,13 +300,12 @@ def _on_undo(*_args) -> None:
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
 LISTENERS = {"source": source_chosen, "as_sequence": source_changed}
+TIMERS = (_await_answer,)
 
 
 def unregister() -> None:
-    """Free the thumbnails, and stop waiting."""
+    """Free the thumbnails, and forget the source."""
     global _previews, _known
-    if bpy.app.timers.is_registered(_await_answer):
-        bpy.app.timers.unregister(_await_answer)
     if _previews is not None:
         bpy.utils.previews.remove(_previews)
     _previews = _known = None

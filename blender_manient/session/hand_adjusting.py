@@ -5,38 +5,23 @@ Settings and dragged offsets count after a short rest. With Live Link on the lin
 
 from __future__ import annotations
 
-import time
-from collections.abc import Generator
+from collections.abc import Callable
 
 import bpy
 
 from handfit_core.errors import HandfitError
 from handfit_core.skeleton import SIDES
-from handfit_core.slices import slice_clock
 
+from ..common.block_reference import BlockReference
+from ..common.wording import counted
+from ..scene.characters import hands_to_move
+from ..scene.onto_character import adjusting, is_adjusted, offsets_of
 from . import live_link
-from .block_reference import BlockReference
-from .scene.characters import hands_to_move
-from .scene.onto_character import adjusting, is_adjusted, offsets_of
-from .wording import counted
+from .followers import Follower, Followers
 
-_TICK = 1 / 60
-"""seconds between two looks while something is to be done"""
 _QUIET_SECONDS = 0.1
 """seconds without a change after which keys are written"""
 
-
-class _Change:
-    """A character whose keys are to be written anew."""
-
-    def __init__(self, armature: bpy.types.Object) -> None:
-        self.armature = BlockReference.of("objects", armature)
-        self.since = time.monotonic()
-        self.steps: Generator[float, None, int] | None = None
-
-
-_changes: dict[int, _Change] = {}
-"""By the armatures' session_uid"""
 _offsets: dict[int, tuple[BlockReference, dict]] = {}
 """Characters with an offset in the scene, by their session_uid, and where it was seen last"""
 _messages: dict[int, tuple[str, bool]] = {}
@@ -48,39 +33,32 @@ def message(armature: bpy.types.Object) -> tuple[str, bool] | None:
     return _messages.get(armature.session_uid)
 
 
-def step() -> float | None:
-    """Go on with what is to be done, for some milliseconds. Returns after how many seconds to look again;
-    None where nothing is to be done."""
-    if bpy.app.is_job_running("RENDER"):
-        return _QUIET_SECONDS
-    is_over = slice_clock()
-    windows = bpy.context.window_manager.windows
-    for uid, change in list(_changes.items()):
-        armature = change.armature.find()
-        if armature is None:
-            del _changes[uid]
-        elif change.steps is not None or time.monotonic() - change.since >= _QUIET_SECONDS:
-            with bpy.context.temp_override(window=bpy.context.window or windows[0]):  # timers have none
-                _step(uid, change, armature, is_over)
-    return _TICK if _changes else None
-
-
-def _step(uid: int, change: _Change, armature: bpy.types.Object, is_over) -> None:
+def _go_on(change: Follower, armature: bpy.types.Object, is_over: Callable[[], bool]) -> None:
+    uid = armature.session_uid
+    if change.steps is None and not change.has_rested(_QUIET_SECONDS):
+        return
     try:
         if change.steps is None:
             change.steps = adjusting(armature, hands_to_move(armature, bpy.context))
         while not is_over():
             next(change.steps)
-        return
     except StopIteration as stop:
+        _changes.pop(uid, None)
         _messages.pop(uid, None)
         if stop.value:
             stay = f"{counted(stop.value, 'frame')} with keys of your own stay as they are"
             _messages[uid] = f"{stay}: Apply to Character replaces them", False
-    except (HandfitError, ReferenceError) as error:
-        gone = "the captured hand that this character follows was deleted"
-        _messages[uid] = (gone if isinstance(error, ReferenceError) else str(error)), True
-    _changes.pop(uid, None)
+
+
+def _fail(armature: bpy.types.Object, error: HandfitError | ReferenceError) -> None:
+    gone = "the captured hand that this character follows was deleted"
+    _messages[armature.session_uid] = (gone if isinstance(error, ReferenceError) else str(error)), True
+    _changes.pop(armature.session_uid, None)
+
+
+_changes = Followers(_go_on, _fail)
+"""Characters whose keys are to be written anew"""
+step = _changes.step
 
 
 def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
@@ -95,9 +73,8 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
 
 def _schedule(armature: bpy.types.Object) -> None:
     if not is_adjusted(armature):
-        _changes[armature.session_uid] = _Change(armature)
-        if not bpy.app.timers.is_registered(step):
-            bpy.app.timers.register(step, first_interval=0.0, persistent=True)
+        _changes[armature.session_uid] = Follower(armature)
+        _changes.wake()
 
 
 def _remember_offsets(armature: bpy.types.Object) -> None:
@@ -113,7 +90,6 @@ def _places(armature: bpy.types.Object) -> dict:
     return {side: tuple(place) for side, place in offsets_of(armature).items()}
 
 
-@bpy.app.handlers.persistent
 def _on_update(*_args) -> None:
     """Something in the scene has changed: perhaps an offset was dragged, or deleted."""
     for uid, (reference, places) in list(_offsets.items()):
@@ -124,7 +100,6 @@ def _on_update(*_args) -> None:
             on_settings_changed(armature.manient.character)
 
 
-@bpy.app.handlers.persistent
 def _on_file(*_args) -> None:
     """Another file is open."""
     _changes.clear()
@@ -135,7 +110,6 @@ def _on_file(*_args) -> None:
             _remember_offsets(armature)
 
 
-@bpy.app.handlers.persistent
 def _on_time_travel(*_args) -> None:
     """An undo or a redo: the keys need not be those of the settings that are back."""
     _on_file()
@@ -151,6 +125,7 @@ HANDLERS = {
     "redo_post": _on_time_travel,
 }
 LISTENERS = {"hand_motion": on_settings_changed}
+TIMERS = (step,)
 
 
 def unregister() -> None:
@@ -158,5 +133,3 @@ def unregister() -> None:
     _changes.clear()
     _offsets.clear()
     _messages.clear()
-    if bpy.app.timers.is_registered(step):
-        bpy.app.timers.unregister(step)

@@ -16,7 +16,7 @@ import bpy
 from handfit_core.errors import OutputError
 from handfit_core.files import cache_dir
 
-from . import preferences
+from ..common import preferences
 
 _NEEDED = 20_000_000
 """bytes that must be free for a take"""

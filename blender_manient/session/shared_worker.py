@@ -15,9 +15,10 @@ from handfit_core.worker.events import Event, WorkerError, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
 
-from . import installation, preferences, properties
+from ..common import installation, preferences
+from ..common.wording import capitalised
+from . import properties
 from .cache import remove_temporary_takes
-from .wording import capitalised
 
 _EXIT_WAIT_SECONDS = 3.0
 """seconds that disabling the add-on waits for killed processes; they need a tenth of one"""
@@ -175,6 +176,9 @@ def bytecode_folder() -> Path | None:
     return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))
 
 
+TIMERS = (_collect,)
+
+
 def register() -> None:
     """Say on the console why nothing can be captured; the worker starts with the first request."""
     properties.choices_of_option |= {"detector": detectors, "solver": solvers}
@@ -184,7 +188,5 @@ def register() -> None:
 
 def unregister() -> None:
     """End the worker now, and wait until it is gone: Blender may be about to remove the files it runs."""
-    if bpy.app.timers.is_registered(_collect):
-        bpy.app.timers.unregister(_collect)
     stop()
     wait_for_killed(_EXIT_WAIT_SECONDS)

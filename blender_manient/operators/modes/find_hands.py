@@ -22,10 +22,11 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.options import CaptureOptions, region_of
 from handfit_core.skeleton import other_side
 
-from .. import cache, details, jobs, screen, shared_worker
-from ..screen import Box, draw_shape, ui_scale
-from ..section import wrapped
-from ..wording import capitalised, counted
+from ...common import screen
+from ...common.screen import Box, draw_shape, ui_scale
+from ...common.section import wrapped
+from ...common.wording import capitalised, counted
+from ...session import cache, details, jobs, shared_worker
 from . import drawing, view
 from .choice import Choice, FoundHand
 from .drawing import DARK, PIN_COLOR, draw_tag, frame_box, tag_box
