@@ -27,6 +27,7 @@ from tests.conftest import ROOT
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of
 from .conftest import READY, action_curves, shown_bones
+from .looking import keyed_bones
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -229,8 +230,9 @@ def test_which_captured_hand_each_hand_gets(make_take, clip, hero, tmp_path, sai
     (entry,) = report(tmp_path)
     assert {hand["side"]: hand["captured"] - 1 for hand in entry["character"]["hands"]} == expected
     armature = opened(tmp_path / "out" / "clip" / "clip.blend")
-    keyed = {curve.data_path.split('"')[1] for curve in action_curves(armature.animation_data.action)}
-    assert keyed == {joint_name(joint, side) for side in expected for joint in range(1, NUM_JOINTS)}
+    assert keyed_bones(armature) == {
+        joint_name(joint, side) for side in expected for joint in range(1, NUM_JOINTS)
+    }
     for side, number in expected.items():
         for frame in (3, 8, 17):
             assert np.abs(bends_of(armature, side, frame) - captured_bends(take, number, frame)).max() < 0.1
