@@ -220,7 +220,7 @@ def test_a_part_that_fails_does_not_keep_the_others(blender):
     (failed, runs, again, left, at_last, code), console = blender("""
 install(ZIP)
 disable()
-module = sys.modules[NAME + ".scene.see_through"]
+module = sys.modules[NAME + ".session.shared_worker"]
 register, unregister = module.register, module.unregister
 def fail(what):
     what()
