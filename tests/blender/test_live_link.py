@@ -180,7 +180,7 @@ def target(hand, request):
 
 def matrices(target, frames=(3, 6, 12)) -> np.ndarray:
     """(N, 4, 4) how the hand is shown."""
-    return np.array([shown_bones(target, frame)[NAMES[0]].matrix for frame in frames])
+    return np.array([np.array(shown_bones(target, frame)[NAMES[0]].matrix) for frame in frames])
 
 
 def places(target, frames=(3, 6, 12)) -> np.ndarray:
