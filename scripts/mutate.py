@@ -53,6 +53,11 @@ class Change:
     noticed: str = ""
 
     @property
+    def key(self) -> tuple[str, str, int, str]:
+        """What is left of it in other code, where files and lines move."""
+        return Path(self.file).name, self.before, self.start, self.new
+
+    @property
     def after(self) -> str:
         """The whole line with the change."""
         return self.before[: self.start] + self.new + self.before[self.end :]
@@ -137,8 +142,8 @@ def main() -> int:
     if args.again is None:
         chosen = random.Random(args.seed).sample(chosen, args.count)
     else:
-        wanted = {(each["before"], each["start"], each["new"]) for each in json.loads(args.again.read_text())}
-        chosen = [each for each in chosen if (each.before, each.start, each.new) in wanted]
+        wanted = {Change(**{**each, "noticed": ""}).key for each in json.loads(args.again.read_text())}
+        chosen = [each for each in chosen if each.key in wanted]
     made = []
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder, "copy")
