@@ -177,7 +177,7 @@ def character(name: str = "Hero", *, keep: bool = True) -> bpy.types.Object:
 
 
 def saved(path: Path) -> Path:
-    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=False)
     return path
 
 
