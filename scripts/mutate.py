@@ -17,6 +17,7 @@ import argparse
 import ast
 import json
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -130,7 +131,7 @@ def main() -> int:
     args = parser.parse_args()
     told = json.loads(args.reached.read_text())["files"]
     reached = {
-        (file, int(line)): [test.partition("|")[0] for test in tests if test]
+        (file, int(line)): {re.split(r"[|[]", test)[0] for test in tests if test}
         for file, of_file in told.items()
         for line, tests in of_file["contexts"].items()
     }
@@ -154,7 +155,7 @@ def main() -> int:
             Path(folder, "shared").symlink_to(shared)
         for each in (each for each in chosen if each.file.startswith(args.only)):
             lines = (ROOT / each.file).read_text().splitlines(keepends=True)
-            tests = sorted(set(reached.get((each.file, each.line), ())), key=lambda test: reach[test])
+            tests = sorted(reached.get((each.file, each.line), ()), key=lambda test: (reach[test], test))
             lines[each.line - 1] = f"{each.after}\n"
             (copy / each.file).write_text("".join(lines))
             by = noticed(copy, tests[:MOST_TESTS]) if tests else ""
