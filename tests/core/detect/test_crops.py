@@ -5,6 +5,7 @@ import pytest
 
 from handfit_core.detect.crops import Crop, downscale
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.search import tiles
 
 SQUARES = [(0.0, False), (np.pi / 2, False), (-np.pi / 4, True), (2.5, True)]
 
@@ -60,3 +61,19 @@ def test_the_border_is_repeated_beyond_the_picture():
 @pytest.mark.parametrize("shape", [(1, 500, 3), (500, 1, 3)])
 def test_slim_pictures_are_downscaled(shape):
     assert sorted(downscale(np.full(shape, 9, np.uint8), 7, 7).shape) == [1, 3, 71]
+
+
+@pytest.mark.parametrize(
+    ("divisor", "middles"),
+    [
+        (1, [(640, 360)]),
+        (2, [(320, 320), (640, 320), (960, 320), (320, 400), (640, 400), (960, 400)]),
+        (100, []),
+    ],
+)
+def test_tiles_overlap_and_lie_in_the_middle(divisor, middles):
+    """So small ones that no hand could be told in them are left out."""
+    shown = [
+        np.linalg.inv(crop.linear) @ (crop.size / 2.0 - crop.offset) for crop in tiles(1280, 720, divisor)
+    ]
+    np.testing.assert_allclose(np.reshape(shown, (-1, 2)), np.reshape(middles, (-1, 2)), atol=1e-9)
