@@ -64,7 +64,7 @@ def loud():
 
 
 def refused(call, match):
-    """That an operator fails with that sentence and leaves no action behind."""
+    """Check that an operator fails with a given sentence and leaves no action behind."""
     before = len(bpy.data.actions)
     with pytest.raises(RuntimeError, match=f"(?i){match}"):
         call()

@@ -82,7 +82,7 @@ def test_errors_are_parts_of_the_hand(make_take):
 
 
 def test_colors_run_from_green_over_yellow_to_red():
-    """As the panel's words do."""
+    """A value has the color of the word that the panel has for it."""
     assert GREEN[1] > 2 * GREEN[0]
     assert min(YELLOW[:2]) > 3 * YELLOW[2]
     assert RED[0] > 4 * RED[1]

@@ -145,7 +145,7 @@ def test_nothing_is_keyed_again_in_a_loaded_file(linked, tmp_path):
 
 
 def test_another_action_is_not_written_to(linked):
-    """That stays told while another character follows."""
+    """What went wrong with one character stays told while another one follows."""
     hand, target = linked
     other = follower(4, "Other")
     other.manient.character.live = True

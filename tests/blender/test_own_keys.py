@@ -133,6 +133,6 @@ def test_the_range_that_is_offered_is_never_everything(make_take):
     correct(armature, int(np.flatnonzero(FRAMES == 14)[0]), 3)
     for frame, offered in ((12, (11, 17)), (8, (7, 8))):
         scene.frame_set(frame)
-        assert suggested_range(bpy.context) == offered, "the correction's reach, or the doubtful stretch"
+        assert suggested_range(bpy.context) == offered, "the correction's reach, or the doubtful frames"
     scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 5, 9
     assert suggested_range(bpy.context) == (5, 9)
