@@ -426,7 +426,7 @@ def test_gltf_keeps_the_time(make_take, tmp_path, fps):
 
 @pytest.mark.parametrize("side", SIDES)
 def test_the_core_reads_the_bvh_that_blender_exports(make_take, tmp_path, side):
-    """What it reads has the captured angles, places and shape of the hand, in the frames where it was seen."""
+    """It finds the captured angles, places and shape of the hand, in the frames where it was seen."""
     made = make_take(sides=(side,))
     (path,) = export_take(build_take(made.take), made.take, tmp_path, "x", "bvh")
     (hand,), track = read_recording(path, CaptureOptions()).posed, made.take.hands[0]
