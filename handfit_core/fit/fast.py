@@ -112,6 +112,11 @@ class FastFitter:
         angle_bounds = self.angle_bounds if seen.kept is None else None
         return Problem(self.chain, seen, terms, shape, held, angle_bounds=angle_bounds)
 
+    def camera_terms(self, count: int) -> tuple[Term, ...]:
+        """The terms of `count` frames, but for the pictures', while cameras are looked for."""
+        weight = 1.0 / min(count, SOLVER.shape_evidence)
+        return (*self._terms[1:], Shape(self._betas, self._length_rates, weight, measured=self._measured))
+
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Solve independent frames in batches. `max_iterations`: None for `SOLVER`'s."""
         most = SOLVER.max_iterations if max_iterations is None else max_iterations

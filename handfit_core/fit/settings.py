@@ -141,3 +141,62 @@ class TermSettings:
 
 
 TERMS: Final = TermSettings()
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """How two cameras that film the same hands are found."""
+
+    pixel_sigma: float = 0.024
+    """Expected error of a landmark in parts of the hand's size in that view; one for all, since the
+    detector's own expected errors weigh two views worse"""
+    depth_factor: float = 10.0
+    """Factor of the depth's expected errors while cameras are found: depth only breaks ties there"""
+    focal_of_assumed: float = 0.72
+    """Where a search for the focal length starts, in parts of the one that a single view assumes: wide
+    webcams have 0.5 to 0.7 of the picture's longer side, phones 0.7 to 0.8"""
+    focal_sigma: float = 0.35
+    """Expected error of the logarithm of a focal length of which nothing is known"""
+    known_focal_sigma: float = 0.02
+    """Expected error of the logarithm of a focal length that the file or a person tells"""
+    evidence: float = 10.0
+    """Frames that count as one piece of evidence against what is expected of cameras: errors last"""
+    offset_sigma: float = 1.0
+    """frames of the slower view, about the offset that a search starts from"""
+    told_offset_sigma: float = 0.3
+    """frames of the slower view, about an offset that a person has given"""
+    start_frames: int = 30
+    """Common frames on which starts are compared"""
+    frames: int = 60
+    """Common frames, evenly spread, that cameras are found from"""
+    start_iterations: int = 12
+    iterations: int = 40
+    tolerance: float = 1e-4
+    """Relative decrease of the cost at which the search for cameras stops"""
+    least_overlap: float = 0.4
+    """Of the shorter view, that an offset leaves in common"""
+    peaks: int = 3
+    """Offsets that are tried"""
+    peaks_apart: float = 8.0
+    """frames of the slower view between them"""
+    weak_score: float = 0.15
+    """Agreement of fingers' courses below which the offset is not believed, and more starts are tried"""
+    most_starts: int = 16
+    """Starts that are tried in place of weak peaks"""
+    seen_within: float = 0.75
+    """frames from a detection of the second view within which it counts"""
+    least_frames: int = 20
+    """Common frames without which nothing is tried"""
+    enough_frames: int = 40
+    """Common frames below which the result is doubtful"""
+    good_residual: float = 1.8
+    """Root mean square of residuals of both views, in sigmas, up to which views agree"""
+    doubtful_residual: float = 2.1
+    """Likewise, beyond which they do not"""
+    least_apart: float = 15.0
+    """degrees between the lines of sight below which depth is hardly seen"""
+    fit_depth_factor: float = 6.0
+    """Factor of the depth's expected errors in the final fit to both views"""
+
+
+VIEWS: Final = ViewSettings()

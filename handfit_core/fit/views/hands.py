@@ -1,0 +1,95 @@
+"""One hand as one view has it: its detections, and the fit to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from handfit_core.batch import Batch
+from handfit_core.detect.correction.corrected import landmarked
+from handfit_core.detect.keypoints import Landmarked
+from handfit_core.fit.fast import FastFitter
+from handfit_core.fit.settings import VIEWS
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.chain import State
+from handfit_core.skeleton import Side
+from handfit_core.take import HandTrack
+
+
+@dataclass(frozen=True, eq=False)
+class ViewedHand(Batch):
+    """A hand in the N frames of a view in which it was detected."""
+
+    rows: np.ndarray
+    """(N,) int, the view's frames, increasing"""
+    times: np.ndarray
+    """(N,) seconds after the view's start"""
+    seen: Landmarked
+    """N hands, pixels"""
+    world: np.ndarray
+    """(N, 21, 3) metres about the hand's centre, as detected"""
+    state: State
+    """N hands as the view alone has them"""
+    points: np.ndarray
+    """(N, 21, 3) metres, this camera's frame: the landmarks of `state`"""
+    side: Side
+    fps: float
+    intrinsics: Intrinsics
+    """The camera that `state` was fitted with"""
+
+    @classmethod
+    def of(
+        cls, fitter: FastFitter, hand: HandTrack, times: np.ndarray, fps: float, intrinsics: Intrinsics
+    ) -> ViewedHand:
+        """A hand of a take whose frames lie at `times` (T,) seconds."""
+        there = np.asarray(hand.detected) & HandTrack.present.fget(hand)  # type: ignore[attr-defined]
+        rows = np.flatnonzero(there & np.isfinite(hand.transl).all(axis=1))
+        found = hand.detections(rows)
+        betas = np.broadcast_to(hand.betas, (len(rows), len(hand.betas)))
+        state = fitter.chain.state(
+            betas, hand.global_orient[rows], hand.hand_pose[rows], hand.transl[rows], np.ones(len(rows))
+        )
+        points = fitter.chain.points(state)
+        distance = np.linalg.norm(points.mean(axis=1), axis=1)
+        state = State(state.root, state.angles, state.wrist, state.betas, distance)
+        return cls(
+            rows, times[rows], landmarked(found, hand.side), found.world, state, points, hand.side, fps, intrinsics
+        )
+
+    @cached_property
+    def extent(self) -> float:
+        """Median size of the hand in the picture, pixels."""
+        return float(np.median(np.ptp(self.seen.pixels, axis=1).max(axis=1)))
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """(2,) pixels"""
+        return np.array([self.intrinsics.cx, self.intrinsics.cy])
+
+    def seen_at(self, times: np.ndarray) -> np.ndarray:
+        """(M,) bool: whether there is a detection near those times (M,), in seconds."""
+        after = np.clip(np.searchsorted(self.times, times), 0, len(self.times) - 1)
+        before = np.maximum(after - 1, 0)
+        away = np.minimum(np.abs(self.times[after] - times), np.abs(self.times[before] - times))
+        inside = (times >= self.times[0]) & (times <= self.times[-1])
+        return inside & (away * self.fps <= VIEWS.seen_within)
+
+    @cached_property
+    def _course(self):
+        """Cubic splines of pixels and depth."""
+        from scipy.interpolate import CubicSpline  # slow to load
+
+        table = np.concatenate([self.seen.pixels, self.seen.depth[..., None]], axis=2)
+        return CubicSpline(self.times, table, axis=0)
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels (M, 21, 2), depth (M, 21) and the pixels' speed (M, 21, 2) per second, at times (M,)."""
+        times = np.clip(times, self.times[0], self.times[-1])
+        table, speed = self._course(times), self._course(times, 1)
+        return table[..., :2], table[..., 2], speed[..., :2]
+
+    def sigma(self) -> float:
+        """Expected error of a landmark in the picture, pixels."""
+        return VIEWS.pixel_sigma * self.extent
