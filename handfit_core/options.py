@@ -358,6 +358,39 @@ class CaptureOptions:
         "F,X,Y",
         by_default="as --intrinsics",
     )
+    view: str | None = _option(
+        None,
+        _path,
+        "a second clip of the same hands, filmed at the same time from another place by a camera that stood "
+        "still",
+        "PATH",
+        by_default="none",
+    )
+    cameras: str | None = _option(
+        None,
+        _path,
+        "where both cameras stood, and their lenses: a calibration in aniposelib's TOML layout",
+        "RIG.toml",
+        by_default="found from the hands",
+    )
+    offset: float | None = _option(
+        None,
+        _number,
+        "seconds from the start of the first view to that of the second one, below 0 where that started earlier",
+        "SECONDS",
+        least=-86400.0,
+        most=86400.0,
+        by_default="found from the fingers",
+    )
+    baseline: float | None = _option(
+        None,
+        _number,
+        "distance between both cameras in metres, which tells the hand's size",
+        "M",
+        least=0.05,
+        most=20.0,
+        by_default="told by the hand's size",
+    )
     max_megapixels: float | None = _option(
         None,
         _positive,
@@ -420,6 +453,11 @@ class CaptureOptions:
             object.__setattr__(self, name, option.read(getattr(self, name)))
         if self.lens is not None and self.intrinsics is not None:
             raise OptionError("give the camera either as intrinsics or as a lens, not both")
+        told = [n for n in ("cameras", "offset", "baseline") if getattr(self, n) is not None]
+        if told and self.view is None:
+            raise OptionError(f"{told[0]} tells of a second view, and there is none: give it with --view")
+        if self.cameras is not None and self.baseline is not None:
+            raise OptionError("a calibration tells the distance between the cameras: leave the baseline out")
         if self.keypoints is not None and self.regions:
             raise OptionError(
                 "give either regions, in which a hand is looked for, or keypoints that another program has "

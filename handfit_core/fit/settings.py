@@ -193,6 +193,20 @@ class ViewSettings:
     """Root mean square of residuals of both views, in sigmas, up to which views agree"""
     doubtful_residual: float = 2.1
     """Likewise, beyond which they do not"""
+    worst_residual: float = 4.0
+    """sigmas; larger residuals count as this one when agreement is judged"""
+    least_hand_frames: int = 8
+    """Detections that a view's hand needs, to be looked for in the other"""
+    most_dropped: float = 0.6
+    """Share of such frames beyond which the views do not belong together"""
+    same_place: float = 3.0
+    """degrees between the lines of sight below which both views are one"""
+    most_halves_apart: float = 40.0
+    """degrees between the cameras that both halves of the frames give, beyond which both are wrong"""
+    different_hand: float = 4.5
+    """Root mean square of a frame's residuals, in sigmas, beyond which the views show different hands there"""
+    many_dropped: float = 0.1
+    """Share of common frames with different hands that is worth a word"""
     least_apart: float = 15.0
     """degrees between the lines of sight below which depth is hardly seen"""
     fit_depth_factor: float = 6.0

@@ -7,13 +7,14 @@ It starts from the rotation that lays the hands of one view over those of the ot
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.fast import FastFitter
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.observation import Observation, lines_of_sight
+from handfit_core.fit.observation import Observation
 from handfit_core.fit.problem import Problem
 from handfit_core.fit.settings import VIEWS
 from handfit_core.fit.terms import Shape, Term, depth
@@ -53,6 +54,17 @@ class Known:
 
 
 @dataclass(frozen=True, eq=False)
+class SolvedHand:
+    """One pair of hands in the B frames that cameras were found from."""
+
+    state: State
+    rows: np.ndarray
+    """(B,) rows of the first view's hand"""
+    residual: np.ndarray
+    """(B,) root mean squares of both views' residuals, in sigmas"""
+
+
+@dataclass(frozen=True, eq=False)
 class Adjusted:
     """Cameras as they were found."""
 
@@ -66,10 +78,8 @@ class Adjusted:
     """seconds from the first view's start to the second one's"""
     betas: np.ndarray
     """(10,)"""
-    states: list[State]
-    """Of each pair of hands, in the common frames"""
-    rows: list[np.ndarray]
-    """Of each pair, the rows of its first view's hand"""
+    hands: tuple[SolvedHand | None, ...]
+    """Of each pair of hands; None: it has no common frame"""
     cost: float
     """a frame"""
     residual: float
@@ -181,6 +191,7 @@ def adjust(
         chosen.append(rows)
     if sum(map(len, chosen)) < 4:
         return None
+    total = len(pairs)
     kept = [i for i, rows in enumerate(chosen) if len(rows)]
     fitters, pairs, chosen = ([of[i] for i in kept] for of in (fitters, pairs, chosen))
     rate = min(pairs[0][0].fps, pairs[0][1].fps)
@@ -190,11 +201,13 @@ def adjust(
     )
     sides, states = [], []
     for fitter, (first, second), rows in zip(fitters, pairs, chosen, strict=True):
-        seen = _observed(first, rows, known.focal[0])
+        part = first.select(rows)
+        seen = part.observed(Intrinsics(known.focal[0], known.focal[0], *first.centre))
+        seen = replace(seen, depth_sigma=seen.depth_sigma * VIEWS.depth_factor)
         side = _Side(fitter, first, second, rows, seen)
         terms = side.terms(prior, sum(map(len, chosen)))
         sides.append(Problem(fitter.chain, seen, terms, "one", angle_bounds=fitter.angle_bounds))
-        states.append(_scaled(first, rows, known.focal[0]))
+        states.append(part.placed(known.focal[0]))
     rotation, translation, focal, betas = _start(pairs, chosen, states, offset, known, start)
     state = State.concatenate(states)
     count = len(state)
@@ -223,26 +236,9 @@ def adjust(
     together = _Together(sides, counts, fixed)
     solution = solve(together, filmed, max_iterations=iterations, tolerance=VIEWS.tolerance)
     filmed = solution.state
-    return _result(together, filmed, pairs, chosen, float(solution.cost.sum()))
-
-
-def _observed(first: ViewedHand, rows: np.ndarray, focal: float) -> Observation:
-    seen = first.select(rows).seen
-    camera = Intrinsics(focal, focal, *first.centre)
-    return Observation(
-        **{**vars(seen), "depth_sigma": seen.depth_sigma * VIEWS.depth_factor},
-        ray=lines_of_sight(seen.pixels, camera),
-        focal=np.full((len(rows), 2), focal),
-        centre=np.broadcast_to(first.centre, (len(rows), 2)),
-    )
-
-
-def _scaled(hand: ViewedHand, rows: np.ndarray, focal: float) -> State:
-    """The hand as its view has it, at the distance at which a camera of that focal length sees it so."""
-    state = hand.state.select(rows)
-    shift = hand.points[rows].mean(axis=1) * [0.0, 0.0, focal / hand.intrinsics.fx - 1.0]
-    centre = hand.points[rows].mean(axis=1) + shift
-    return replace(state, wrist=state.wrist + shift, depth_zero=np.linalg.norm(centre, axis=1))
+    found = _result(together, filmed, pairs, float(solution.cost.sum()))
+    hands = dict(zip(kept, zip(together.parts(filmed), chosen, found.pop("residuals"), strict=True), strict=True))
+    return Adjusted(**found, hands=tuple(SolvedHand(*hands[i]) if i in hands else None for i in range(total)))
 
 
 def _start(pairs, chosen, states, offset, known, start):
@@ -252,7 +248,9 @@ def _start(pairs, chosen, states, offset, known, start):
     for (first, second), rows, state in zip(pairs, chosen, states, strict=True):
         times = first.times[rows] - offset
         nearest = np.clip(np.round(np.interp(times, second.times, np.arange(len(second.times)))).astype(int), 0, None)
-        there.append(_placed(second, nearest, known.focal[1]))
+        matching = second.select(nearest)
+        moved = matching.placed(known.focal[1]).wrist - matching.state.wrist
+        there.append(matching.points + moved[:, None])
         here.append(first.points[rows] + (state.wrist - first.state.wrist[rows])[:, None])
     a, b = np.concatenate(here), np.concatenate(there)
     rotation = start_rotation(a, b) if known.rotation is None else known.rotation
@@ -264,34 +262,33 @@ def _start(pairs, chosen, states, offset, known, start):
     return rotation, translation, np.asarray(known.focal), betas
 
 
-def _placed(hand: ViewedHand, rows: np.ndarray, focal: float) -> np.ndarray:
-    """(N, 21, 3) the hand's points as `_scaled` has them."""
-    shift = _scaled(hand, rows, focal).wrist - hand.state.wrist[rows]
-    return hand.points[rows] + shift[:, None]
-
-
-def _result(
-    together: _Together, state: FilmedState, pairs: list[Pair], chosen: list[np.ndarray], cost: float
-) -> Adjusted:
-    squares, pixels = [], ([], [])
+def _result(together: _Together, state: FilmedState, pairs: list[Pair], cost: float) -> dict[str, Any]:
+    """The fields of `Adjusted` but for its hands, and these hands' residuals."""
+    squares, pixels, residuals = [], ([], []), []
     for problem, part in zip(together.sides, together.parts(state), strict=True):
         posed = problem.chain.pose(part)
+        of_frames, counts = np.zeros(len(part)), np.zeros(len(part))
         for camera, term in enumerate(problem.terms[:2]):
             rows = term(posed, problem.seen)
+            assert isinstance(rows, Rows)
             length = np.linalg.norm(rows.residual, axis=2)
-            seen = rows.jacobian.any(axis=(2, 3))
-            squares.append(np.minimum(length[seen], 4.0) ** 2)
+            seen = rows.jacobian.any(axis=(1, 2, 3))
+            squares.append(np.minimum(length[seen], VIEWS.worst_residual) ** 2)
             pixels[camera].append(length[seen])
+            of_frames += np.where(seen, np.square(length).sum(axis=1), 0.0)
+            counts += seen * length.shape[1]
+        residuals.append(np.sqrt(of_frames / np.maximum(counts, 1.0)))
     sizes = [pairs[0][camera].sigma() for camera in (0, 1)]
-    return Adjusted(
-        state.rotation[0],
-        state.translation[0],
-        np.exp(state.log_focal[0]),
-        float(state.offset[0]),
-        state.betas[0],
-        together.parts(state),
-        chosen,
-        cost / len(state),
-        float(np.sqrt(np.concatenate(squares).mean())),
-        tuple(float(np.median(np.concatenate(each)) * s) for each, s in zip(pixels, sizes, strict=True)),
-    )
+    return {
+        "rotation": state.rotation[0],
+        "translation": state.translation[0],
+        "focal": np.exp(state.log_focal[0]),
+        "offset": float(state.offset[0]),
+        "betas": state.betas[0],
+        "cost": cost / len(state),
+        "residual": float(np.sqrt(np.concatenate(squares).mean())),
+        "error": tuple(
+            float(np.median(np.concatenate(each)) * size) for each, size in zip(pixels, sizes, strict=True)
+        ),
+        "residuals": residuals,
+    }

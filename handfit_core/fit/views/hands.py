@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,9 @@ from handfit_core.batch import Batch
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.fit.fast import FastFitter
+from handfit_core.fit.observation import Observation, observation_of
 from handfit_core.fit.settings import VIEWS
+from handfit_core.fit.views.rig_file import Lens
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import Side
@@ -41,12 +43,25 @@ class ViewedHand(Batch):
 
     @classmethod
     def of(
-        cls, fitter: FastFitter, hand: HandTrack, times: np.ndarray, fps: float, intrinsics: Intrinsics
+        cls,
+        fitter: FastFitter,
+        hand: HandTrack,
+        times: np.ndarray,
+        fps: float,
+        intrinsics: Intrinsics,
+        lens: Lens | None = None,
     ) -> ViewedHand:
-        """A hand of a take whose frames lie at `times` (T,) seconds."""
-        there = np.asarray(hand.detected) & HandTrack.present.fget(hand)  # type: ignore[attr-defined]
-        rows = np.flatnonzero(there & np.isfinite(hand.transl).all(axis=1))
+        """A hand of a take whose frames lie at `times` (T,) seconds, seen through a lens that is known, or
+        not."""
+        rows = np.flatnonzero(np.asarray(hand.detected) & np.isfinite(hand.transl).all(axis=1))
         found = hand.detections(rows)
+        if lens is not None:
+            older = found.keypoints_2020
+            found = replace(
+                found,
+                keypoints=lens.undistorted(found.keypoints),
+                keypoints_2020=None if older is None else lens.undistorted(older),
+            )
         betas = np.broadcast_to(hand.betas, (len(rows), len(hand.betas)))
         state = fitter.chain.state(
             betas, hand.global_orient[rows], hand.hand_pose[rows], hand.transl[rows], np.ones(len(rows))
@@ -54,9 +69,19 @@ class ViewedHand(Batch):
         points = fitter.chain.points(state)
         distance = np.linalg.norm(points.mean(axis=1), axis=1)
         state = State(state.root, state.angles, state.wrist, state.betas, distance)
-        return cls(
-            rows, times[rows], landmarked(found, hand.side), found.world, state, points, hand.side, fps, intrinsics
-        )
+        seen = landmarked(found, hand.side)
+        return cls(rows, times[rows], seen, found.world, state, points, hand.side, fps, intrinsics)
+
+    def placed(self, focal: float) -> State:
+        """The N hands at the distance at which a camera of that focal length in pixels sees them so."""
+        centre = self.points.mean(axis=1)
+        shift = centre * [0.0, 0.0, focal / self.intrinsics.fx - 1.0]
+        distance = np.linalg.norm(centre + shift, axis=1)
+        return replace(self.state, wrist=self.state.wrist + shift, depth_zero=distance)
+
+    def observed(self, camera: Intrinsics) -> Observation:
+        """The N hands as seen through that camera."""
+        return observation_of(self.seen, camera)
 
     @cached_property
     def extent(self) -> float:

@@ -1,0 +1,151 @@
+"""Calibrations of cameras in aniposelib's TOML layout, which FreeMoCap, caliscope and Pose2Sim write, too.
+
+A table for each camera has `name`, `size` (width, height), `matrix` (3, 3), `distortions` (k1, k2, p1, p2,
+k3), `rotation` (Rodrigues) and `translation`, with x_camera = R x_world + t. OpenCV's pixels have their
+origin at a pixel's centre, half a pixel from ours. FreeMoCap's lengths are millimetres.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from handfit_core.errors import InputError
+from handfit_core.files import read_file, shown, written_whole
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.views import Cameras
+
+LARGEST_FILE: Final = 1 << 20
+FARTHEST_APART: Final = 20.0
+"""Two cameras whose distance is a larger number stand in millimetres"""
+
+
+@dataclass(frozen=True, eq=False)
+class Lens:
+    """A pinhole camera with distortion."""
+
+    intrinsics: Intrinsics
+    distortion: np.ndarray
+    """(5,) k1, k2, p1, p2, k3"""
+
+    def undistorted(self, points: np.ndarray) -> np.ndarray:
+        """(..., 2 or more) pixels as a camera without distortion sees them; further columns stay."""
+        import cv2  # slow to load
+
+        found = np.array(points, dtype=np.float64)
+        known = np.isfinite(found).all(axis=-1)
+        if not self.distortion.any() or not known.any():
+            return found
+        camera = self.intrinsics
+        matrix = np.array([[camera.fx, 0.0, camera.cx - 0.5], [0.0, camera.fy, camera.cy - 0.5], [0.0, 0.0, 1.0]])
+        pixels = np.ascontiguousarray(found[known][:, None, :2]) - 0.5
+        found[known, :2] = cv2.undistortPoints(pixels, matrix, self.distortion, P=matrix)[:, 0] + 0.5
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Two calibrated cameras."""
+
+    lenses: tuple[Lens, Lens]
+    rotation: np.ndarray
+    """(3, 3)"""
+    translation: np.ndarray
+    """(3,) metres; x_2 = rotation x_1 + translation"""
+
+
+def read_rig(
+    path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence[tuple[int, int]]
+) -> Rig:
+    """The cameras of two clips with those names (stems of their files) and sizes (width, height): those that
+    are called so, or else the first two. Raises InputError."""
+    try:
+        cameras = _tables(tomllib.loads(read_file(Path(path), LARGEST_FILE).decode()))
+        chosen = _chosen(cameras, names)
+        lenses = tuple(_lens(camera, size) for camera, size in zip(chosen, sizes, strict=True))
+        (r0, t0), (r1, t1) = (_place(camera) for camera in chosen)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        why = f"it lacks {error}" if isinstance(error, KeyError) else error
+        raise InputError(
+            f"{shown(path)}: not a calibration of two cameras in aniposelib's TOML layout ({why}); give one with "
+            "name, size, matrix, distortions, rotation and translation for each camera"
+        ) from error
+    rotation = r1 @ r0.T
+    translation = t1 - rotation @ t0
+    if np.linalg.norm(translation) > FARTHEST_APART:
+        translation = translation / 1000.0
+    return Rig((lenses[0], lenses[1]), rotation, translation)
+
+
+def _tables(document: dict[str, Any]) -> list[dict[str, Any]]:
+    found = [table for name, table in document.items() if isinstance(table, dict) and "matrix" in table]
+    if len(found) < 2:
+        raise ValueError(f"it has {len(found)} cameras")
+    return found
+
+
+def _chosen(cameras: list[dict[str, Any]], names: Sequence[str]) -> list[dict[str, Any]]:
+    def named(name: str) -> list[dict[str, Any]]:
+        return [camera for camera in cameras if str(camera.get("name", "")) == name]
+
+    matching = [named(name) for name in names]
+    if all(len(each) == 1 for each in matching):
+        return [each[0] for each in matching]
+    if len(cameras) > len(names):
+        listed = ", ".join(str(camera.get("name", "?")) for camera in cameras)
+        raise ValueError(f"it has {len(cameras)} cameras, {listed}: name two of them as the clips are called")
+    return cameras
+
+
+def _lens(camera: dict[str, Any], size: tuple[int, int]) -> Lens:
+    matrix = _array(camera["matrix"], (3, 3))
+    width, height = (float(side) for side in camera["size"])
+    factor = size[0] / width
+    if abs(size[1] / height / factor - 1.0) > 0.01:
+        raise ValueError(f"camera {camera.get('name', '?')} is {width:g}x{height:g}, its clip {size[0]}x{size[1]}")
+    # Pixels are half a pixel farther on in ours, whatever their size.
+    centre = (matrix[:2, 2] + 0.5) * factor
+    distortion = np.zeros(5)
+    given = np.ravel(np.asarray(camera.get("distortions", ()), dtype=np.float64))[:5]
+    distortion[: len(given)] = given
+    return Lens(Intrinsics(matrix[0, 0] * factor, matrix[1, 1] * factor, *centre), distortion)
+
+
+def _place(camera: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    return rotvec_to_rotmat(_array(camera["rotation"], (3,))), _array(camera["translation"], (3,))
+
+
+def _array(value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"an array of {shape} numbers is {array.shape}")
+    return array
+
+
+def write_rig(path: str | os.PathLike[str], cameras: Cameras, names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> None:
+    """Write cameras that were found; metres. Raises OutputError."""
+    lines = []
+    for i, (name, size) in enumerate(zip(names, sizes, strict=True)):
+        fx, fy, cx, cy = (float(v) for v in cameras.intrinsics[i])
+        matrix = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
+        quoted = name.replace("\\", "\\\\").replace('"', '\\"')
+        lines += [
+            f"[cam_{i}]",
+            f'name = "{quoted}"',
+            f"size = [{size[0]}, {size[1]}]",
+            f"matrix = {matrix}",
+            "distortions = [0.0, 0.0, 0.0, 0.0, 0.0]",
+            f"rotation = {rotmat_to_rotvec(cameras.rotation[i]).tolist()}",
+            f"translation = {cameras.translation[i].tolist()}",
+            "",
+        ]
+    text = "\n".join([*lines, "[metadata]", 'unit = "m"', ""])
+    with written_whole(Path(path)) as beside:
+        beside.write_text(text, encoding="utf-8")
