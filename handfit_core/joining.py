@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -11,21 +13,25 @@ from handfit_core.fit.fast import FastFitter, Guess, fit_observed, fitter_of
 from handfit_core.fit.observation import Observation, SecondView
 from handfit_core.fit.settings import VIEWS
 from handfit_core.fit.terms import reprojection, second_view
-from handfit_core.fit.views.cameras import Adjusted, Known, Pair, adjust, common_rows
+from handfit_core.fit.views.cameras import Adjusted, HandPair, Known, adjust
 from handfit_core.fit.views.courses import OffsetScore, offset_scores
 from handfit_core.fit.views.hands import ViewedHand
-from handfit_core.fit.views.rig_file import Rig
+from handfit_core.fit.views.rig_file import Lens, Rig
 from handfit_core.fit.views.verdict import Evidence, degrees_apart, rotation_between, verdict_of
 from handfit_core.fit_quality import error_is_known, mean_expected_error
 from handfit_core.fitting import hand_track
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model import HandModel, load_model
+from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.length import flat_hand_length
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import HandTrack, Take
 from handfit_core.views import Cameras, SeenHand, Verdict, View
+
+HAND_LENGTHS: Final = (0.06, 0.28)
+"""metres, between which a measured distance of the cameras may make a hand"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +55,8 @@ class _Tried:
     second: Clip
     mirrored: bool
     hands: list[tuple[int, int]]
-    """Indices in both takes"""
-    fitters: list[FastFitter]
-    pairs: list[Pair]
+    """Indices in both takes, of each pair"""
+    pairs: list[HandPair]
     known: Known
     found: Adjusted
     score: float
@@ -60,8 +65,8 @@ class _Tried:
 
 
 def joined(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None = None) -> Take:
-    """The first view's take with hands fitted to both views, their cameras and the verdict; where the views do
-    not belong together, the better view's take with the verdict alone."""
+    """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
+    do not belong together, the better view's take with the verdict alone."""
     tried: list[_Tried] = []
     for other, mirrored in _readings(first, second, options):
         attempt = _tried(first, other, options, rig, mirrored=mirrored)
@@ -70,7 +75,9 @@ def joined(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None =
             if attempt.found.residual <= VIEWS.good_residual:
                 break
     if not tried:
-        what = Verdict("failed", "No hand is seen in both views at the same time. The better view was used alone.")
+        what = Verdict(
+            "failed", "No hand is seen in both views at the same time. The better view was used alone."
+        )
         return replace(_better(first.take, second.take), verdict=what)
     best = min(tried, key=lambda each: each.found.cost)
     if rig is None and options.baseline is not None:
@@ -81,7 +88,7 @@ def joined(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None =
     return _fitted(best, first, options, verdict)
 
 
-def _readings(first: Clip, second: Clip, options: CaptureOptions):
+def _readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tuple[Clip, bool]]:
     """The second view as it is, and turned back where it may be mirrored."""
     sides = [{hand.side for hand in clip.take.hands} for clip in (first, second)]
     if sides[0] & sides[1]:
@@ -117,7 +124,10 @@ def _as_side(hand: HandTrack, side: Side) -> tuple[Side, Detections]:
     return side, hand.detections()
 
 
-def _refitted(clip: Clip, options: CaptureOptions, read) -> Clip:
+def _refitted(
+    clip: Clip, options: CaptureOptions, read: Callable[[HandTrack], tuple[Side, Detections]]
+) -> Clip:
+    """The view with its hands fitted anew, to what `read` makes of their detections."""
     take, hands = clip.take, []
     for hand in take.hands:
         side, found = read(hand)
@@ -141,30 +151,23 @@ def _track(take: Take, hand: HandTrack, side: Side, found: Detections) -> Track:
     )
 
 
-def _model(options: CaptureOptions, side: Side) -> HandModel:
-    return load_model(options.model, side)
-
-
 def _tried(
     first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None, *, mirrored: bool
 ) -> _Tried | None:
     """The cameras of hands that are paired by their sides; None where nothing is in common."""
-    hands, fitters, pairs = [], [], []
+    hands: list[tuple[int, int]] = []
+    pairs: list[HandPair] = []
     for side in SIDES:
-        of_side = [_surest(clip.take, side) for clip in (first, second)]
-        if None in of_side:
+        at = _surest(first.take, side), _surest(second.take, side)
+        if at[0] is None or at[1] is None:
             continue
-        fitter = fitter_of(_model(options, side), options.hand_length)
-        pair = tuple(
-            ViewedHand.of(
-                fitter, clip.take.hands[at], clip.times, clip.take.fps, clip.take.intrinsics,
-                None if rig is None else rig.lenses[camera],
-            )
-            for camera, (clip, at) in enumerate(zip((first, second), of_side, strict=True))
-        )  # fmt: skip
-        if min(map(len, pair)) >= VIEWS.least_hand_frames:
-            hands.append(tuple(of_side))
-            fitters.append(fitter)
+        fitter = fitter_of(load_model(options.model, side), options.hand_length)
+        lenses = (None, None) if rig is None else rig.lenses
+        pair = HandPair(
+            fitter, _viewed(fitter, first, at[0], lenses[0]), _viewed(fitter, second, at[1], lenses[1])
+        )
+        if min(len(pair.first), len(pair.second)) >= VIEWS.least_hand_frames:
+            hands.append((at[0], at[1]))
             pairs.append(pair)
     if not pairs:
         return None
@@ -172,7 +175,12 @@ def _tried(
     starts = _starts(pairs, options)
     found = []
     for start in starts:
-        adjusted = adjust(fitters, pairs, start.offset, known, frames=VIEWS.start_frames if len(starts) > 1 else VIEWS.frames)
+        adjusted = adjust(
+            pairs,
+            start.offset,
+            known,
+            frames=VIEWS.start_frames if len(starts) > 1 else VIEWS.frames,
+        )
         if adjusted is not None and _common(pairs, adjusted.offset) >= min(
             VIEWS.least_frames, 0.5 * _common(pairs, start.offset)
         ):
@@ -181,9 +189,14 @@ def _tried(
         return None
     adjusted, score = min(found, key=lambda each: each[0].cost)
     if len(starts) > 1:
-        adjusted = adjust(fitters, pairs, adjusted.offset, known, adjusted) or adjusted
-    tried = _Tried(second, mirrored, hands, fitters, pairs, known, adjusted, score)
+        adjusted = adjust(pairs, adjusted.offset, known, adjusted) or adjusted
+    tried = _Tried(second, mirrored, hands, pairs, known, adjusted, score)
     return _without_others(tried)
+
+
+def _viewed(fitter: FastFitter, clip: Clip, hand: int, lens: Lens | None) -> ViewedHand:
+    take = clip.take
+    return ViewedHand.of(fitter, take.hands[hand], clip.times, take.fps, take.intrinsics, lens)
 
 
 def _surest(take: Take, side: Side) -> int | None:
@@ -205,7 +218,7 @@ def _known(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None) 
     return Known(tuple(focal), tuple(sigma), offset_sigma=offset_sigma)
 
 
-def _starts(pairs: list[Pair], options: CaptureOptions) -> list[OffsetScore]:
+def _starts(pairs: list[HandPair], options: CaptureOptions) -> list[OffsetScore]:
     if options.offset is not None:
         return [OffsetScore(options.offset, np.nan)]
     found = offset_scores(pairs)
@@ -221,31 +234,28 @@ def _starts(pairs: list[Pair], options: CaptureOptions) -> list[OffsetScore]:
     return [*found, *(OffsetScore(float(offset), 0.0) for offset in grid)]
 
 
-def _common(pairs: list[Pair], offset: float) -> int:
+def _common(pairs: list[HandPair], offset: float) -> int:
     """Frames of the slower view in which both have a hand."""
-    found = []
-    for first, second in pairs:
-        rate = min(1.0, second.fps / first.fps)
-        found.append(int(round(len(common_rows((first, second), offset)) * rate)))
-    return max(found)
+    slower = min(1.0, pairs[0].second.fps / pairs[0].first.fps)
+    return round(max(len(pair.common(offset)) for pair in pairs) * slower)
 
 
 def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
     """One pair's hand in all frames of the first view, as both cameras see it, and roughly its poses."""
-    (first, second), found = tried.pairs[at], tried.found
+    first, second, found = tried.pairs[at].first, tried.pairs[at].second, tried.found
     count, times = len(first), first.times - found.offset
     cameras = _cameras(tried)
     plain, saw = first.observed(cameras[0]), second.seen_at(times)[:, None]
-    pixels, _, _ = second.at(times)
+    pixels, _ = second.at(times)
     seen = replace(
         plain,
-        pixel_sigma=np.where(saw[..., None], first.sigma(), plain.pixel_sigma),
+        pixel_sigma=np.where(saw[..., None], first.sigma, plain.pixel_sigma),
         depth_sigma=plain.depth_sigma * np.where(saw, VIEWS.fit_depth_factor, 1.0),
         second=SecondView(
             np.broadcast_to(found.rotation, (count, 3, 3)),
             np.broadcast_to(found.translation, (count, 3)),
             pixels,
-            np.broadcast_to(np.where(saw[..., None], second.sigma(), np.inf), pixels.shape),
+            np.broadcast_to(np.where(saw[..., None], second.sigma, np.inf), pixels.shape),
             np.broadcast_to((cameras[1].fx, cameras[1].fy), (count, 2)),
             np.broadcast_to(second.centre, (count, 2)),
         ),
@@ -256,7 +266,8 @@ def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
 
 def _cameras(tried: _Tried) -> list[Intrinsics]:
     found = []
-    for hand, focal in zip(tried.pairs[0], tried.found.focal, strict=True):
+    pair = tried.pairs[0]
+    for hand, focal in zip((pair.first, pair.second), tried.found.focal, strict=True):
         camera = hand.intrinsics
         found.append(replace(camera, fx=float(focal), fy=float(focal) * camera.fy / camera.fx))
     return found
@@ -265,9 +276,9 @@ def _cameras(tried: _Tried) -> list[Intrinsics]:
 def _without_others(tried: _Tried) -> _Tried:
     """The cameras without frames in which the views show different hands."""
     pairs, dropped, total = [], 0, 0
-    for at, (first, second) in enumerate(tried.pairs):
+    for at, pair in enumerate(tried.pairs):
         seen, start = _seen_by_both(tried, at)
-        fitter = tried.fitters[at]
+        fitter, second = pair.fitter, pair.second
         state = fitter.solve_each(fitter.problem(seen), start).state
         posed = fitter.chain.pose(state)
         squares = [np.square(term(posed, seen).residual).sum(axis=2) for term in (reprojection, second_view)]
@@ -276,14 +287,15 @@ def _without_others(tried: _Tried) -> _Tried:
         residual = np.sqrt(np.concatenate(squares, axis=1).mean(axis=1))
         other = saw & (residual > VIEWS.different_hand)
         total, dropped = total + int(saw.sum()), dropped + int(other.sum())
-        times = first.times[other] - tried.found.offset
+        times = pair.first.times[other] - tried.found.offset
         near = np.abs(second.times[:, None] - times).min(axis=1, initial=np.inf) * second.fps
         left = near > VIEWS.seen_within
-        pairs.append((first, second.select(left) if left.sum() >= VIEWS.least_hand_frames else second))
+        enough = left.sum() >= VIEWS.least_hand_frames
+        pairs.append(replace(pair, second=second.select(left)) if enough else pair)
     share = dropped / max(total, 1)
     if not 0.0 < share < VIEWS.most_dropped:
         return tried
-    again = adjust(tried.fitters, pairs, tried.found.offset, tried.known, tried.found)
+    again = adjust(pairs, tried.found.offset, tried.known, tried.found)
     return tried if again is None else replace(tried, pairs=pairs, found=again, dropped=share)
 
 
@@ -291,27 +303,27 @@ def _scaled(tried: _Tried, options: CaptureOptions) -> _Tried:
     """Cameras and hands of the size that a measured distance between the cameras tells."""
     assert options.baseline is not None
     factor = options.baseline / max(float(np.linalg.norm(tried.found.translation)), 1e-6)
-    length = flat_hand_length(tried.fitters[0].model, tried.found.betas) * factor
-    fitters = [fitter_of(fitter.model, float(np.clip(length, 0.06, 0.28))) for fitter in tried.fitters]
+    length = flat_hand_length(tried.pairs[0].fitter.model, tried.found.betas) * factor
+    length = float(np.clip(length, *HAND_LENGTHS))
+    pairs = [replace(pair, fitter=fitter_of(pair.fitter.model, length)) for pair in tried.pairs]
     start = replace(tried.found, translation=tried.found.translation * factor)
-    again = adjust(fitters, tried.pairs, tried.found.offset, tried.known, start)
+    again = adjust(pairs, tried.found.offset, tried.known, start)
     if again is None:
         return tried
     exact = options.baseline / max(float(np.linalg.norm(again.translation)), 1e-6)
     found = replace(again, translation=again.translation * exact)
-    return replace(tried, fitters=fitters, found=found)
+    return replace(tried, pairs=pairs, found=found)
 
 
 def _verdict(tried: _Tried, first: Clip, options: CaptureOptions) -> Verdict:
     found = tried.found
-    wrists = np.concatenate([hand.state.wrist for hand in found.hands if hand is not None])
     return verdict_of(
         Evidence(
             offset_frames=found.offset * first.take.fps,
             error=max(found.error),
             residual=found.residual,
             common=_common(tried.pairs, found.offset),
-            apart=degrees_apart(found.rotation, found.translation, wrists),
+            apart=degrees_apart(found.rotation, found.translation, found.state.wrist),
             halves=_halves(tried) if tried.known.rotation is None else np.nan,
             score=np.nan if options.offset is not None else tried.score,
             dropped=tried.dropped,
@@ -325,17 +337,20 @@ def _halves(tried: _Tried) -> float:
     found = []
     for half in (0, 1):
         pairs = []
-        for first, second in tried.pairs:
-            rows = common_rows((first, second), tried.found.offset)
+        for pair in tried.pairs:
+            rows = pair.common(tried.found.offset)
             middle = len(rows) // 2
-            rows = rows[middle:] if half else rows[:middle]
-            pairs.append((first.select(rows), second))
-        if min(len(first) for first, _ in pairs) < VIEWS.least_hand_frames:
+            pairs.append(pair.at(rows[middle:] if half else rows[:middle]))
+        if min(len(pair.first) for pair in pairs) < VIEWS.least_hand_frames:
             return np.nan
         alone = adjust(
-            tried.fitters, pairs, tried.found.offset, tried.known, tried.found, frames=VIEWS.start_frames,
+            pairs,
+            tried.found.offset,
+            tried.known,
+            tried.found,
+            frames=VIEWS.start_frames,
             iterations=VIEWS.start_iterations,
-        )  # fmt: skip
+        )
         if alone is None:
             return np.nan
         found.append(alone.rotation)
@@ -361,10 +376,12 @@ def _fitted(tried: _Tried, first: Clip, options: CaptureOptions, verdict: Verdic
             hands.append(_alone(hand, take, cameras[0], options))
             continue
         fit, used = _fit(take, hand, at, tried, options)
-        track = _track(take, hand, hand.side, _kept(hand, tried.pairs[at][0].rows))
-        whole = hand_track(tried.fitters[at].model, track, fit, cameras[0])
+        track = _track(take, hand, hand.side, _kept(hand, tried.pairs[at].first.rows))
+        whole = hand_track(tried.pairs[at].fitter.model, track, fit, cameras[0])
         hands.append(replace(whole, seen_by=(_seen(other.hands[tried.hands[at][1]], used),)))
-    view = View(other.source, other.fps, other.width, other.height, np.asarray(other.frame_numbers), tried.mirrored)
+    view = View(
+        other.source, other.fps, other.width, other.height, np.asarray(other.frame_numbers), tried.mirrored
+    )
     return replace(
         take,
         intrinsics=cameras[0],
@@ -389,24 +406,25 @@ def _alone(hand: HandTrack, take: Take, camera: Intrinsics, options: CaptureOpti
     """A hand that the first view alone has, seen through the camera that was found."""
     if not hand.refinable:
         return replace(hand, seen_by=(None,))
-    model = _model(options, hand.side)
+    model = load_model(options.model, hand.side)
     fitter = fitter_of(model, options.hand_length)
     track = _track(take, hand, hand.side, hand.detections())
     fit = fit_observed(options.smoothing, fitter, track, fitter.observe(track.detections, camera))
     return replace(hand_track(model, track, fit, camera), seen_by=(None,))
 
 
-def _fit(take: Take, hand: HandTrack, at: int, tried: _Tried, options: CaptureOptions):
+def _fit(
+    take: Take, hand: HandTrack, at: int, tried: _Tried, options: CaptureOptions
+) -> tuple[HandMotion, np.ndarray]:
     """The hand fitted to both views, and the second view's rows (K,) that counted."""
-    first, second = tried.pairs[at]
+    first, second = tried.pairs[at].first, tried.pairs[at].second
     seen, start = _seen_by_both(tried, at)
     assert seen.second is not None
     track = _track(take, hand, hand.side, _kept(hand, first.rows))
     guess = Guess(start, first.observed(_cameras(tried)[0]), np.ones(len(first)))
-    fit = fit_observed(options.smoothing, tried.fitters[at], track, seen, guess=guess)
+    fit = fit_observed(options.smoothing, tried.pairs[at].fitter, track, seen, guess=guess)
     times = (first.times - tried.found.offset)[seen.second.saw]
-    nearest = np.round(np.interp(times, second.times, np.arange(len(second)))).astype(int)
-    return fit, second.rows[np.unique(nearest)]
+    return fit, second.rows[np.unique(second.nearest(times))]
 
 
 def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:

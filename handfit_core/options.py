@@ -31,6 +31,9 @@ HandMean = Literal["auto", "flat", "mean"]
 Lens = tuple[float, float, float]
 
 
+VIEW_OPTIONS: Final = ("view", "cameras", "offset", "baseline")
+"""What is told of a second view"""
+
 FARTHEST: Final = 1e6
 """pixels; no region lies farther out, or is larger"""
 
@@ -376,7 +379,7 @@ class CaptureOptions:
     offset: float | None = _option(
         None,
         _number,
-        "seconds from the start of the first view to that of the second one, below 0 where that started earlier",
+        "seconds from the start of the first view to that of the second one, below 0 where that came first",
         "SECONDS",
         least=-86400.0,
         most=86400.0,
@@ -453,7 +456,7 @@ class CaptureOptions:
             object.__setattr__(self, name, option.read(getattr(self, name)))
         if self.lens is not None and self.intrinsics is not None:
             raise OptionError("give the camera either as intrinsics or as a lens, not both")
-        told = [n for n in ("cameras", "offset", "baseline") if getattr(self, n) is not None]
+        told = [name for name in VIEW_OPTIONS if name != "view" and getattr(self, name) is not None]
         if told and self.view is None:
             raise OptionError(f"{told[0]} tells of a second view, and there is none: give it with --view")
         if self.cameras is not None and self.baseline is not None:

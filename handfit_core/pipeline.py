@@ -13,20 +13,23 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.errors import OptionError
-from handfit_core.files import check_writable
+from handfit_core.errors import NoHandFoundError, OptionError
+from handfit_core.files import check_writable, shown
+from handfit_core.fit.views.rig_file import read_rig, write_rig
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 from handfit_core.fitting import fit_hands
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
+from handfit_core.joining import Clip, joined
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media, Source
-from handfit_core.options import CaptureOptions
+from handfit_core.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import Take
+from handfit_core.views import Verdict
 
 log = logging.getLogger("handfit")
 
@@ -81,6 +84,15 @@ def capture(
         raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
     check_options(options)
+    if options.view is not None:
+        return _capture_both(source, options, report, stop)
+    return _captured(source, options, report, stop).take
+
+
+def _captured(
+    source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Clip:
+    """One view."""
     origin = open_source(source, options)
     media, recording = origin.media, origin.recording
     found = origin.find(lambda done: report(Progress("detect", done, max(media.expected_frames, done))), stop)
@@ -92,7 +104,49 @@ def capture(
         take = replace(take, program=program_of(recording))
         if found.fits is not None:
             take = replace(take, solver=recording.format)
-    return replace(take, hands=hands, model_digests=digests)
+    return Clip(replace(take, hands=hands, model_digests=digests), lens_known=origin.known is not None)
+
+
+def _capture_both(
+    source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Take:
+    """Two views of the same hands, one after the other, made one take."""
+    assert options.view is not None
+    _check_views(source, options.view)
+    first = replace(options, **dict.fromkeys(VIEW_OPTIONS))
+    # What is told of the first clip's pictures does not hold for the second one's.
+    second = replace(first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=None)
+    rig = None
+    if options.cameras is not None:
+        clips = [opened(given, each)[0] for given, each in ((source, first), (options.view, second))]
+        names, sizes = [clip.source.name for clip in clips], [(clip.width, clip.height) for clip in clips]
+        rig = read_rig(options.cameras, names, sizes)
+        first = replace(first, intrinsics=rig.lenses[0].intrinsics, lens=None)
+        second = replace(second, intrinsics=rig.lenses[1].intrinsics)
+    views: list[Clip] = []
+    missing: list[NoHandFoundError] = []
+    for given, each in ((source, first), (options.view, second)):
+        try:
+            views.append(_captured(given, each, report, stop))
+        except NoHandFoundError as error:
+            missing.append(error)
+    if not views:
+        raise missing[0]
+    if missing:
+        return replace(
+            views[0].take, verdict=Verdict("failed", f"{missing[0]}. The other view was used alone.")
+        )
+    return joined(views[0], views[1], options, rig)
+
+
+def _check_views(first: MediaInput, second: str) -> None:
+    """Raise OptionError where both views are the same file."""
+    given = [first] if isinstance(first, str | os.PathLike) else list(first)
+    if any(Path(each).expanduser().resolve() == Path(second).expanduser().resolve() for each in given):
+        raise OptionError(
+            f"{shown(second)} is given as both views: give the clip of another camera that filmed the same "
+            "hands"
+        )
 
 
 def check_options(options: CaptureOptions) -> None:
@@ -143,9 +197,10 @@ def capture_to_file(
     *,
     compact: bool = False,
     bare: bool = False,
+    cameras_to: str | os.PathLike[str] | None = None,
 ) -> dict[str, Any]:
     """Capture and write the take (`compact` as in `Take.save`), or `bare_take`'s; returns a report of it, fit
-    for JSON.
+    for JSON. `cameras_to`: where the cameras of two views are written, too.
 
     Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
     """
@@ -153,18 +208,23 @@ def capture_to_file(
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
     path = take.save(output, compact=compact)
+    if cameras_to is not None:
+        write_rig(cameras_to, take)
+    told = {} if take.verdict is None else {"views": vars(take.verdict)}
     return {
         "output": str(path),
         "frames": len(take.frame_numbers),
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
+        **told,
     }
 
 
 def _named(source: MediaInput, options: CaptureOptions) -> list[str | os.PathLike[str]]:
     """The files that a capture reads, before it is known which are videos and which patterns."""
     given = [source] if isinstance(source, str | os.PathLike) else list(source)
-    return [*given, *(each for each in (options.keypoints, options.model) if each)]
+    named = (options.keypoints, options.model, options.view, options.cameras)
+    return [*given, *(each for each in named if each)]
 
 
 def _read_part(source: Source, count: int) -> Source:

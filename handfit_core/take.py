@@ -410,7 +410,9 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
     cameras = take.cameras
     if cameras is not None:
         # Offsets count from the first frame, which may be another one now.
-        later = np.where(np.arange(len(cameras.time_offset)) > 0, (numbers[rows[0]] - numbers[0]) / take.fps, 0.0)
+        later = np.where(
+            np.arange(len(cameras.time_offset)) > 0, (numbers[rows[0]] - numbers[0]) / take.fps, 0.0
+        )
         cameras = replace(cameras, time_offset=cameras.time_offset - later)
     return replace(take, source=source, frame_numbers=numbers[rows], hands=tuple(kept), cameras=cameras)
 
@@ -453,7 +455,9 @@ def _view_of(view: Any) -> dict[str, Any]:
 
 
 def _verdict_of(verdict: Mapping[str, Any]) -> Verdict:
-    return Verdict(one_of(*AGREEMENTS)("agreement", verdict.get("agreement")), text("text", verdict.get("text"), 2000))
+    return Verdict(
+        one_of(*AGREEMENTS)("agreement", verdict.get("agreement")), text("text", verdict.get("text"), 2000)
+    )
 
 
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:

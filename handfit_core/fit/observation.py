@@ -58,8 +58,8 @@ class SelfContact(Batch):
 
 @dataclass(frozen=True, eq=False)
 class SecondView(Batch):
-    """The moments of B hands as a second camera saw them, whose place is known: x_2 = rotation x + translation.
-    Pixels and metres."""
+    """B hands as a second camera sees them, whose place is known: x_2 = rotation x + translation. Pixels and
+    metres."""
 
     rotation: np.ndarray
     """(B, 3, 3)"""
@@ -77,7 +77,7 @@ class SecondView(Batch):
     @property
     def saw(self) -> np.ndarray:
         """(B,) bool: hands that it saw."""
-        return np.isfinite(self.pixel_sigma).any(axis=(1, 2))
+        return np.asarray(np.isfinite(self.pixel_sigma).any(axis=(1, 2)))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

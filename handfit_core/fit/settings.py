@@ -171,6 +171,8 @@ class ViewSettings:
     """Common frames, evenly spread, that cameras are found from"""
     start_iterations: int = 12
     iterations: int = 40
+    longest_step: float = 0.5
+    """radians that a step turns a finger's joint, at most"""
     tolerance: float = 1e-4
     """Relative decrease of the cost at which the search for cameras stops"""
     least_overlap: float = 0.4
@@ -204,7 +206,7 @@ class ViewSettings:
     most_halves_apart: float = 40.0
     """degrees between the cameras that both halves of the frames give, beyond which both are wrong"""
     different_hand: float = 4.5
-    """Root mean square of a frame's residuals, in sigmas, beyond which the views show different hands there"""
+    """Root mean square of a frame's residuals, in sigmas, beyond which the views show different hands"""
     many_dropped: float = 0.1
     """Share of common frames with different hands that is worth a word"""
     least_apart: float = 15.0

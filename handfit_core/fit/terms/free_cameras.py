@@ -91,8 +91,7 @@ def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
     points, turn = posed.points, np.eye(3)[None]
     if camera == 1:
         turn = state.rotation
-        turned = points @ turn.swapaxes(1, 2)
-        points = turned + state.translation[:, None]
+        points = points @ turn.swapaxes(1, 2) + state.translation[:, None]
     inverse = 1.0 / np.maximum(points[..., 2:], TERMS.nearest)
     slope = points[..., :2] * inverse
     focal = np.exp(state.log_focal[:, camera])[:, None, None] * filmed.seen[:, None, None] / filmed.sigma
@@ -104,7 +103,7 @@ def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
     at = columns[..., 4:]
     at[..., 6 + camera] = slope * focal
     if camera == 1:
-        at[..., TURN] = -by_point @ skew(turned)
+        at[..., TURN] = -by_point @ skew(points - state.translation[:, None])
         at[..., SHIFT] = by_point
         assert filmed.speed is not None
         # The picture that belongs to a moment is an earlier one where the offset is greater.

@@ -7,11 +7,13 @@ detector's world landmarks. With r_c the correlation of channel c at a lag, the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from handfit_core.fit.settings import VIEWS
+from handfit_core.fit.views.cameras import HandPair
 from handfit_core.fit.views.hands import ViewedHand
 
 _TIPS = (4, 8, 12, 16, 20)
@@ -50,16 +52,17 @@ def _distances(points: np.ndarray) -> np.ndarray:
     return np.concatenate([of_wrist, of_pairs], axis=1) / np.maximum(palm, 1e-6)[:, None]
 
 
-def offset_scores(pairs: list[tuple[ViewedHand, ViewedHand]]) -> list[OffsetScore]:
+def offset_scores(pairs: Sequence[HandPair]) -> list[OffsetScore]:
     """The likeliest offsets of hands seen in both views, the best first; empty where too little is common."""
-    rate = _STEPS * min(pairs[0][0].fps, pairs[0][1].fps)
-    count = [1 + max(int(np.ceil(hand.times[-1] * rate)) for hand in view) for view in zip(*pairs, strict=True)]
+    rate = _STEPS * min(pairs[0].first.fps, pairs[0].second.fps)
+    views = [pair.first for pair in pairs], [pair.second for pair in pairs]
+    count = [1 + max(int(np.ceil(hand.times[-1] * rate)) for hand in view) for view in views]
     size = sum(count)
     total, channel_count, common = np.zeros(size), 0, np.zeros(size)
     least = 0.0
-    for first, second in pairs:
-        a, known_a = _sampled(first, rate, size)
-        b, known_b = _sampled(second, rate, size)
+    for pair in pairs:
+        a, known_a = _sampled(pair.first, rate, size)
+        b, known_b = _sampled(pair.second, rate, size)
         least += VIEWS.least_overlap * min(known_a.sum(), known_b.sum())
         moments = [_lagged(x, y) for x, y in (
             (known_a, known_b), (a, known_b), (known_a, b), (a * a, known_b), (known_a, b * b), (a, b),
@@ -69,7 +72,7 @@ def offset_scores(pairs: list[tuple[ViewedHand, ViewedHand]]) -> list[OffsetScor
         n = np.maximum(n, 1.0)
         variance = np.maximum(of_aa / n - (of_a / n) ** 2, 0.0) * np.maximum(of_bb / n - (of_b / n) ** 2, 0.0)
         r = (of_ab / n - of_a * of_b / n**2) / np.sqrt(variance + 1e-12)
-        total += -0.5 * np.log1p(-np.clip(r, 0.0, 0.999) ** 2).sum(axis=1)
+        total += -0.5 * np.log1p(-(np.clip(r, 0.0, 0.999) ** 2)).sum(axis=1)
         channel_count += r.shape[1]
     score = np.where(common >= max(least, _STEPS * 5), total / channel_count, -1.0)
     # Lags beyond the first view's length are those before its start.

@@ -103,18 +103,21 @@ class ViewedHand(Batch):
 
     @cached_property
     def _course(self):
-        """Cubic splines of pixels and depth."""
+        """Cubic splines of the pixels."""
         from scipy.interpolate import CubicSpline  # slow to load
 
-        table = np.concatenate([self.seen.pixels, self.seen.depth[..., None]], axis=2)
-        return CubicSpline(self.times, table, axis=0)
+        return CubicSpline(self.times, self.seen.pixels, axis=0)
 
-    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels (M, 21, 2), depth (M, 21) and the pixels' speed (M, 21, 2) per second, at times (M,)."""
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels (M, 21, 2) and their speed (M, 21, 2) per second, at times (M,)."""
         times = np.clip(times, self.times[0], self.times[-1])
-        table, speed = self._course(times), self._course(times, 1)
-        return table[..., :2], table[..., 2], speed[..., :2]
+        return self._course(times), self._course(times, 1)
 
+    def nearest(self, times: np.ndarray) -> np.ndarray:
+        """(M,) rows that are nearest to those times (M,)."""
+        return np.round(np.interp(times, self.times, np.arange(len(self.times)))).astype(int)
+
+    @cached_property
     def sigma(self) -> float:
         """Expected error of a landmark in the picture, pixels."""
         return VIEWS.pixel_sigma * self.extent

@@ -7,6 +7,7 @@ origin at a pixel's centre, half a pixel from ours. FreeMoCap's lengths are mill
 
 from __future__ import annotations
 
+import json
 import os
 import tomllib
 from collections.abc import Sequence
@@ -16,11 +17,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.errors import InputError
+from handfit_core.errors import InputError, OptionError
 from handfit_core.files import read_file, shown, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.views import Cameras
+from handfit_core.take import Take
 
 LARGEST_FILE: Final = 1 << 20
 FARTHEST_APART: Final = 20.0
@@ -44,7 +45,9 @@ class Lens:
         if not self.distortion.any() or not known.any():
             return found
         camera = self.intrinsics
-        matrix = np.array([[camera.fx, 0.0, camera.cx - 0.5], [0.0, camera.fy, camera.cy - 0.5], [0.0, 0.0, 1.0]])
+        matrix = np.array(
+            [[camera.fx, 0.0, camera.cx - 0.5], [0.0, camera.fy, camera.cy - 0.5], [0.0, 0.0, 1.0]]
+        )
         pixels = np.ascontiguousarray(found[known][:, None, :2]) - 0.5
         found[known, :2] = cv2.undistortPoints(pixels, matrix, self.distortion, P=matrix)[:, 0] + 0.5
         return found
@@ -61,9 +64,7 @@ class Rig:
     """(3,) metres; x_2 = rotation x_1 + translation"""
 
 
-def read_rig(
-    path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence[tuple[int, int]]
-) -> Rig:
+def read_rig(path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> Rig:
     """The cameras of two clips with those names (stems of their files) and sizes (width, height): those that
     are called so, or else the first two. Raises InputError."""
     try:
@@ -74,8 +75,8 @@ def read_rig(
     except (OSError, ValueError, KeyError, TypeError) as error:
         why = f"it lacks {error}" if isinstance(error, KeyError) else error
         raise InputError(
-            f"{shown(path)}: not a calibration of two cameras in aniposelib's TOML layout ({why}); give one with "
-            "name, size, matrix, distortions, rotation and translation for each camera"
+            f"{shown(path)}: not a calibration of two cameras in aniposelib's TOML layout ({why}); give one "
+            "with name, size, matrix, distortions, rotation and translation for each camera"
         ) from error
     rotation = r1 @ r0.T
     translation = t1 - rotation @ t0
@@ -109,7 +110,9 @@ def _lens(camera: dict[str, Any], size: tuple[int, int]) -> Lens:
     width, height = (float(side) for side in camera["size"])
     factor = size[0] / width
     if abs(size[1] / height / factor - 1.0) > 0.01:
-        raise ValueError(f"camera {camera.get('name', '?')} is {width:g}x{height:g}, its clip {size[0]}x{size[1]}")
+        raise ValueError(
+            f"camera {camera.get('name', '?')} is {width:g}x{height:g}, its clip {size[0]}x{size[1]}"
+        )
     # Pixels are half a pixel farther on in ours, whatever their size.
     centre = (matrix[:2, 2] + 0.5) * factor
     distortion = np.zeros(5)
@@ -129,23 +132,24 @@ def _array(value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def write_rig(path: str | os.PathLike[str], cameras: Cameras, names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> None:
-    """Write cameras that were found; metres. Raises OutputError."""
+def write_rig(path: str | os.PathLike[str], take: Take) -> None:
+    """Write the cameras of a take of several views; metres. Raises OutputError, and OptionError where there
+    is one view."""
+    if take.cameras is None:
+        raise OptionError("there are no cameras to write: the take has one view")
+    clips = [take, *take.cameras.views]
     lines = []
-    for i, (name, size) in enumerate(zip(names, sizes, strict=True)):
-        fx, fy, cx, cy = (float(v) for v in cameras.intrinsics[i])
-        matrix = [[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]
-        quoted = name.replace("\\", "\\\\").replace('"', '\\"')
+    for i, (clip, camera) in enumerate(zip(clips, take.cameras.intrinsics, strict=True)):
+        fx, fy, cx, cy = (float(value) for value in camera)
         lines += [
             f"[cam_{i}]",
-            f'name = "{quoted}"',
-            f"size = [{size[0]}, {size[1]}]",
-            f"matrix = {matrix}",
+            f"name = {json.dumps(clip.source.name, ensure_ascii=False)}",
+            f"size = [{clip.width}, {clip.height}]",
+            f"matrix = {[[fx, 0.0, cx - 0.5], [0.0, fy, cy - 0.5], [0.0, 0.0, 1.0]]}",
             "distortions = [0.0, 0.0, 0.0, 0.0, 0.0]",
-            f"rotation = {rotmat_to_rotvec(cameras.rotation[i]).tolist()}",
-            f"translation = {cameras.translation[i].tolist()}",
+            f"rotation = {rotmat_to_rotvec(take.cameras.rotation[i]).tolist()}",
+            f"translation = {take.cameras.translation[i].tolist()}",
             "",
         ]
-    text = "\n".join([*lines, "[metadata]", 'unit = "m"', ""])
-    with written_whole(Path(path)) as beside:
-        beside.write_text(text, encoding="utf-8")
+    with written_whole(path) as beside:
+        beside.write_text("\n".join([*lines, "[metadata]", 'unit = "m"', ""]), encoding="utf-8")
