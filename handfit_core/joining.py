@@ -225,8 +225,8 @@ def _starts(pairs: list[HandPair], options: CaptureOptions) -> list[OffsetScore]
     if found and found[0].score >= VIEWS.weak_score:
         return found
     # Fingers that hardly move tell no offset: any that leaves enough in common may be the one.
-    rate = min(hand.fps for hand in pairs[0])
-    ends = [max(pair[view].times[-1] for pair in pairs) for view in (0, 1)]
+    rate = min(pairs[0].first.fps, pairs[0].second.fps)
+    ends = max(pair.first.times[-1] for pair in pairs), max(pair.second.times[-1] for pair in pairs)
     shorter = min(ends)
     least, most = -ends[1] + VIEWS.least_overlap * shorter, ends[0] - VIEWS.least_overlap * shorter
     count = int(np.clip((most - least) * rate / VIEWS.peaks_apart, 1, VIEWS.most_starts))

@@ -203,6 +203,9 @@ class ViewSettings:
     """Share of such frames beyond which the views do not belong together"""
     same_place: float = 3.0
     """degrees between the lines of sight below which both views are one"""
+    halves_apart: float = 16.0
+    """degrees between the cameras that both halves of the frames give, beyond which a camera may have been
+    moved"""
     most_halves_apart: float = 40.0
     """degrees between the cameras that both halves of the frames give, beyond which both are wrong"""
     different_hand: float = 4.5

@@ -83,6 +83,8 @@ def _doubts(e: Evidence) -> list[str]:
         found.append(
             "The fingers hardly move, which leaves the offset open: open and close the hand, or give it."
         )
+    if e.halves > VIEWS.halves_apart:
+        found.append("The cameras seem to have moved: film with both standing still.")
     if e.dropped > VIEWS.many_dropped:
         found.append(
             f"In {e.dropped:.0%} of the frames the views follow different hands; these were left out."
