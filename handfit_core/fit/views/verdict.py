@@ -60,10 +60,10 @@ def _failures(e: Evidence) -> str:
             f"Both views look from the same place ({e.apart:.0f} degrees apart), as one clip given twice "
             "would: film from two places, 40 to 90 degrees apart"
         )
-    # Few frames, or those that are left where others disagree, fit by chance.
-    chosen = e.common < VIEWS.enough_frames or e.dropped > VIEWS.many_dropped or e.score < VIEWS.weak_score
-    most = VIEWS.good_residual if chosen else VIEWS.doubtful_residual
-    if e.residual > most or e.halves > VIEWS.most_halves_apart:
+    # Few frames, or those that are left where others disagree, may fit by chance.
+    chances = e.common < VIEWS.enough_frames, e.dropped > VIEWS.many_dropped, e.score < VIEWS.weak_score
+    most = VIEWS.good_residual if any(chances) else VIEWS.doubtful_residual
+    if e.residual > most or e.halves > VIEWS.most_halves_apart or sum(chances) > 1:
         return (
             f"The views do not agree ({e.error:.1f} px): they show different moments or hands, or a camera "
             "was moved"
