@@ -50,11 +50,6 @@ def verdict_of(evidence: Evidence) -> Verdict:
 
 
 def _failures(e: Evidence) -> str:
-    if e.common < VIEWS.least_frames:
-        return (
-            f"Both views show the hand in only {e.common} frames at the same time, and {VIEWS.least_frames} "
-            "are needed: film longer, or give the offset"
-        )
     if e.apart < VIEWS.same_place:
         return (
             f"Both views look from the same place ({e.apart:.0f} degrees apart), as one clip given twice "
@@ -67,6 +62,11 @@ def _failures(e: Evidence) -> str:
         return (
             f"The views do not agree ({e.error:.1f} px): they show different moments or hands, or a camera "
             "was moved"
+        )
+    if e.common < VIEWS.least_frames:
+        return (
+            f"Both views show the hand in only {e.common} frames at the same time, and {VIEWS.least_frames} "
+            "are needed: film longer, or give the offset"
         )
     return ""
 
