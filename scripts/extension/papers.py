@@ -27,6 +27,16 @@ BUNDLED = (
         "detect/data/LICENSE-landmark-model.txt",
     ),
     (
+        "MediaPipe body networks",
+        "0.10.21",
+        "Apache-2.0",
+        "Copyright The MediaPipe Authors. pose_detection.tflite and pose_landmark_full.tflite of the wheel\n"
+        "mediapipe 0.10.21, in handfit_core/detect/data/body_landmarks.task. They were changed: metadata, by\n"
+        "which MediaPipe's image embedder runs them, were put before them, and of the second one the outputs\n"
+        "for segmentation and heat maps, with the operators that only these need, are left out.",
+        "detect/data/LICENSE-landmark-model.txt",
+    ),
+    (
         "MediaPipe hand landmark network of December 2020",
         "0.1.1606863095",
         "Apache-2.0",
