@@ -36,7 +36,7 @@ def person(count: int = 60, distance: float = 1.2, speed: float = 1.0, bend: flo
     hands, arms = [], []
     for side, mirror in zip(SIDES, (1.0, -1.0), strict=True):
         model = load_model("open-hand", side)
-        rest = track_of(side, *(np.zeros((1, size)) for size in (3, 45, 3)), CAMERA)
+        rest = track_of(side, np.zeros((1, 3)), np.zeros((1, 45)), np.zeros((1, 3)), CAMERA)
         bones = np.diff(rest.joints_3d[0, [0, 9, 10, 11, 12]], axis=0)
         length = float(np.linalg.norm(bones, axis=1).sum())
         wave = 0.3 * np.sin(2.0 * time + mirror)

@@ -258,8 +258,8 @@ def _system(arms: Arms, seen: ArmsSeen, fps: float) -> tuple[float, np.ndarray, 
     size = number * FREE
     tangents = arms.tangents()
     rows = [term(arms, seen) for term in TERMS]
-    residual = np.concatenate([r.reshape(count, number, -1) for r, _ in rows], axis=-1)
-    jacobian = np.concatenate([j.reshape(count, number, -1, 9) for _, j in rows], axis=-2) @ tangents
+    residual = np.concatenate([each for each, _ in rows], axis=-1)
+    jacobian = np.concatenate([each for _, each in rows], axis=-2) @ tangents
     cost = float(np.square(residual).sum())
     own = np.zeros((count, 3 * size, size))
     """Columns of the matrix: a frame with itself, the next one and the one after"""
@@ -310,15 +310,16 @@ def _solve(band: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray
 
 
 def _robust(residual: np.ndarray, jacobian: np.ndarray) -> Rows:
-    """Huber's kernel over the last axis of residuals (T, A, N, K): rows whose squares are its cost, and
-    derivatives that lead downhill."""
-    size = np.linalg.norm(residual, axis=-1)[..., None]
-    outside = size > ARMS.huber
+    """Huber's kernel over the last axis of residuals (T, A, N, K): rows (T, A, N K) whose squares are its
+    cost, with derivatives that lead downhill."""
+    size = np.linalg.norm(residual, axis=-1, keepdims=True)
     safe = np.maximum(size, ARMS.huber)
     cost = np.sqrt(ARMS.huber * (2.0 * safe - ARMS.huber)) / safe
-    return np.where(outside, cost, 1.0) * residual, (np.where(outside, ARMS.huber / safe / cost, 1.0))[
-        ..., None
-    ] * jacobian
+    outside = size > ARMS.huber
+    residual = np.where(outside, cost, 1.0) * residual
+    jacobian = np.where(outside, ARMS.huber / safe / cost, 1.0)[..., None] * jacobian
+    shape = residual.shape[:2]
+    return residual.reshape(*shape, -1), jacobian.reshape(*shape, -1, 9)
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
