@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Assemble MediaPipe's landmark models: those of hands and of bodies from the pinned wheel on the package index,
-and the landmark network of December 2020 from MediaPipe's pinned npm package.
+"""Assemble MediaPipe's landmark models: hands' and bodies' from the pinned wheel on the package index, and
+the landmark network of December 2020 from MediaPipe's pinned npm package.
 
     python scripts/fetch_landmark_model.py            # into the cache, where everything finds them
     python scripts/fetch_landmark_model.py --wheel mediapipe-0.10.21-....whl \\
