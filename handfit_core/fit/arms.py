@@ -43,11 +43,11 @@ class ArmSettings:
     """Distance of the shoulder joints in hand lengths"""
     wrist_sigma: float = 2e-4
     """metres across the line of sight: the hand lies on the picture, and the arm hangs on it"""
-    distance_sigma: float = 0.04
+    distance_sigma: float = 0.1
     """Relative deviation of the wrist's distance from the hand's, whose size in the picture tells it"""
     joint_sigma: float = 0.12
     """hand lengths by which the body network's points are off in the picture"""
-    direction_sigma: float = 0.35
+    direction_sigma: float = 0.25
     """The body network's directions, radians"""
     flexion_sigma: float = math.radians(30.0)
     deviation_sigma: float = math.radians(13.0)
@@ -55,12 +55,12 @@ class ArmSettings:
     max_bend: float = math.radians(75.0)
     """radians between hand and forearm that a wrist allows"""
     bend_sigma: float = math.radians(3.0)
-    width_sigma: float = 0.01
+    width_sigma: float = 0.02
     """metres"""
     huber: float = 1.5
     """sigmas from which on points and directions of the network count as outliers, and less"""
     wrist_acceleration: float = 3.0
-    elbow_acceleration: float = 1.0
+    elbow_acceleration: float = 2.0
     shoulder_acceleration: float = 0.3
     """metres per second squared that are expected. The wrist's matters in depth only"""
     iterations: int = 30
