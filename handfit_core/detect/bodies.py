@@ -21,7 +21,6 @@ from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
-from handfit_core.solvers import ShouldStop, never
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ def find_bodies(
     intrinsics: Intrinsics,
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
-    should_stop: ShouldStop = never,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[BodyTrack, ...]:
     """The people whom a clip's hands belong to, one track each over T frames.
 
@@ -149,7 +148,7 @@ class _BodyDetector:
     def single_threaded(self) -> None:
         """There is one thread anyway."""
 
-    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: ShouldStop) -> _Part:
+    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
         """Find the bodies in the chunk with that index, as `detector.InChunks` says. Frames before the first
         and after the last hand are not read."""
         rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames
