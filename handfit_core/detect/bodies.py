@@ -68,7 +68,8 @@ def find_bodies(
 
     `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
     NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
-    side, is nearest a hand's; two hands share one where they share it in most frames.
+    side, is nearest a hand's; two hands share one where they share it in most frames. Of the options, the
+    number of threads counts, and changes no result.
 
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
@@ -79,7 +80,7 @@ def find_bodies(
         return ()
     with _BodyDetector(media, clip) as detector:
         chunks = detect_chunks(
-            detector, lambda again: _BodyDetector(again, clip), options, on_frame, should_stop
+            detector, lambda again: _BodyDetector(again, clip), options.processes, on_frame, should_stop
         )
     return _joined(clip, chunks)
 
