@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.errors import NoHandFoundError, OptionError
+from handfit_core.errors import Cancelled, NoHandFoundError, OptionError
 from handfit_core.files import check_writable, shown
 from handfit_core.fit.views.rig_file import read_rig, write_rig
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
@@ -28,7 +28,7 @@ from handfit_core.media.source import Media, Source
 from handfit_core.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
-from handfit_core.take import Take
+from handfit_core.take import HandTrack, Take
 from handfit_core.views import Verdict
 
 log = logging.getLogger("handfit")
@@ -104,7 +104,9 @@ def _captured(
         take = replace(take, program=program_of(recording))
         if found.fits is not None:
             take = replace(take, solver=recording.format)
-    return Clip(replace(take, hands=hands, model_digests=digests), lens_known=origin.known is not None)
+    take = replace(take, hands=hands, model_digests=digests)
+    take = _with_arms(take, media, options, report, stop) if options.arms and not stop() else take
+    return Clip(take, lens_known=origin.known is not None)
 
 
 def _capture_both(
@@ -113,7 +115,7 @@ def _capture_both(
     """Two views of the same hands, one after the other, made one take."""
     assert options.view is not None
     _check_views(source, options.view)
-    first = replace(options, **dict.fromkeys(VIEW_OPTIONS))
+    first = replace(options, **dict.fromkeys(VIEW_OPTIONS), arms=False)
     # What is told of the first clip's pictures does not hold for the second one's.
     second = replace(first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=None)
     rig = None
@@ -133,10 +135,13 @@ def _capture_both(
     if not views:
         raise missing[0]
     if missing:
-        return replace(
-            views[0].take, verdict=Verdict("failed", f"{missing[0]}. The other view was used alone.")
-        )
-    return joined(views[0], views[1], options, rig)
+        what = Verdict("failed", f"{missing[0]}. The other view was used alone.")
+        take = replace(views[0].take, verdict=what)
+    else:
+        take = joined(views[0], views[1], options, rig)
+    if options.arms and not stop():
+        take = add_arms(take, report, stop, max_megapixels=options.max_megapixels)
+    return take
 
 
 def _check_views(first: MediaInput, second: str) -> None:
@@ -147,6 +152,40 @@ def _check_views(first: MediaInput, second: str) -> None:
             f"{shown(second)} is given as both views: give the clip of another camera that filmed the same "
             "hands"
         )
+
+
+def add_arms(
+    take: Take,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    max_megapixels: float | None = None,
+) -> Take:
+    """The take with the arms of its hands, or with a sentence why there are none; arms that it had are found
+    anew, and its hands stay as they are.
+
+    Its pictures are read once more, from where the take says they are. `progress` and `should_stop` as in
+    `capture`, `max_megapixels` as in `open_media`. Raises InputError where the pictures are gone or others,
+    or where the take never had any, LandmarkModelError, and Cancelled.
+    """
+    from handfit_core.arms import reopened  # which a capture without arms does not load
+
+    stop, options = should_stop or never, CaptureOptions(max_megapixels=max_megapixels)
+    media = reopened(take, max_megapixels)
+    with_arms = _with_arms(take, media, options, progress or (lambda _: None), stop)
+    if stop():
+        raise Cancelled("stopped before the arms were found")
+    return with_arms
+
+
+def _with_arms(
+    take: Take, media: Media, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Take:
+    """Once it is to stop, the take as it was."""
+    from handfit_core.arms import with_arms
+
+    total = len(take.frame_numbers)
+    return with_arms(take, media, options, lambda done: report(Progress("detect", done, total)), stop)
 
 
 def check_options(options: CaptureOptions) -> None:
@@ -207,12 +246,38 @@ def capture_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
-    path = take.save(output, compact=compact)
-    if cameras_to is not None:
+    report = _saved(take, output, compact, started)
+    if cameras_to is not None and take.cameras is not None:
         write_rig(cameras_to, take)
+    elif cameras_to is not None:
+        log.warning("%s was not written: the cameras were not found", shown(cameras_to))
+    return report
+
+
+def add_arms_to_file(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    max_megapixels: float | None = None,
+    compact: bool = False,
+) -> dict[str, Any]:
+    """Add arms to the take at `path` and write it to `output`, None: over itself; returns a report as
+    `capture_to_file`. Raises TakeError, what `add_arms` raises, and OutputError."""
+    started = time.perf_counter()
+    take = Take.load(path)
+    output = path if output is None else output
+    check_writable(output, take.source.files)
+    take = add_arms(take, progress, should_stop, max_megapixels=max_megapixels)
+    return _saved(take, output, compact, started)
+
+
+def _saved(take: Take, output: str | os.PathLike[str], compact: bool, started: float) -> dict[str, Any]:
+    """Write a take, on which work began at that time of `perf_counter`; the report of it."""
     told = {} if take.verdict is None else {"views": vars(take.verdict)}
     return {
-        "output": str(path),
+        "output": str(take.save(output, compact=compact)),
         "frames": len(take.frame_numbers),
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
@@ -234,8 +299,9 @@ def _read_part(source: Source, count: int) -> Source:
 
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
     """The report of each hand: side, frames found, filled and doubtful, mean error in pixels and as a
-    share of the hand's length, and the one that is expected, metres (None where they have no value), and
-    whether anybody can tell that one."""
+    share of the hand's length, and the one that is expected, metres (None where they have no value), whether
+    anybody can tell that one, and, where an arm was looked for, in how many frames it is and why it is in
+    none."""
     return [
         {
             "side": track.side,
@@ -246,9 +312,16 @@ def hand_summaries(take: Take) -> list[dict[str, Any]]:
             "mean_error_of_hand": mean_relative_error(track, take.intrinsics),
             "mean_expected_error": mean_expected_error(track),
             "error_known": error_is_known(track),
+            **_arm_summary(track),
         }
         for track in take.hands
     ]
+
+
+def _arm_summary(track: HandTrack) -> dict[str, Any]:
+    if track.arm is None and not track.no_arm:
+        return {}
+    return {"arm": 0 if track.arm is None else int(track.arm.present.sum()), "no_arm": track.no_arm}
 
 
 def _mean(values: np.ndarray) -> float | None:
