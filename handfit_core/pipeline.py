@@ -115,6 +115,8 @@ def _capture_both(
     """Two views of the same hands, one after the other, made one take."""
     assert options.view is not None
     _check_views(source, options.view)
+    if options.solver != CaptureOptions.solver:
+        raise OptionError(f"two views are fitted by the solver {CaptureOptions.solver}, not {options.solver}")
     first = replace(options, **dict.fromkeys(VIEW_OPTIONS), arms=False)
     # What is told of the first clip's pictures does not hold for the second one's.
     second = replace(first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=None)
