@@ -249,13 +249,13 @@ def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
     pixels, _ = second.at(times)
     seen = replace(
         plain,
-        pixel_sigma=np.where(saw[..., None], first.sigma, plain.pixel_sigma),
+        pixel_sigma=np.where(saw[..., None], first.sigmas, plain.pixel_sigma),
         depth_sigma=plain.depth_sigma * np.where(saw, VIEWS.fit_depth_factor, 1.0),
         second=SecondView(
             np.broadcast_to(found.rotation, (count, 3, 3)),
             np.broadcast_to(found.translation, (count, 3)),
             pixels,
-            np.broadcast_to(np.where(saw[..., None], second.sigma, np.inf), pixels.shape),
+            np.where(saw[..., None], second.sigmas[second.nearest(times)], np.inf),
             np.broadcast_to((cameras[1].fx, cameras[1].fy), (count, 2)),
             np.broadcast_to(second.centre, (count, 2)),
         ),

@@ -26,7 +26,7 @@ from handfit_core.fit.levenberg import solve
 from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held, MotionPrior, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
-from handfit_core.fit.settings import MOTION, SOLVER
+from handfit_core.fit.settings import MOTION, SOLVER, TERMS, VIEWS
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
@@ -70,11 +70,13 @@ class FastFitter:
         self.model = model
         self.chain = Chain(model, landmarks or detector_landmarks())
         with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
-            prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
+            mean, covariance = arrays["pose_mean"], arrays["pose_covariance"]
+        prior = PosePrior(mean, covariance, model.side)
+        self._firm_prior = PosePrior(mean, covariance * (TERMS.pose_weight / VIEWS.pose_weight), model.side)
         self._relaxed = prior.mean
-        limits = Limits(model.side, model.name)
-        self.angle_bounds = limits.angle_bounds
-        self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
+        self._limits = Limits(model.side, model.name)
+        self.angle_bounds = self._limits.angle_bounds
+        self._terms: tuple[Term, ...] = (reprojection, depth, self._limits, prior, coupling)
         self.surface = surface_of(model)
         self._interpenetration = Interpenetration(self.surface)
         self._ordinal_depth, self._contact = OrdinalDepth(self.surface), Contact(self.surface)
@@ -118,7 +120,8 @@ class FastFitter:
     def camera_terms(self, count: int) -> tuple[Term, ...]:
         """The terms of `count` frames, but for the pictures', while cameras are looked for."""
         weight = 1.0 / min(count, SOLVER.shape_evidence)
-        return (*self._terms[1:], Shape(self._betas, self._length_rates, weight, measured=self._measured))
+        terms = (depth, self._limits, self._firm_prior, coupling)
+        return (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Solve independent frames in batches. `max_iterations`: None for `SOLVER`'s."""

@@ -148,10 +148,12 @@ class ViewSettings:
     """How two cameras that film the same hands are found."""
 
     pixel_sigma: float = 0.024
-    """Expected error of a landmark in parts of the hand's size in that view; one for all, since the
-    detector's own expected errors weigh two views worse"""
+    """Least expected error of a landmark in parts of the hand's size in that view: points that the detector
+    is surer of than usual weigh no more, which is worse with two views"""
     depth_factor: float = 10.0
     """Factor of the depth's expected errors while cameras are found: depth only breaks ties there"""
+    pose_weight: float = 0.3
+    """In place of `TERMS.pose_weight` while cameras are found"""
     focal_of_assumed: float = 0.72
     """Where a search for the focal length starts, in parts of the one that a single view assumes: wide
     webcams have 0.5 to 0.7 of the picture's longer side, phones 0.7 to 0.8"""

@@ -121,3 +121,10 @@ class ViewedHand(Batch):
     def sigma(self) -> float:
         """Expected error of a landmark in the picture, pixels."""
         return VIEWS.pixel_sigma * self.extent
+
+    @cached_property
+    def sigmas(self) -> np.ndarray:
+        """(N, 21, 2) expected errors of landmarks, pixels: `sigma`, and more of points that the detector
+        doubts, such as hidden ones."""
+        own = self.seen.pixel_sigma / np.median(self.seen.pixel_sigma)
+        return self.sigma * np.maximum(own, 1.0)
