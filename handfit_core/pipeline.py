@@ -93,7 +93,7 @@ def capture(
         if found.fits is not None:
             take = replace(take, solver=recording.format)
     take = replace(take, hands=hands, model_digests=digests)
-    return _with_arms(take, media, report, stop) if options.arms and not stop() else take
+    return _with_arms(take, media, options, report, stop) if options.arms and not stop() else take
 
 
 def add_arms(
@@ -112,19 +112,22 @@ def add_arms(
     """
     from handfit_core.arms import reopened  # which a capture without arms does not load
 
-    stop = should_stop or never
-    with_arms = _with_arms(take, reopened(take, max_megapixels), progress or (lambda _: None), stop)
+    stop, options = should_stop or never, CaptureOptions(max_megapixels=max_megapixels)
+    media = reopened(take, max_megapixels)
+    with_arms = _with_arms(take, media, options, progress or (lambda _: None), stop)
     if stop():
         raise Cancelled("stopped before the arms were found")
     return with_arms
 
 
-def _with_arms(take: Take, media: Media, report: ProgressCallback, stop: ShouldStop) -> Take:
+def _with_arms(
+    take: Take, media: Media, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Take:
     """Once it is to stop, the take as it was."""
     from handfit_core.arms import with_arms
 
     total = len(take.frame_numbers)
-    return with_arms(take, media, lambda done: report(Progress("detect", done, total)), stop)
+    return with_arms(take, media, options, lambda done: report(Progress("detect", done, total)), stop)
 
 
 def check_options(options: CaptureOptions) -> None:
