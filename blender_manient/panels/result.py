@@ -87,7 +87,12 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         """The button that looks for the hand's arm, until it has one, or why there is none."""
         if hand.track.no_arm:
             sentence(box, context, capitalised(hand.track.no_arm), "INFO")
-        elif not has_arm(hand.armature):
+        elif has_arm(hand.armature) and hand.track.arm is not None:
+            there, found = int(hand.track.arm.present.sum()), int(hand.track.present.sum())
+            box.label(
+                text="Arm" + ("" if there == found else f" in {there} of {found} frames"), translate=False
+            )
+        else:
             row = box.row(align=True)
             row.enabled = "manient.add_arms" not in ModalOperator.running
             row.operator("manient.add_arms", icon="CON_KINEMATIC").hand = hand.armature.name

@@ -15,15 +15,18 @@ from blender_manient.rigs.arm import ArmBones, has_arm
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.arms import add_arms
 from blender_manient.scene.build import build_take
-from blender_manient.scene.store import captured_take, kept_take
+from blender_manient.scene.store import captured_take, hand_of, kept_take
 from handfit_core.errors import OptionError
 from handfit_core.skeleton import other_side
+from tests.capturing import needs_capture
 from tests.takes import with_arms
 
 from .conftest import action_curves, shown_bones, world
 from .importing import read_back
 
 pytestmark = pytest.mark.usefixtures("registered")
+
+SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
 
 def arm_points(armature, frame=None) -> np.ndarray:
@@ -166,3 +169,19 @@ def test_files_have_the_hand_hang_on_it(make_take, tmp_path: Path, fmt: str):
         shown = shown_bones(armature, frame)
         heads = [armature.matrix_world @ shown[bone.name].head for bone in bones.values()]
         np.testing.assert_allclose(heads, points[[0, 1, 3]], atol=5e-4)
+
+
+@needs_capture
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_hand_without_a_body_gets_none(at_once: bool):
+    """In a capture, and afterwards."""
+    settings = bpy.context.scene.manient
+    settings.source, settings.arms = str(SAMPLE / "hand.0001.jpg"), at_once
+    assert bpy.ops.manient.capture() == {"FINISHED"}
+    armature = bpy.context.view_layer.objects.active
+    if not at_once:
+        assert bpy.ops.manient.add_arms() == {"FINISHED"}
+    hand = hand_of(armature)
+    assert hand is not None
+    assert hand.track.no_arm
+    assert not has_arm(armature)
