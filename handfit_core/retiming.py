@@ -14,7 +14,6 @@ import numpy as np
 from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
-from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack, Take, at_rows
 
 LOWEST_RATE, HIGHEST_RATE = 1.0, 120.0
@@ -101,33 +100,12 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
         **{name: kept(pose, there) for name, pose in poses.items()},
         detected=detected,
         filled=filled if filled.any() else None,
-        arm=_arm_between(track, numbers, times, there),
         **{
             name: kept(getattr(rows, name), there)
             for name in ("joints_3d", "expected_error", "placed", "touches")
         },
         **{name: kept(getattr(rows, name), detected) for name in _MEASURED},
     )
-
-
-def _arm_between(
-    track: HandTrack, numbers: np.ndarray, times: np.ndarray, there: np.ndarray
-) -> ArmMotion | None:
-    """The track's arm at `times` (N,), where the hand is `there` (N,); joints move in straight lines."""
-    arm = track.arm
-    if arm is None:
-        return None
-    nearest, before, after, part = _around(numbers, times)
-    present = there & arm.present[nearest]
-    between = present & arm.present[before] & arm.present[after]
-    before, after = np.where(between, before, nearest), np.where(between, after, nearest)
-
-    def moved(values: np.ndarray) -> np.ndarray:
-        way = values[before] + part[:, None] * (values[after] - values[before])
-        return np.where(present[:, None], way, np.nan)
-
-    names = ("shoulder", "elbow", "wrist", "expected_error")
-    return replace(arm, present=present, **{name: moved(getattr(arm, name)) for name in names})
 
 
 def shown_rows(take: Take, numbers: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:

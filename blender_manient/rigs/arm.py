@@ -26,7 +26,7 @@ MARK: Final = "arm_bone"
 """A bone's custom property: which one of `NAMES` it is. The artist may give it another name"""
 NAMES: Final = ("upper_arm", "forearm")
 _COLLECTION: Final = "Arm"
-_TO_WRIST: Final = "To Wrist"
+TO_WRIST: Final = "To Wrist"
 _STEADY: Final = 5
 """frames before and after from which a straight arm takes how it is rolled"""
 
@@ -97,7 +97,7 @@ def set_up(armature: bpy.types.Object, wrist: str, names: dict[str, str]) -> Non
         armature.pose.bones[bone].rotation_mode = "QUATERNION"
         collection.assign(armature.data.bones[bone])
     reach: Any = armature.pose.bones[names["forearm"]].constraints.new("IK")
-    reach.name, reach.target, reach.subtarget, reach.chain_count = _TO_WRIST, armature, wrist, len(NAMES)
+    reach.name, reach.target, reach.subtarget, reach.chain_count = TO_WRIST, armature, wrist, len(NAMES)
     reach.use_stretch = False
 
 

@@ -11,10 +11,12 @@ import pytest
 
 from blender_manient.exporters import EXPORTERS
 from blender_manient.exporters.export_hands import Stage, export_hands
+from blender_manient.rigs import rig_of
 from blender_manient.rigs.arm import ArmBones, has_arm
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.arms import add_arms
 from blender_manient.scene.build import build_take
+from blender_manient.scene.onto_character import is_keyframed
 from blender_manient.scene.store import captured_take, hand_of, kept_take
 from handfit_core.errors import OptionError
 from handfit_core.skeleton import other_side
@@ -95,6 +97,17 @@ def test_without_one_the_take_says_why(make_take):
     assert "no body" in kept_take(built.collection).hands[0].no_arm
     with pytest.raises(RuntimeError, match="no body"):
         bpy.ops.manient.add_arms(hand=built.hands[0].armature.name)
+
+
+def test_controls_come_and_go_beside_it(make_take):
+    take = with_arms(make_take(sides=("right",)).take)
+    built = build_take(take)
+    bpy.context.view_layer.objects.active = built.hands[0].armature
+    for operator in (bpy.ops.manient.add_controls, bpy.ops.manient.remove_controls):
+        assert operator() == {"FINISHED"}
+        assert is_keyframed(rig_of(built.hands[0].armature, "right"))
+    forearm = built.hands[0].armature.pose.bones[ArmBones(built.hands[0].armature).bones[1]]
+    assert [constraint.type for constraint in forearm.constraints] == ["IK"]
 
 
 CHANGES = {
