@@ -47,6 +47,8 @@ class GateSettings:
     max_residual: float = 0.6
     """hand lengths in the picture by which fitted elbows and shoulders are off, median: beyond, body and hand
     do not belong together"""
+    max_longer: float = 1.2
+    """Ratio of an arm's lengths to those that its hand tells: people differ"""
     errors: tuple[float, float] = (0.19, 0.35)
     """radians that upper arms and forearms are off in the median, against a truth of four cameras"""
 
@@ -113,27 +115,29 @@ def arms_of(
 ) -> tuple[HandTrack, ...]:
     """The hands with the arms that they have on these bodies, or with a sentence why they have none."""
     count = max((len(hand.detected) for hand in hands), default=0)
-    points, errors = np.full((len(hands), count, 3, 3), np.nan), np.full((len(hands), count, 2), np.nan)
+    directions = np.full((len(hands), count, 2, 3), np.nan)
+    errors, scales = np.full((len(hands), count, 2), np.nan), np.full((len(hands), count), np.nan)
     whys: list[list[tuple[int, str]]] = [[] for _ in hands]
     for shot in _shots(hands, bodies, camera):
-        present = [int(hand.present[shot].sum()) for hand in hands]
         for body, chosen in _belonging(hands, bodies, camera, shot, whys):
-            arms = _fitted([hands[i] for i in chosen], body, camera, shot, fps)
-            if arms is None:
+            found = _fitted([hands[i] for i in chosen], body, camera, shot, fps)
+            if found is None:
                 for i in chosen:
-                    whys[i].append((present[i], NO_FIT))
-                continue
-            points[chosen, shot], errors[chosen, shot] = arms
+                    whys[i].append((int(hands[i].present[shot].sum()), NO_FIT))
+            else:
+                directions[chosen, shot], errors[chosen, shot], scales[chosen, shot] = found
     made = []
-    for i, hand in enumerate(hands):
-        there = np.isfinite(points[i, :, 0, 0])
-        if not there.any():
-            # Of several shots the longest one tells why.
-            made.append(replace(hand, arm=None, no_arm=max(whys[i], default=(0, NO_BODY))[1]))
-            continue
-        shoulder, elbow, wrist = points[i].swapaxes(0, 1)
-        arm = ArmMotion(shoulder, elbow, wrist, _lengths(hand), there, errors[i])
-        made.append(replace(hand, arm=arm, no_arm=""))
+    for hand, of_arm, off, scale, why in zip(hands, directions, errors, scales, whys, strict=True):
+        there = np.isfinite(scale)
+        if there.any():
+            # What the arm says of the hand's distance tells its lengths: the hand stays where it is.
+            lengths = np.median(scale[there]) * _lengths(hand)
+            wrist = np.where(there[:, None], hand.joints_3d[:, 0], np.nan)
+            elbow = wrist - lengths[1] * of_arm[:, 1]
+            arm = ArmMotion(elbow - lengths[0] * of_arm[:, 0], elbow, wrist, lengths, there, off)
+            made.append(replace(hand, arm=arm, no_arm=""))
+        else:  # of several shots the longest one tells why
+            made.append(replace(hand, arm=None, no_arm=max(why, default=(0, NO_BODY))[1]))
     return tuple(made)
 
 
@@ -191,29 +195,28 @@ def _judged(hand: HandTrack, body: BodyTrack, camera: Intrinsics, shot: slice) -
 
 def _fitted(
     hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice, fps: float
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Shoulder, elbow and wrist (A, T, 3, 3) of the A hands that hang on a body in the T frames of a shot,
-    and the expected errors (A, T, 2); None where hands and body do not fit together."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Of the A arms that hang on a body in the T frames of a shot, NaN in frames without: the directions of
+    upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and by how much (A, T) the arms must
+    be longer to reach from this body to the hands as they are. None where hands and body do not fit."""
     seen = _seen(hands, body, camera, shot)
     arms = fit_arms(seen, fps)
-    points = np.stack(arms.points(seen.lengths), axis=2)  # (T, A, 3, 3)
+    points = np.stack(arms.points(seen.lengths)[:2], axis=2)
     size = np.stack([_size(hand, camera)[shot] for hand in hands], axis=1)
-    off = np.linalg.norm(camera.project(points[..., :2, :]) - seen.pixels[..., :2, :], axis=-1).mean(axis=-1)
-    sure = (seen.visibility[..., 0] > 0.0) & seen.with_hand
-    if not np.median((off / size)[sure]) <= GATES.max_residual:
+    off = np.linalg.norm(camera.project(points) - seen.pixels[..., :2, :], axis=-1).mean(axis=-1) / size
+    body_seen = seen.visibility[..., 0] > 0.0
+    sure = body_seen & seen.with_hand
+    if not np.median(off[sure]) <= GATES.max_residual:
         return None
-    # The hand stays where it is: what the arm says about its distance goes into the place of the shoulder.
-    points += (seen.wrist - arms.wrist)[:, :, None]
-    near = _near(seen.visibility[..., 0] > 0.0, int(GATES.max_gap_seconds * fps))
-    there = near & seen.with_hand
-    points[~there] = np.nan
-    found = np.stack([arms.upper, arms.forearm], axis=2)
-    disagreement = np.arccos(np.clip((found * seen.directions).sum(axis=-1), -1.0, 1.0))
-    visible = np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:])
-    errors = np.array(GATES.errors) / np.clip(visible, 0.3, 1.0)
-    errors = np.hypot(errors, 0.5 * np.nan_to_num(disagreement))
-    errors[~there] = np.nan
-    return points.swapaxes(0, 1), errors.swapaxes(0, 1)
+    nearer = np.linalg.norm(seen.wrist, axis=-1) / np.linalg.norm(arms.wrist, axis=-1)
+    scale = np.clip(np.median(nearer[sure]), 1.0 / GATES.max_longer, GATES.max_longer)
+    directions = np.stack([arms.upper, arms.forearm], axis=2)
+    disagreement = np.arccos(np.clip((directions * seen.directions).sum(axis=-1), -1.0, 1.0))
+    visible = np.clip(np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:]), 0.3, 1.0)
+    errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
+    there = _near(body_seen, int(GATES.max_gap_seconds * fps)) & seen.with_hand
+    directions[~there] = errors[~there] = np.nan
+    return directions.swapaxes(0, 1), errors.swapaxes(0, 1), np.where(there, scale, np.nan).T
 
 
 def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice) -> ArmsSeen:

@@ -21,7 +21,6 @@ from typing import Final
 import numpy as np
 
 from handfit_core.batch import Batch
-from handfit_core.fit.terms.motion import place_acceleration
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis
 
@@ -43,11 +42,11 @@ class ArmSettings:
     """Distance of the shoulder joints in hand lengths"""
     wrist_sigma: float = 2e-4
     """metres across the line of sight: the hand lies on the picture, and the arm hangs on it"""
-    distance_sigma: float = 0.04
+    distance_sigma: float = 0.1
     """Relative deviation of the wrist's distance from the hand's, whose size in the picture tells it"""
     joint_sigma: float = 0.12
     """hand lengths by which the body network's points are off in the picture"""
-    direction_sigma: float = 0.35
+    direction_sigma: float = 0.25
     """The body network's directions, radians"""
     flexion_sigma: float = math.radians(30.0)
     deviation_sigma: float = math.radians(13.0)
@@ -55,14 +54,18 @@ class ArmSettings:
     max_bend: float = math.radians(75.0)
     """radians between hand and forearm that a wrist allows"""
     bend_sigma: float = math.radians(3.0)
-    width_sigma: float = 0.01
+    width_sigma: float = 0.02
     """metres"""
     huber: float = 1.5
     """sigmas from which on points and directions of the network count as outliers, and less"""
     wrist_acceleration: float = 3.0
-    elbow_acceleration: float = 1.0
+    elbow_acceleration: float = 2.0
     shoulder_acceleration: float = 0.3
     """metres per second squared that are expected. The wrist's matters in depth only"""
+    resting_speed: float = 0.015
+    """metres per second at which elbow and shoulder of a resting hand are expected to move"""
+    speed_share: float = 1.0
+    """The share of the wrist's speed that elbow and shoulder of a moving one have at most"""
     iterations: int = 30
     tolerance: float = 1e-4
     """Relative decrease of the cost at which to stop"""
@@ -274,31 +277,53 @@ def _system(arms: Arms, seen: ArmsSeen, fps: float) -> tuple[float, np.ndarray, 
         own[:, :size] += by_both.swapaxes(1, 2) @ by_both
         gradient += (by_both.swapaxes(1, 2) @ apart[..., None])[..., 0]
         cost += float(np.square(apart).sum())
-    # Accelerations of the points, each with its own sigma, by the unknowns of three frames
-    sigma = np.array([ARMS.shoulder_acceleration, ARMS.elbow_acceleration, ARMS.wrist_acceleration]) / fps**2
-    points = np.stack(arms.points(seen.lengths), axis=2) / sigma[:, None]  # (T, A, 3, 3)
+    # Differences of the points over two and three frames, by the unknowns of each
+    points = np.stack(arms.points(seen.lengths), axis=2).reshape(count, number, 9)
     by_points = np.zeros((count, number, 3, 3, 9))
     by_points[..., WRIST] = np.eye(3)
     by_points[:, :, :2, :, FOREARM] = -seen.lengths[:, :, 1, None, None, None] * np.eye(3)
     by_points[:, :, 0, :, UPPER] = -seen.lengths[:, :, 0, None, None] * np.eye(3)
-    moving = (by_points / sigma[:, None, None]).reshape(count, number, 9, 9) @ tangents
-    change = place_acceleration(points).reshape(-1, number, 9)
-    cost += float(np.square(change).sum())
-    coefficients = (1.0, -2.0, 1.0)
-    last = max(count - 2, 0)
-    for a, ca in enumerate(coefficients):
-        of_a = ca * moving[a : last + a].swapaxes(-1, -2)
-        gradient[a : last + a] += (of_a @ change[..., None])[..., 0].reshape(-1, size)
-        for b, cb in enumerate(coefficients[: a + 1]):
-            block = of_a @ (cb * moving[b : last + b])
-            for arm in range(number):
-                at = arm * FREE
-                row = (a - b) * size + at
-                own[b : last + b, row : row + FREE, at : at + FREE] += block[:, arm]
+    moving = by_points.reshape(count, number, 9, 9) @ tangents
+    for coefficients, weight in (
+        ((-1.0, 1.0), _of_speed(seen, fps)),
+        ((1.0, -2.0, 1.0), _of_acceleration(fps)),
+    ):
+        last = max(count - len(coefficients) + 1, 0)
+        change = sum(c * points[a : last + a] for a, c in enumerate(coefficients)) * weight
+        cost += float(np.square(change).sum())
+        for a, ca in enumerate(coefficients):
+            of_a = (ca * weight[..., None] * moving[a : last + a]).swapaxes(-1, -2)
+            gradient[a : last + a] += (of_a @ change[..., None])[..., 0].reshape(-1, size)
+            for b, cb in enumerate(coefficients[: a + 1]):
+                block = of_a @ (cb * weight[..., None] * moving[b : last + b])
+                for arm in range(number):
+                    at = arm * FREE
+                    row = (a - b) * size + at
+                    own[b : last + b, row : row + FREE, at : at + FREE] += block[:, arm]
     band = np.zeros((count, size, 3 * size))
     for column in range(size):
         band[:, column, : 3 * size - column] = own[:, column:, column]
     return cost, band.reshape(count * size, 3 * size).T, gradient
+
+
+def _of_acceleration(fps: float) -> np.ndarray:
+    """(9,) one over the expected second differences of shoulder, elbow and wrist."""
+    sigma = np.array([ARMS.shoulder_acceleration, ARMS.elbow_acceleration, ARMS.wrist_acceleration])
+    return np.repeat(fps**2 / sigma, 3)
+
+
+def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
+    """(T - 1, A, 9) one over the expected first differences: an arm whose hand rests hardly moves. Nothing is
+    expected of the wrist, nor of arms without a hand."""
+    rows = np.arange(len(seen.wrist))
+    # Over so long that the hand's own tremor is none.
+    lag = max(round(0.2 * fps), 1)
+    before, after = np.maximum(rows[:-1] - lag, 0), np.minimum(rows[1:] + lag, rows[-1])
+    way = np.linalg.norm(seen.wrist[after] - seen.wrist[before], axis=-1, keepdims=True)
+    speed = way * fps / (after - before)[:, None, None]
+    weight = np.repeat(fps / (ARMS.resting_speed + ARMS.speed_share * np.nan_to_num(speed)), 9, axis=-1)
+    weight[..., 6:] = 0.0
+    return np.where(np.isfinite(speed), weight, 0.0)
 
 
 def _solve(band: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
