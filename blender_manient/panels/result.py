@@ -89,9 +89,8 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             sentence(box, context, capitalised(hand.track.no_arm), "INFO")
         elif has_arm(hand.armature) and hand.track.arm is not None:
             there, found = int(hand.track.arm.present.sum()), int(hand.track.present.sum())
-            box.label(
-                text="Arm" + ("" if there == found else f" in {there} of {found} frames"), translate=False
-            )
+            said = "found" if there == found else f"in {there} of {found} frames"
+            box.label(text=f"Arm {said}", translate=False)
         else:
             row = box.row(align=True)
             row.enabled = "manient.add_arms" not in ModalOperator.running
