@@ -35,8 +35,9 @@ class FollowingSettings:
     """Of the landmark network, below which a body is lost"""
     detection_interval: int = 48
     """From one run of the detector to the next, where all hands have bodies"""
+    first_wait: int = 8
     max_wait: int = 32
-    """Between two runs of the detector for a hand without a body, at most, after 1, 2, 4, ..."""
+    """Between two runs of the detector for a hand without a body: first, twice as many each time, at most"""
     step: int = 2
     """Every step-th frame is looked at, and bodies are interpolated between: fitted arms are as exact, and
     tremble no more"""
@@ -75,7 +76,9 @@ def find_bodies(
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
     """
-    seen = np.stack(hands) if hands else np.full((0, len(numbers), 21, 2), np.nan)
+    if not len(hands):
+        return ()
+    seen = np.stack(hands)
     clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), intrinsics)
     if not clip.wanted.any():
         return ()
@@ -185,7 +188,7 @@ class _Following:
         self._thumbnail: Thumbnail | None = None
         self._next_detection = 0
         """Row of the next detection where all hands have bodies"""
-        self._wait, self._next_search = 1, 0
+        self._wait, self._next_search = FOLLOWING.first_wait, 0
         """Frames to wait after a search for a hand's body that failed, and the row of the next one"""
 
     def find(self, rgb: np.ndarray, row: int) -> None:
@@ -234,8 +237,8 @@ class _Following:
                 self._now.append(person)
                 self.people.append(person)
         self._next_detection = row + FOLLOWING.detection_interval
-        self._wait = min(2 * self._wait, FOLLOWING.max_wait) if free.any() else 1
         self._next_search = row + self._wait
+        self._wait = min(2 * self._wait, FOLLOWING.max_wait) if free.any() else FOLLOWING.first_wait
 
     def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
         """Add the body of that row where it is found."""

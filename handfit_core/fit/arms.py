@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.batch import Batch
+from handfit_core.fit.settings import SOLVER
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis
 
@@ -66,6 +67,8 @@ class ArmSettings:
     """metres per second at which elbow and shoulder of a resting hand are expected to move"""
     speed_share: float = 1.0
     """The share of the wrist's speed that elbow and shoulder of a moving one have at most"""
+    overlap_seconds: float = 4.0
+    """seconds that two windows of a long clip share"""
     iterations: int = 30
     tolerance: float = 1e-4
     """Relative decrease of the cost at which to stop"""
@@ -149,21 +152,16 @@ def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def in_picture(arms: Arms, seen: ArmsSeen) -> Rows:
-    """Shoulder, elbow and, where there is no hand, wrist, against the body network's points."""
+    """How far shoulder, elbow and, where there is no hand, wrist are beside the rays of the body network's
+    points, metres."""
     points = np.stack(arms.points(seen.lengths), axis=-2)  # (T, A, 3, 3)
-    depth = np.maximum(points[..., 2], 0.05)
-    focal = np.array([seen.camera.fx, seen.camera.fy])
-    flat = points[..., :2] / depth[..., None]
-    weight = seen.visibility * (1.0 / (ARMS.joint_sigma * seen.hand_length))
+    weight = seen.visibility / (ARMS.joint_sigma * seen.hand_length)
     weight[..., 2] *= ~seen.with_hand
-    weight *= np.nanmean(seen.wrist[..., 2], axis=0)[:, None]  # of metres at the hand, of the ray's slope
-    observed = (seen.pixels - [seen.camera.cx, seen.camera.cy]) / focal
-    residual = np.where(weight[..., None] > 0.0, flat - observed, 0.0) * weight[..., None]
-    by_point = np.zeros((*depth.shape, 2, 3))
-    by_point[..., 0, 0] = by_point[..., 1, 1] = 1.0 / depth
-    by_point[..., 2] = -flat / depth[..., None]
+    rays = np.where(weight[..., None] > 0.0, seen.camera.rays(seen.pixels), 0.0)[..., :2]
+    residual = (points[..., :2] - rays * points[..., 2:]) * weight[..., None]
+    by_point = np.concatenate([np.broadcast_to(np.eye(2), (*weight.shape, 2, 2)), -rays[..., None]], axis=-1)
     by_point *= weight[..., None, None]
-    jacobian = np.zeros((*depth.shape, 2, 9))
+    jacobian = np.zeros((*weight.shape, 2, 9))
     jacobian[..., WRIST] = by_point
     jacobian[..., :2, :, FOREARM] = -seen.lengths[..., 1, None, None, None] * by_point[..., :2, :, :]
     jacobian[..., 0, :, UPPER] = -seen.lengths[..., 0, None, None] * by_point[..., 0, :, :]
@@ -218,16 +216,27 @@ def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
     return residual, np.concatenate(by_arm, axis=-1)
 
 
+def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
+    """The arms of T consecutive frames, at `fps` frames per second, window by window. Frames in which nothing
+    is seen follow from their neighbours; each arm must have a hand, and a body, in one frame at least."""
+    arms, count, first, overlap = _start(seen), len(seen.wrist), 0, int(ARMS.overlap_seconds * fps)
+    while True:
+        last = min(first + SOLVER.window_frames + overlap, count)
+        window = slice(first, last)
+        # Of the frames that two windows share, the first half is the earlier one's.
+        keep = 0 if first == 0 else overlap // 2
+        found = _window(seen.select(window), arms.select(window), fps).select(slice(keep, None))
+        arms = arms.replaced(np.arange(first + keep, last), found)
+        if last == count:
+            return arms
+        first += SOLVER.window_frames
+
+
 @np.errstate(all="ignore")
-def fit_arms(seen: ArmsSeen, fps: float, should_stop: Callable[[], bool] = lambda: False) -> Arms:
-    """The arms of T consecutive frames, at `fps` frames per second. Frames in which nothing is seen follow
-    from their neighbours; each arm must have a hand in one frame at least."""
-    arms = _start(seen)
+def _window(seen: ArmsSeen, arms: Arms, fps: float) -> Arms:
     cost, band, gradient = _system(arms, seen, fps)
     damping = 1e-3
     for _ in range(ARMS.iterations):
-        if should_stop():
-            break
         candidate = arms.moved(_solve(band, gradient, damping).reshape(*arms.wrist.shape[:2], FREE))
         after, next_band, next_gradient = _system(candidate, seen, fps)
         if not after < cost:
