@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,11 +15,13 @@ from handfit_core.retiming import retimed
 from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
+from ..common.blender_versions import channels
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import Rig
 from .editable import check, why_not_bakeable
 from .keys import PoseKeys, writing_pose_keys
 from .own_scene import object_mode
+from .simplify import changed_alike, own_kept_actions
 from .store import CapturedHand, captured_take, hand_of, keep_take, keeping_take, kept_take, scene_frames
 
 
@@ -32,12 +35,14 @@ def check_lacks_arms(collection: bpy.types.Collection) -> None:
         check(hand.armature, why_not_bakeable(hand.armature))
 
 
-def keying_arm(rig: Rig, arm: ArmMotion, frames: np.ndarray) -> Generator[float, None, None]:
-    """Key the bones of a rig's arm in its present action on scene frames (T,), a bone per step; yields how
-    much is done, 0..1."""
+def keying_arm(
+    rig: Rig, arm: ArmMotion, frames: np.ndarray, *, holder: Any = None
+) -> Generator[float, None, None]:
+    """Key the bones of a rig's arm on scene frames (T,), in its present action or in the channels `holder`, a
+    bone per step; yields how much is done, 0..1."""
     bones = ArmBones(rig.armature)
     keys = PoseKeys.everywhere(frames[arm.present], *bones.to_bones(arm, rig.rest.origin))
-    yield from writing_pose_keys(lambda: bones, keys)
+    yield from writing_pose_keys(lambda: bones, keys, holder=holder)
 
 
 def add_arm(hand: CapturedHand) -> None:
@@ -51,7 +56,11 @@ def add_arm(hand: CapturedHand) -> None:
         if armature.data.users - armature.data.use_fake_user > 1:
             armature.data = armature.data.copy()
         hand.rig.add_arm(arm.lengths)
-    run_to_completion(keying_arm(hand.rig, arm, scene_frames(hand.collection, hand.take)))
+    frames = scene_frames(hand.collection, hand.take)
+    with changed_alike(armature):
+        run_to_completion(keying_arm(hand.rig, arm, frames))
+        for kept in own_kept_actions(armature):
+            run_to_completion(keying_arm(hand.rig, arm, frames, holder=channels(*kept, make=True)))
 
 
 def add_arms(collection: bpy.types.Collection, found: Take) -> None:

@@ -78,6 +78,17 @@ def test_added_later_it_is_the_same_and_the_hand_stays(make_take):
         add_arms(built.collection, found)
 
 
+def test_it_goes_behind_fewer_keys_too(make_take):
+    take = with_arms(make_take(sides=("right",)).take)
+    built = build_take(make_take(sides=("right",)).take)
+    bpy.context.view_layer.objects.active = built.hands[0].armature
+    assert bpy.ops.manient.simplify_keys() == {"FINISHED"}
+    add_arms(built.collection, take)
+    for operator in (lambda: {"FINISHED"}, bpy.ops.manient.restore_keys):
+        assert operator() == {"FINISHED"}
+        assert arm_error(built.hands[0], take.hands[0].arm, take.frame_numbers) < 2e-2
+
+
 def test_a_retimed_clip_has_it_at_the_scenes_rate(make_take, picture):
     source = replace(make_take().take.source, kind="video")
     take = make_take(sides=("right",), frame_numbers=np.arange(1, 13), source=source).take
