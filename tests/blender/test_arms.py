@@ -16,6 +16,7 @@ from blender_manient.rigs.arm import ArmBones, has_arm
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.arms import add_arms
 from blender_manient.scene.build import build_take
+from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.onto_character import is_keyframed
 from blender_manient.scene.store import captured_take, hand_of, kept_take
 from handfit_core.errors import OptionError
@@ -78,15 +79,26 @@ def test_added_later_it_is_the_same_and_the_hand_stays(make_take):
         add_arms(built.collection, found)
 
 
-def test_it_goes_behind_fewer_keys_too(make_take):
-    take = with_arms(make_take(sides=("right",)).take)
-    built = build_take(make_take(sides=("right",)).take)
-    bpy.context.view_layer.objects.active = built.hands[0].armature
+@pytest.mark.parametrize("later", [False, True])
+def test_fewer_keys_and_all_of_them(make_take, later: bool):
+    """Of arms that are there, and of those that are added behind fewer keys."""
+    take = make_take(sides=("right",)).take
+    found = with_arms(take)
+    arm = found.hands[0].arm
+    elbow = arm.wrist + [0.25, 0.0, 0.0]
+    arm = replace(arm, elbow=elbow, shoulder=elbow - [0.0, 0.28, 0.0])  # which turns nowhere
+    found = replace(found, hands=(replace(found.hands[0], arm=arm),))
+    built = build_take(take if later else found)
+    armature = bpy.context.view_layer.objects.active = built.hands[0].armature
     assert bpy.ops.manient.simplify_keys() == {"FINISHED"}
-    add_arms(built.collection, take)
+    if later:
+        add_arms(built.collection, found)
+    else:
+        few = read_pose_keys(ArmBones(armature)).rotation_keyed.sum(axis=0)
+        assert few.max() < arm.present.sum()
     for operator in (lambda: {"FINISHED"}, bpy.ops.manient.restore_keys):
         assert operator() == {"FINISHED"}
-        assert arm_error(built.hands[0], take.hands[0].arm, take.frame_numbers) < 2e-2
+        assert arm_error(built.hands[0], arm, take.frame_numbers) < 2e-2
 
 
 def test_a_retimed_clip_has_it_at_the_scenes_rate(make_take, picture):
