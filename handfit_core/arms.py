@@ -44,7 +44,7 @@ class GateSettings:
     """hand lengths by which shoulders move from frame to frame; beyond there is a cut"""
     max_gap_seconds: float = 0.5
     """Farther from frames with a body there is no arm"""
-    max_residual: float = 0.6
+    max_residual: float = 0.4
     """hand lengths in the picture by which fitted elbows and shoulders are off, median: beyond, body and hand
     do not belong together"""
     max_longer: float = 1.2
@@ -55,6 +55,7 @@ class GateSettings:
 
 GATES: Final = GateSettings()
 
+NO_PICTURES: Final = "no arm: there are no pictures in which one could be found"
 NO_BODY: Final = "no arm: no body is in the picture"
 APART: Final = "no arm: no body's wrist is at this hand"
 OTHER_SIDE: Final = "no arm: the body in the picture has its other hand here; is this hand's side right?"
@@ -101,6 +102,8 @@ def with_arms(
     """The take with the arms of its hands, each of which gets one or a sentence why there is none.
 
     `on_frame` gets the count of frames that are done. Once it is to stop, the take comes back as it was."""
+    if take.source.kind == "data":
+        return replace(take, hands=tuple(replace(hand, no_arm=NO_PICTURES) for hand in take.hands))
     numbers = take.frame_numbers.tolist()
     points = [hand.keypoints_2d for hand in take.hands]
     bodies = find_bodies(media, numbers, points, take.intrinsics, options, on_frame, should_stop)
@@ -250,10 +253,10 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
     """The frames between cuts, where the shoulders of a body jump."""
-    if not hands:
+    sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
+    if not sizes:
         return []
     count = len(hands[0].detected)
-    sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
     cuts = {0, count}
     for body in bodies:
         rows = np.flatnonzero(body.present)

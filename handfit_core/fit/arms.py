@@ -235,7 +235,7 @@ def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
 @np.errstate(all="ignore")
 def _window(seen: ArmsSeen, arms: Arms, fps: float) -> Arms:
     cost, band, gradient = _system(arms, seen, fps)
-    damping = 1e-3
+    damping = 1e-6
     for _ in range(ARMS.iterations):
         candidate = arms.moved(_solve(band, gradient, damping).reshape(*arms.wrist.shape[:2], FREE))
         after, next_band, next_gradient = _system(candidate, seen, fps)
