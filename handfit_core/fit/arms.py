@@ -47,7 +47,7 @@ class ArmSettings:
     """Relative deviation of the wrist's distance from the hand's, whose size in the picture tells it"""
     joint_sigma: float = 0.12
     """hand lengths by which the body network's points are off in the picture"""
-    direction_sigma: float = 0.25
+    direction_sigma: float = 0.2
     """The body network's directions, radians"""
     flexion_sigma: float = math.radians(30.0)
     deviation_sigma: float = math.radians(13.0)
