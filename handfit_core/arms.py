@@ -41,7 +41,8 @@ class GateSettings:
     min_visibility: float = 0.5
     """of shoulder, elbow and wrist"""
     max_jump: float = 1.5
-    """hand lengths by which shoulders move from frame to frame; beyond there is a cut"""
+    """hand lengths by which shoulders move from one frame to the next one with that body; beyond there is a
+    cut"""
     max_gap_seconds: float = 0.5
     """Farther from frames with a body there is no arm"""
     max_residual: float = 0.4
@@ -262,7 +263,7 @@ def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intr
         rows = np.flatnonzero(body.present)
         middle = body.keypoints[rows][:, [*SHOULDERS.values()]].mean(axis=1)
         jumps = np.linalg.norm(np.diff(middle, axis=0), axis=1) > GATES.max_jump * np.median(sizes)
-        cuts.update(rows[1:][jumps & (np.diff(rows) == 1)].tolist())
+        cuts.update(rows[1:][jumps].tolist())
     return [slice(*each) for each in pairwise(sorted(cuts))]
 
 
