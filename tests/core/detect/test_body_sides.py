@@ -1,6 +1,7 @@
 """The votes of bodies on the sides of hands, on made detections."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +10,19 @@ import pytest
 from handfit_core.detect.body import NUM_BODY_POINTS, WRISTS, BodyTrack
 from handfit_core.detect.body_sides import with_body_sides
 from handfit_core.detect.keypoints import Detections, HandDetection, Track
-from handfit_core.skeleton import SIDES
+from handfit_core.skeleton import SIDES, Side
 
 COUNT, SIZE = 40, 60.0
 PLACES = {"left": np.array([400.0, 300.0]), "right": np.array([200.0, 300.0])}
 POINTS = SIZE * np.random.default_rng(0).uniform(0.0, 1.0, (21, 3)) * [1.0, -1.0, 1.0]
 
 
-def track(named, at, **fields):
+def track(named: Side, at: Side | Sequence[Side], **fields):
     """A hand of that side at the body's wrist of another one, or of one in each frame, which the hands'
     detector names then."""
     frames = []
-    for side in [at] * COUNT if isinstance(at, str) else at:
+    for frame in range(COUNT):
+        side = at if isinstance(at, str) else at[frame]
         points = POINTS - POINTS[0] + [*PLACES[side], 0.0]
         seen = named if isinstance(at, str) else side
         frames.append([HandDetection(seen, 0.95, points, 0.001 * points, **fields)])
@@ -69,8 +71,9 @@ def test_which_side_a_hand_has(tracks, seen, hands, expected):
 
 def test_frames_on_the_other_hand_are_left_out(caplog):
     """But not where only the body says so."""
-    at = ["right"] * 20 + ["left"] * 8 + ["right"] * 12
-    jumping = track("right", at)
+    right: list[Side] = ["right"]
+    left: list[Side] = ["left"]
+    jumping = track("right", 20 * right + 8 * left + 12 * right)
     with caplog.at_level(logging.WARNING):
         (found,) = with_body_sides([jumping], [body()], "auto")
     assert found.side == "right"
