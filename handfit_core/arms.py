@@ -9,8 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import scatter
 from handfit_core.detect.bodies import find_bodies
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
+from handfit_core.detect.body_sides import with_body_sides
 from handfit_core.errors import InputError
 from handfit_core.fit.arms import ARMS, ArmsSeen, fit_arms
 from handfit_core.fit.gaps import detect_cuts
@@ -22,6 +24,7 @@ from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers import ShouldStop
+from handfit_core.sources import Found
 from handfit_core.take import HandTrack, Take
 
 
@@ -96,25 +99,33 @@ def reopened(take: Take, max_megapixels: float | None = None) -> Media:
     return media
 
 
-def with_arms(
-    take: Take,
+def with_arms(take: Take, bodies: Sequence[BodyTrack]) -> Take:
+    """The take with the arms of its hands on these bodies; each gets one, or a sentence why there is none."""
+    if take.source.kind == "data":
+        return replace(take, hands=tuple(replace(hand, no_arm=NO_PICTURES) for hand in take.hands))
+    step = np.median(np.diff(take.frame_numbers)) if len(take.frame_numbers) > 1 else 1.0
+    return replace(take, hands=arms_of(take.hands, bodies, take.intrinsics, take.fps / float(step)))
+
+
+def with_bodies(
+    found: Found,
     media: Media,
     options: CaptureOptions,
     on_frame: Callable[[int], None],
     should_stop: ShouldStop,
-) -> Take:
-    """The take with the arms of its hands, each of which gets one or a sentence why there is none.
+) -> tuple[Found, tuple[BodyTrack, ...]]:
+    """The hands with the sides that their bodies tell, where they are yet to be fitted, and these bodies.
 
-    `on_frame` gets the count of frames that are done. Once it is to stop, the take comes back as it was."""
-    if take.source.kind == "data":
-        return replace(take, hands=tuple(replace(hand, no_arm=NO_PICTURES) for hand in take.hands))
-    numbers = take.frame_numbers.tolist()
-    points = [hand.keypoints_2d for hand in take.hands]
-    bodies = find_bodies(media, numbers, points, take.intrinsics, options, on_frame, should_stop)
-    if should_stop():
-        return take
-    step = np.median(np.diff(numbers)) if len(numbers) > 1 else 1.0
-    return replace(take, hands=arms_of(take.hands, bodies, take.intrinsics, take.fps / float(step)))
+    `on_frame` gets the count of frames that are done. Once it is to stop, the hands come back as they
+    were."""
+    points = [
+        scatter(track.detections.keypoints_2d, track.detections.frame, track.frame_count, np.nan)
+        for track in found.tracks
+    ]
+    bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
+    if found.fits is None and not should_stop():
+        found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))
+    return found, bodies
 
 
 def arms_of(
