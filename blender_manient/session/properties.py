@@ -170,6 +170,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     # Texts, which stay what they are in a file that is opened where there is no such plug-in.
     solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))  # type: ignore
     detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))  # type: ignore
+    arms: BoolProperty(name="Arms", **option_property("arms"))  # type: ignore
     smoothing: FloatProperty(  # type: ignore
         name="Smoothing", soft_max=4.0, **option_property("smoothing")
     )

@@ -38,6 +38,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.undo_in_the_middle": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.another_file_in_the_middle": lambda i: {"source": i.clip(CLIP)},
     "capture.dropped": lambda i: {"source": i.photo},
+    "capture.arms_added": lambda i: {"source": i.photo},
     "finding.chosen": lambda i: {"source": i.four_hands},
     "finding.added": lambda i: {"source": i.photo},
     "refine.keypoint_dragged": lambda i: {"source": i.clip(60)},
