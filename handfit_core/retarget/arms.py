@@ -20,6 +20,7 @@ import numpy as np
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat, skew
 from handfit_core.hand_model.axes import MIRROR_X, points_to_world
 from handfit_core.retarget.bones import Bones
+from handfit_core.retarget.names import named_arm
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 
@@ -28,6 +29,8 @@ _STRAIGHT, _BENT = 0.1, 0.35
 does"""
 _REST_BENT = 0.1
 """Sine of a bend at rest from which on it tells the elbow's axis"""
+_REST_STRAIGHT = 0.87
+"""Share of its length that an arm at rest reaches at least: elbows rest bent by 60 degrees at most"""
 _TWIST_SHARE = 0.5
 """Share of the hand's twist that the forearm takes over, which a wrist's skin cannot"""
 _REACH = 0.9999
@@ -200,13 +203,14 @@ def target_arm(
     `other` is the bone of the character's other hand, None where it has none; `upright` (3, 3) the world's
     axes in the armature's space, for characters with one arm.
     """
-    own = _arm_above(bones, bones.index[hand])
+    second_hand = bones.index[other] if other else None
+    own = _arm_above(bones, bones.index[hand], second_hand)
     if own is None:
         return None
     upper, fore = own
     shoulder = bones.heads[upper]
     body, chest = upright, int(bones.parents[upper])
-    second = _arm_above(bones, bones.index[other]) if other else None
+    second = _arm_above(bones, second_hand, bones.index[hand]) if second_hand is not None else None
     common = bones.holding([upper, second[0]]) if second is not None else None
     if second is not None and second[0] != upper and common is not None:
         chest = common
@@ -229,17 +233,24 @@ def target_arm(
     )
 
 
-def _arm_above(bones: Bones, hand: int) -> tuple[int, int] | None:
-    """Upper arm and forearm: of the bones above a hand the two that make the longest parts of about the same
-    length, so that twist bones and clavicles are passed over. None where there are none."""
-    chain = [*bones.ancestors(hand)]
+def _arm_above(bones: Bones, hand: int, other: int | None) -> tuple[int, int] | None:
+    """Upper arm and forearm of the bones above a hand, and not above the other one; None where there are
+    none. By their names, else the two that make the longest parts of about the same length that are not bent
+    by much, so that clavicles and a spine are passed over."""
+    both = {*bones.ancestors(other)} if other is not None else set()
+    chain = [bone for bone in bones.ancestors(hand) if bone not in both]
+    named = named_arm([bones.names[bone] for bone in chain])
+    if named is not None:
+        return chain[named[0]], chain[named[1]]
     wrist, best, found = bones.heads[hand], 0.0, None
     for i, fore in enumerate(chain):
         for upper in chain[i + 1 :]:
             ends = [bones.heads[upper], bones.heads[fore], wrist]
             short, long = sorted(np.linalg.norm(np.diff(ends, axis=0), axis=-1))
+            if short <= 0.5 * long or np.linalg.norm(ends[2] - ends[0]) < _REST_STRAIGHT * (short + long):
+                continue
             # The shorter part, times the square of their ratio.
-            if long > 0.0 and short > 0.5 * long and short**3 / long**2 > best:
+            if short**3 / long**2 > best:
                 best, found = short**3 / long**2, (upper, fore)
     return found
 
@@ -272,7 +283,7 @@ def swivel_angles(
     IK then turns the arm by the smallest rotation that takes its wrist there.
     """
     angles, wrist = np.zeros(len(start)), _unit(wrist)
-    for _ in range(20):
+    for _ in range(40):
         turned = start @ rotvec_to_rotmat(angles[:, None] * [0.0, 1.0, 0.0])
         back = swings((turned @ wrist[:, None])[..., 0], along)
         now = (back @ turned @ hinge[:, None])[..., 0]
