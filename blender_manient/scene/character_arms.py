@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from handfit_core.errors import HandModelError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, unflip_quats
@@ -141,7 +142,7 @@ def keying_arm(
     keys: list[BoneKeys] = []
 
     def key(name: str, basis: np.ndarray, *, turns: bool = True, goes: bool = False) -> None:
-        quats, places = shown.own(name)
+        quats, places = shown.own(armature, name)
         wanted, share = rotmat_to_quat(basis[:, :3, :3]), weights[:, None]
         wanted = np.where(np.sum(quats * wanted, axis=-1, keepdims=True) < 0.0, -wanted, wanted)
         mixed = (1.0 - share) * quats + share * wanted
@@ -164,13 +165,13 @@ def keying_arm(
     rest = shown.rest[own.hand]
     place = shoulder + wrist + turned @ (rest[:3, 3] - target.joints[2])
     stands = _matrices(turned @ rotations_of(rest), place)
-    key(own.hand, np.linalg.inv(shown.carried(own.hand)) @ stands, goes=True)
+    key(own.hand, shown.basis(armature, own.hand, stands), goes=True)
     if own.pole:
         way = np.linalg.norm(wrist, axis=-1, keepdims=True)
         far = np.linalg.norm(shown.rest[own.pole][:3, 3] - target.joints[1])
         place = shoulder + target.lengths[0] * upper + far * np.cross(wrist / way, normals)
         stands = _matrices(rotations_of(shown.carried(own.pole)), place)
-        key(own.pole, np.linalg.inv(shown.carried(own.pole)) @ stands, turns=False, goes=True)
+        key(own.pole, shown.basis(armature, own.pole, stands), turns=False, goes=True)
     elif own.swivel:
         along = wrist / np.linalg.norm(wrist, axis=-1, keepdims=True)
         swing = armature.data.bones[own.swivel].parent.name
@@ -189,7 +190,7 @@ class _Shown:
     """What bones show on M frames, seen from the character's chest at rest."""
 
     pose: Mapping[str, np.ndarray]
-    """(M, 4, 4) by bone"""
+    """(M, 4, 4) by bone; of no bone, the armature's space itself"""
     rest: Mapping[str, np.ndarray]
     """(4, 4) by bone, in the armature's space"""
     parents: Mapping[str, str]
@@ -208,12 +209,24 @@ class _Shown:
         carrying = self.pose[name] @ np.linalg.inv(self.rest[name]) if name else self.pose[""]
         return carrying[:, :3, :3] @ point + carrying[:, :3, 3]
 
-    def own(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+    def own(self, armature: bpy.types.Object, name: str) -> tuple[np.ndarray, np.ndarray]:
         """What a bone does already: quaternions (M, 4), locations (M, 3), relative to its rest."""
-        basis = np.linalg.inv(self.carried(name)) @ self.pose[name]
+        basis = self.basis(armature, name, self.pose[name])
         if self.at_rest:
             basis = np.broadcast_to(np.eye(4), basis.shape)
         return rotmat_to_quat(rotations_of(basis)), basis[:, :3, 3]
+
+    def basis(self, armature: bpy.types.Object, name: str, stands: np.ndarray) -> np.ndarray:
+        """(M, 4, 4) what a bone's channels have where it stands so (M, 4, 4)."""
+        bone, parent, found = armature.data.bones[name], self.parents[name], np.empty(stands.shape)
+        for row, back in enumerate(np.linalg.inv(self.pose[""])):
+            above = {}
+            if parent:
+                above = {"parent_matrix": Matrix(back @ self.pose[parent][row])}
+                above["parent_matrix_local"] = bone.parent.matrix_local
+            stand = Matrix(back @ stands[row])
+            found[row] = bone.convert_local_to_pose(stand, bone.matrix_local, invert=True, **above)
+        return found
 
 
 def _sampling(
