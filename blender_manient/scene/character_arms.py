@@ -262,7 +262,8 @@ def _capsules(armature: bpy.types.Object, target: TargetArm) -> Capsules:
     for mesh in meshes:
         own = [bones.index.get(group.name, -1) for group in mesh.vertex_groups]
         places = np.array(armature.matrix_world.inverted() @ mesh.matrix_world, dtype=np.float64)
-        for vertex in mesh.data.vertices[::step]:
+        vertices = mesh.data.vertices
+        for vertex in (vertices[i] for i in range(0, len(vertices), step)):
             heaviest = max(vertex.groups, key=lambda one: one.weight, default=None)
             points.append(places[:3, :3] @ vertex.co + places[:3, 3])
             owners.append(own[heaviest.group] if heaviest is not None else -1)
