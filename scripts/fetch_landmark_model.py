@@ -74,28 +74,26 @@ def assemble(path: Path, wheel: Path | None = None) -> None:
     """Write hand_landmarker.task and beside it the body networks, of the wheel given or of a downloaded one.
     Raises LandmarkModelError, OutputError."""
 
-    def both(wheel: Path, path: Path) -> list[Path]:
-        body = path.with_name(landmark_model.BODY.name)
-        return [landmark_model.assemble(wheel, path), landmark_model.assemble_body(wheel, body)]
+    def both(wheel: Path, hands: Path, body: Path) -> None:
+        landmark_model.assemble(wheel, hands)
+        landmark_model.assemble_body(wheel, body)
 
-    _assemble(both, wheel, download_wheel, path)
+    _assemble(both, wheel, download_wheel, path, path.with_name(landmark_model.BODY.name))
 
 
 def assemble_2020(path: Path, package: Path | None = None) -> None:
     """Write the landmark network of December 2020, of the npm package given or of a downloaded one. Raises
     LandmarkModelError, OutputError."""
-    _assemble(lambda *paths: [landmark_model.assemble_2020(*paths)], package, download_package, path)
+    _assemble(landmark_model.assemble_2020, package, download_package, path)
 
 
 def _assemble(
-    make: Callable[[Path, Path], list[Path]],
-    given: Path | None,
-    download: Callable[[Path], Path],
-    path: Path,
+    make: Callable[..., object], given: Path | None, download: Callable[[Path], Path], *paths: Path
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        for made in make(given or download(Path(folder)), path):
-            print(f"{made}: assembled ({made.stat().st_size / 1e6:.1f} MB)")
+        make(given or download(Path(folder)), *paths)
+    for path in paths:
+        print(f"{path}: assembled ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def download_wheel(folder: Path) -> Path:

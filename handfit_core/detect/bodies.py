@@ -21,7 +21,6 @@ from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
-from handfit_core.solvers import ShouldStop, never
 
 
 @dataclass(frozen=True)
@@ -63,13 +62,14 @@ def find_bodies(
     intrinsics: Intrinsics,
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
-    should_stop: ShouldStop = never,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[BodyTrack, ...]:
     """The people whom a clip's hands belong to, one track each over T frames.
 
     `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
     NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
-    side, is nearest a hand's; two hands share one where they share it in most frames.
+    side, is nearest a hand's; two hands share one where they share it in most frames. Of the options, the
+    number of threads counts, and changes no result.
 
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
@@ -80,7 +80,7 @@ def find_bodies(
         return ()
     with _BodyDetector(media, clip) as detector:
         chunks = detect_chunks(
-            detector, lambda again: _BodyDetector(again, clip), options, on_frame, should_stop
+            detector, lambda again: _BodyDetector(again, clip), options.processes, on_frame, should_stop
         )
     return _joined(clip, chunks)
 
@@ -149,7 +149,7 @@ class _BodyDetector:
     def single_threaded(self) -> None:
         """There is one thread anyway."""
 
-    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: ShouldStop) -> _Part:
+    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
         """Find the bodies in the chunk with that index, as `detector.InChunks` says. Frames before the first
         and after the last hand are not read."""
         rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames

@@ -15,7 +15,6 @@ from handfit_core.detect.networks import usable_threads
 from handfit_core.media.opening import open_media
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
-from handfit_core.options import CaptureOptions
 
 MAX_THREADS: Final = 8
 """Threads unless more are asked for: each decodes the video for itself, and more would do little else"""
@@ -24,20 +23,20 @@ MAX_THREADS: Final = 8
 def detect_chunks(
     detector: InChunks[Part],
     another: Callable[[Media], InChunks[Part]],
-    options: CaptureOptions,
+    threads: int | None,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
 ) -> list[Part]:
-    """Detect all chunks of a clip, in as many threads as the options say; `another` makes a detector for a
-    thread, of the clip opened once more. The number of threads changes no result.
+    """Detect all chunks of a clip in so many threads, None: as `thread_count` says; `another` makes a
+    detector for a thread, of the clip opened once more. The number of threads changes no result.
 
     `on_progress` gets the count of the frames that are done. Where it is stopped, the chunks before the first
     gap are returned.
     """
     media = detector.media
-    count = 1 if media.given is None else thread_count(options.processes, media.expected_frames)
+    count = 1 if media.given is None else thread_count(threads, media.expected_frames)
     if count > 1:
-        return _in_threads(count, detector, another, options, on_progress, should_stop)
+        return _in_threads(count, detector, another, on_progress, should_stop)
     found: list[Part] = []
     done = itertools.count(1)
     for index in itertools.count():
@@ -51,7 +50,6 @@ def _in_threads(
     count: int,
     detector: InChunks[Part],
     another: Callable[[Media], InChunks[Part]],
-    options: CaptureOptions,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
 ) -> list[Part]:
@@ -64,7 +62,7 @@ def _in_threads(
     """None for each frame that is done, and each thread's future once it has ended"""
 
     def work(number: int) -> None:
-        with nullcontext(detector) if number == 0 else another(_reopened(detector.media, options)) as own:
+        with nullcontext(detector) if number == 0 else another(_reopened(detector.media)) as own:
             own.single_threaded()
             while not ended.is_set():
                 index = next(indices)
@@ -102,9 +100,9 @@ def _in_threads(
     return [chunk for chunk in chunks if chunk.numbers]
 
 
-def _reopened(media: Media, options: CaptureOptions) -> Media:
+def _reopened(media: Media) -> Media:
     assert media.given is not None
-    return open_media(media.given, options.frames, max_megapixels=options.max_megapixels)
+    return open_media(media.given, media.wanted.frames, max_megapixels=media.wanted.max_megapixels)
 
 
 def thread_count(asked: int | None, frames: int) -> int:
