@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from mathutils import Quaternion
 
+from blender_manient import command
 from blender_manient.panels.character import MANIENT_PT_character
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
@@ -318,3 +319,22 @@ def test_the_live_link_keys_arms(hands):
     for _ in range(200):
         live_link.step()
     check_as_captured(target, hands)
+
+
+@pytest.mark.parametrize("arms", [True, False])
+def test_a_batch_puts_arms_on_characters_where_it_is_asked(make_take, tmp_path, arms):
+    take = with_arms(make_take().take, towards=(1.0, 0.1, 0.4))
+    clip, hero = take.save(tmp_path / "clip.take.npz"), tmp_path / "hero.blend"
+    skin(character("mixamo"))
+    bpy.ops.wm.save_as_mainfile(filepath=str(hero))
+    out = tmp_path / "out"
+    said = ["--arms", "--outside"] if arms else []
+    given = ["apply", clip, "--to", hero, *said, "-o", out, "--format", "blend"]
+    assert command.main([*map(str, given)]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(out / "clip" / "clip.blend"))
+    target = bpy.data.objects["Character"]
+    assert ("mixamorig:LeftArm" in keyed_bones(target)) == arms
+    if arms:
+        wrists = shown_arms(target, FRAMES)[:, :, 2]
+        aside = np.clip(wrists[..., 0], -0.05, 0.05)
+        assert np.hypot(wrists[..., 0] - aside, wrists[..., 1] - 0.02).min() > 0.09
