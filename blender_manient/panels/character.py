@@ -122,6 +122,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             return
         layout.prop(character, "arms_influence", slider=True)
         layout.prop(character, "arms_ease")
+        layout.prop(character, "arms_turn")
         if CharacterObjects.of(armature).meshes:
             layout.prop(character, "arms_outside")
 

@@ -58,6 +58,8 @@ class ArmOptions:
     """0..1: at 0 the arm stays as it is, at 1 it is the captured one"""
     ease: float = 10.0
     """frames within which it comes and goes, where something else moves the arm's bones"""
+    turn: float = 0.0
+    """radians about the body's vertical by which the arm is turned, seen from above against the clock"""
     outside: bool = False
     """Whether the hand is kept outside of trunk and head"""
 
@@ -104,7 +106,7 @@ def keying_arm(
     """
     if how.influence <= 0.0:
         return []
-    target, own = arm.target, arm.controls
+    target, own, captured = arm.target, arm.controls, captured.turned(how.turn)
     moved = _moved_range(armature, own.keyed)
     every, weights = frames, np.full(len(frames), how.influence)
     if moved is not None:

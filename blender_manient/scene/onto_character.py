@@ -66,7 +66,7 @@ Wrist = Literal["FINGERS", "TURNED", "PLACED"]
 
 _FROM_PROPERTIES = (
     *("into", "wrist", "reference", "contacts", "travel", "smoothing"),
-    *("arms", "arms_influence", "arms_ease", "arms_outside"),
+    *("arms", "arms_influence", "arms_ease", "arms_turn", "arms_outside"),
 )
 """What of `TransferOptions` the panel's properties say"""
 
@@ -141,6 +141,8 @@ class TransferOptions:
     """0..1: how much of the captured arm there is over what the character's does already"""
     arms_ease: float = 10.0
     """frames within which a captured arm comes and goes, where something else moves the character's"""
+    arms_turn: float = 0.0
+    """radians by which both captured arms are turned about the character's vertical"""
     arms_outside: bool = False
     """Whether hands on captured arms are kept outside of the character's trunk and head"""
 
@@ -313,7 +315,7 @@ def computing(
         wanted = PoseKeys.everywhere(motion.frames, quats)
         keys.append(BoneKeys(fingers, replace(wanted, rotation_keyed=wanted.rotation_keyed & keyed)))
         if arm is not None and motion.arm is not None:
-            how = ArmOptions(onto.arms_influence, onto.arms_ease, onto.arms_outside)
+            how = ArmOptions(onto.arms_influence, onto.arms_ease, onto.arms_turn, onto.arms_outside)
             wrists = motion.turns[:, 0]
             keys += yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, how)
         elif not fingers_only:

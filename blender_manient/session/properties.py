@@ -443,6 +443,16 @@ class ManientCharacter(bpy.types.PropertyGroup):
         max=1000,
         **_OF_CHARACTER,
     )
+    arms_turn: FloatProperty(  # type: ignore
+        name="Turn",
+        description="Turn both captured arms about the character's vertical. Pictures hardly tell where a "
+        "body faces: it may be 20 degrees off",
+        default=0.0,
+        min=-math.pi,
+        max=math.pi,
+        subtype="ANGLE",
+        **_OF_CHARACTER,
+    )
     arms_outside: BoolProperty(  # type: ignore
         name="Keep Hands Outside the Body",
         description="Push hands that would sink into chest or face out of capsules, which stand for the "
