@@ -4,8 +4,8 @@ Only the directions of upper arm and forearm are taken over, from the shoulder o
 it is relative to the body whatever the character's size. They are told in the axes of a body that faces -Y,
 with its left at +X, which are laid over the character's own: its shoulders' line, and its vertical. The
 capture's vertical is the camera's; about it the capture is turned until the line from the right shoulder to
-the left one, averaged over the clip, points to +X, but for 20 degrees, since so much of it may be wrong. Where
-one arm was captured alone, its body counts as facing the camera.
+the left one, averaged over the clip, points to +X, but for 20 degrees, since so much of it may be wrong.
+Where one arm was captured alone, its body counts as facing the camera.
 
 A bone's rotation from rest `R` lays the frame of its direction and of the elbow's axis at rest over the same
 two of the captured arm. It is told relative to the chest, which carries it along.
