@@ -137,7 +137,8 @@ def keying_arm(
         ]
         radii = capsules.radii + THICKNESS * np.linalg.norm(ways, axis=-1).max()
         seconds = every / frame_rate(bpy.context.scene)
-        away = kept_outside(points, np.moveaxis(np.array(ends), 2, 0), radii, seconds)
+        camera = target.body @ captured.facing @ [0.0, -1.0, 0.0]
+        away = kept_outside(points, np.moveaxis(np.array(ends), 2, 0), radii, seconds, camera)
         upper, fore = target.reaching(wrist + away, normals)
         normals, wrist = target.normals(upper, fore), target.wrist_at(upper, fore)
 

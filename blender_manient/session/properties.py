@@ -455,8 +455,9 @@ class ManientCharacter(bpy.types.PropertyGroup):
     )
     arms_outside: BoolProperty(  # type: ignore
         name="Keep Hands Outside the Body",
-        description="Push hands that would sink into chest or face out of capsules, which stand for the "
-        "character's trunk and head. Pictures do not tell how near a hand is to a body: it may be 10 cm off",
+        description="Move hands that would sink into chest or face out of capsules, which stand for the "
+        "character's trunk and head, towards the camera. Pictures hardly tell how far away a hand is: it may "
+        "be 10 cm off",
         default=False,
         **_OF_CHARACTER,
     )

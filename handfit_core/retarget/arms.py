@@ -45,6 +45,8 @@ THICKNESS = 0.15
 """Half of a hand's thickness, as a share of the way from its wrist to its knuckles"""
 _SMOOTH_SECONDS = 0.15
 """seconds before and after that a hand is moved already, or still, while it is kept outside a body"""
+_EDGE = 0.6
+"""Share of a capsule's radius up to which a hand before it is moved towards the camera alone"""
 _MIDLINE = 0.2
 """Share of the shoulders' distance from the middle up to which a bone belongs to trunk or head"""
 _TRUNK = (5.0, 95.0)
@@ -340,11 +342,18 @@ class Capsules:
         return cls(tuple(found), ends, np.array([radius for _, radius in found.values()]))
 
 
-def kept_outside(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+def kept_outside(
+    points: np.ndarray, ends: np.ndarray, radii: np.ndarray, seconds: np.ndarray, camera: np.ndarray
+) -> np.ndarray:
     """(N, 3) by how much K points (N, K, 3) of a hand are to be moved together on N frames to lie outside of
-    C capsules with `ends` (N, C, 2, 3) and `radii` (C,). `seconds` (N,) are the frames' times, increasing: a
-    hand is moved away and comes back smoothly, and is never less far outside for that."""
-    moved = _outwards(points, ends, radii)
+    C capsules with `ends` (N, C, 2, 3) and `radii` (C,), and not behind them.
+
+    A hand that a camera in the direction `camera` (3,) has seen lies before what is in line with it; how far
+    away it is is what pictures tell worst. So it is moved towards the camera, or aside at a capsule's edge.
+    `seconds` (N,) are the frames' times, increasing: a hand is moved away and comes back smoothly, and is
+    never less far outside for that.
+    """
+    moved = _outwards(points, ends, radii, camera)
     far = np.linalg.norm(moved, axis=-1)
     if not far.any():
         return moved
@@ -352,34 +361,35 @@ def kept_outside(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, second
         slice(*np.searchsorted(seconds, [at - 0.5 * _SMOOTH_SECONDS, at + 0.5 * _SMOOTH_SECONDS + 1e-9]))
         for at in seconds
     ]
-    widened = np.array([far[some].max() for some in windows])
+    farthest = np.array([far[some].max() for some in windows])
     wide = np.array([moved[some].mean(axis=0) for some in windows])
     # Frames beside those in which the hand is moved go the same way as these.
     aims = _unit(np.array([wide[some].mean(axis=0) for some in windows]))
-    smooth = np.array([widened[some].mean() for some in windows])[:, None] * aims
-    return smooth + _outwards(points + smooth[:, None], ends, radii)
+    smooth = np.array([farthest[some].mean() for some in windows])[:, None] * aims
+    return smooth + _outwards(points + smooth[:, None], ends, radii, camera)
 
 
-def _outwards(points: np.ndarray, ends: np.ndarray, radii: np.ndarray) -> np.ndarray:
-    """(N, 3) the smallest moves that were found, capsule by capsule, the deepest first."""
-    moved = np.zeros((len(points), 3))
+def _outwards(points: np.ndarray, ends: np.ndarray, radii: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """(N, 3) the moves that were found, capsule by capsule, the largest first."""
+    moved, rows = np.zeros((len(points), 3)), np.arange(len(points))
     start, axis = ends[:, None, :, 0], (ends[:, :, 1] - ends[:, :, 0])[:, None]
-    square = np.maximum(np.sum(axis**2, axis=-1), 1e-12)
-    rows = np.arange(len(points))
-    for _ in range(10):
+    across = _across(axis, camera)
+    square = np.maximum(np.sum(across**2, axis=-1), 1e-12)
+    for _ in range(20):
         away = (points + moved[:, None])[:, :, None] - start
-        share = np.clip(np.sum(away * axis, axis=-1) / square, 0.0, 1.0)
+        share = np.clip(np.sum(away * across, axis=-1) / square, 0.0, 1.0)
         away = away - share[..., None] * axis
-        distance = np.linalg.norm(away, axis=-1)
-        depth = (radii - distance).reshape(len(points), -1)
-        deepest = depth.argmax(axis=1)
-        by = np.maximum(depth[rows, deepest], 0.0)
-        if not by.any():
+        aside = _across(away, camera)
+        width = np.linalg.norm(aside, axis=-1)
+        front = np.sqrt(np.maximum(radii**2 - width**2, 0.0)) - away @ camera
+        part = np.clip((width / radii - _EDGE) / (1.0 - _EDGE), 0.0, 1.0)
+        part = (part * part * (3.0 - 2.0 * part))[..., None]
+        out = (1.0 - part) * front[..., None] * camera + part * (radii - width)[..., None] * _unit(aside)
+        out = np.where(((width < radii) & (front > 0.0))[..., None], out, 0.0).reshape(len(points), -1, 3)
+        largest = np.linalg.norm(out, axis=-1).argmax(axis=1)
+        moved += out[rows, largest]
+        if not out[rows, largest].any():
             break
-        normal = away.reshape(len(points), -1, 3)[rows, deepest]
-        moved += (
-            by[:, None] * normal / np.maximum(distance.reshape(len(points), -1)[rows, deepest], 1e-9)[:, None]
-        )
     return moved
 
 

@@ -271,7 +271,8 @@ def test_hands_are_kept_outside_smoothly():
     seconds = np.arange(frames) / 30.0
     depth = np.where(abs(np.arange(frames) - 45) < 10, -0.05, -0.3)
     points = np.stack([0.0 * depth, depth, 0.0 * depth], axis=-1)[:, None] + [[[0, 0, 0], [0.02, 0.0, 0.01]]]
-    moved = kept_outside(points, ends, np.array([0.11]), seconds)
+    camera = np.array([0.0, -1.0, 0.0])
+    moved = kept_outside(points, ends, np.array([0.11]), seconds, camera)
     after = points + moved[:, None]
     axis = np.clip(after[..., 0], -0.06, 0.06)
     gap = np.linalg.norm(after - np.stack([axis, 0 * axis, 0 * axis], axis=-1), axis=-1)
@@ -280,5 +281,7 @@ def test_hands_are_kept_outside_smoothly():
     assert np.abs(moved[:30]).max() == 0.0
     far = np.linalg.norm(moved, axis=-1)
     assert np.abs(np.diff(far)).max() < 0.5 * far.max()
-    still = kept_outside(points - [0.0, 0.5, 0.0], ends, np.array([0.11]), seconds)
+    still = kept_outside(points - [0.0, 0.5, 0.0], ends, np.array([0.11]), seconds, camera)
     assert not still.any()
+    hidden = kept_outside(points + [0.0, 0.15, 0.0], ends, np.array([0.11]), seconds, camera)
+    assert (points + [0.0, 0.15, 0.0] + hidden[:, None])[..., 1].max() < -0.1
