@@ -173,8 +173,6 @@ def _judged(hand: HandTrack, body: BodyTrack, camera: Intrinsics, shot: slice) -
         float(np.median(_distance(hand, body, camera, side)[shot][both]))
         for side in (hand.side, SIDES[1 - SIDES.index(hand.side)])
     )
-    if distance > GATES.max_distance:
-        return distance, OTHER_SIDE if other <= GATES.max_distance else APART
     # Of the points that arms have, pixels a metre of the body's own coordinates
     used = [index for of in (SHOULDERS, ELBOWS, WRISTS) for index in of.values()]
     spread = [
@@ -182,10 +180,16 @@ def _judged(hand: HandTrack, body: BodyTrack, camera: Intrinsics, shot: slice) -
         for each in (body.keypoints[shot][both][:, used], body.world[shot][both][:, used, :2])
     ]
     scale = _size(hand, camera)[shot][both] / (GATES.body_scale * spread[0] / np.maximum(spread[1], 1e-6))
-    if not GATES.min_scale <= np.median(scale) <= GATES.max_scale:
+    is_forearm = not GATES.min_scale <= np.median(scale) <= GATES.max_scale
+    if distance > GATES.max_distance:
+        if is_forearm and min(distance, other) <= 2.0 * GATES.max_distance:
+            return distance, FOREARM_ONLY
+        return distance, OTHER_SIDE if other <= GATES.max_distance else APART
+    if is_forearm:
         return distance, FOREARM_ONLY
-    score = body.score[shot]
-    if not np.nanmedian(np.append(score, np.nan if np.isfinite(score).any() else 0.0)) >= GATES.min_score:
+    # The detector is asked once in a while: of two scores the better one counts.
+    score = np.sort(body.score[shot][np.isfinite(body.score[shot])])
+    if not len(score) or score[len(score) // 2] < GATES.min_score:
         return distance, NO_PERSON
     of_arm = [of[hand.side] for of in (SHOULDERS, ELBOWS, WRISTS)]
     visible = np.median(body.visibility[shot][both][:, of_arm], axis=0)

@@ -33,12 +33,14 @@ class FollowingSettings:
     """Of the detector for a person who is followed already: what is less counts as 0"""
     min_presence: float = 0.5
     """Of the landmark network, below which a body is lost"""
-    detection_interval: int = 24
+    detection_interval: int = 48
     """From one run of the detector to the next, where all hands have bodies"""
-    max_wait: int = 16
-    """Between two runs of the detector for a hand without a body, at most, after 1, 2, 4, ..."""
+    first_wait: int = 8
+    max_wait: int = 32
+    """Between two runs of the detector for a hand without a body: first, twice as many each time, at most"""
     step: int = 2
-    """Landmarks are predicted in every n-th frame, and interpolated between"""
+    """Every step-th frame is looked at, and bodies are interpolated between: fitted arms are as exact, and
+    tremble no more"""
     max_wrist_distance: float = 1.0
     """Hand sizes; a body whose wrist is farther than this from a hand's is another's"""
     max_misses: int = 6
@@ -74,7 +76,9 @@ def find_bodies(
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
     """
-    seen = np.stack(hands) if hands else np.full((0, len(numbers), 21, 2), np.nan)
+    if not len(hands):
+        return ()
+    seen = np.stack(hands)
     clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), intrinsics)
     if not clip.wanted.any():
         return ()
@@ -152,27 +156,25 @@ class _BodyDetector:
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
         """Find the bodies in the chunk with that index, as `detector.InChunks` says. Frames before the first
         and after the last hand are not read."""
-        rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames
-        numbers, wanted = list(self.media.numbers(*rows)), self._clip.wanted
-        clip_rows = [self._rows.get(number, -1) for number in numbers]
-        with_hands = [i for i, row in enumerate(clip_rows) if row >= 0 and wanted[row]]
+        start, step = index * MEDIA.chunk_frames, FOLLOWING.step
+        numbers = list(self.media.numbers(start, MEDIA.chunk_frames))
+        rows = [self._rows.get(number, -1) for number in numbers]
+        wanted = [i for i in range(0, len(rows), step) if rows[i] >= 0 and self._clip.wanted[rows[i]]]
         following = _Following(self._networks, self._clip)
-        if not with_hands:
+        if not wanted:
             past = not numbers or numbers[0] > self._clip.numbers[-1]
             return _Part([] if past else numbers, [])
-        first, count = with_hands[0], with_hands[-1] + 1 - with_hands[0]
-        read = first
-        with closing(read_ahead(self.media.frames(rows[0] + first, count))) as frames:
+        at, end = wanted[0], wanted[-1] + 1
+        with closing(read_ahead(self.media.frames(start + at, end - at, step))) as frames:
             for frame in frames:
                 if should_stop():
                     break
-                row = clip_rows[read]
-                if frame.rgb is not None and row >= 0:
-                    following.find(frame.rgb, row, last=read == with_hands[-1])
-                read += 1
-                on_frame(read)
-        ended = read < first + count
-        return _Part(numbers[:read] if ended else numbers, following.people)
+                if frame.rgb is not None and rows[at] >= 0:
+                    following.find(frame.rgb, rows[at])
+                for _ in range(step):
+                    at += 1
+                    on_frame(at)
+        return _Part(numbers if at >= end else numbers[:at], following.people)
 
 
 class _Following:
@@ -184,21 +186,20 @@ class _Following:
         self._networks, self._clip = networks, clip
         self._now: list[_Followed] = []
         self._thumbnail: Thumbnail | None = None
-        self._next = self._next_detection = 0
-        """Rows of the next prediction, and of the next detection where all hands have bodies"""
-        self._wait, self._next_search = 1, 0
+        self._next_detection = 0
+        """Row of the next detection where all hands have bodies"""
+        self._wait, self._next_search = FOLLOWING.first_wait, 0
         """Frames to wait after a search for a hand's body that failed, and the row of the next one"""
 
-    def find(self, rgb: np.ndarray, row: int, *, last: bool) -> None:
+    def find(self, rgb: np.ndarray, row: int) -> None:
         """Find the bodies of the hands of that row in its picture (H, W, 3) uint8 RGB."""
         thumbnail = Thumbnail.of(rgb)
         if self._thumbnail is not None and thumbnail.is_cut_from(self._thumbnail):
-            self._now, self._next, self._next_detection, self._next_search = [], row, row, row
+            self._now, self._next_detection, self._next_search = [], row, row
         self._thumbnail = thumbnail
         there = np.isfinite(self._clip.extents[:, row])
-        if not there.any() or (row < self._next and not last):
+        if not there.any():
             return
-        self._next = row + FOLLOWING.step
         for person in self._now:
             self._predict(person, rgb, row)
         free = there.copy()
@@ -236,8 +237,8 @@ class _Following:
                 self._now.append(person)
                 self.people.append(person)
         self._next_detection = row + FOLLOWING.detection_interval
-        self._wait = min(2 * self._wait, FOLLOWING.max_wait) if free.any() else 1
         self._next_search = row + self._wait
+        self._wait = min(2 * self._wait, FOLLOWING.max_wait) if free.any() else FOLLOWING.first_wait
 
     def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
         """Add the body of that row where it is found."""

@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.batch import Batch
-from handfit_core.fit.terms.motion import place_acceleration
+from handfit_core.fit.settings import SOLVER
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis
 
@@ -63,6 +63,12 @@ class ArmSettings:
     elbow_acceleration: float = 2.0
     shoulder_acceleration: float = 0.3
     """metres per second squared that are expected. The wrist's matters in depth only"""
+    resting_speed: float = 0.015
+    """metres per second at which elbow and shoulder of a resting hand are expected to move"""
+    speed_share: float = 1.0
+    """The share of the wrist's speed that elbow and shoulder of a moving one have at most"""
+    overlap_seconds: float = 4.0
+    """seconds that two windows of a long clip share"""
     iterations: int = 30
     tolerance: float = 1e-4
     """Relative decrease of the cost at which to stop"""
@@ -146,21 +152,16 @@ def at_hand(arms: Arms, seen: ArmsSeen) -> Rows:
 
 
 def in_picture(arms: Arms, seen: ArmsSeen) -> Rows:
-    """Shoulder, elbow and, where there is no hand, wrist, against the body network's points."""
+    """How far shoulder, elbow and, where there is no hand, wrist are beside the rays of the body network's
+    points, metres."""
     points = np.stack(arms.points(seen.lengths), axis=-2)  # (T, A, 3, 3)
-    depth = np.maximum(points[..., 2], 0.05)
-    focal = np.array([seen.camera.fx, seen.camera.fy])
-    flat = points[..., :2] / depth[..., None]
-    weight = seen.visibility * (1.0 / (ARMS.joint_sigma * seen.hand_length))
+    weight = seen.visibility / (ARMS.joint_sigma * seen.hand_length)
     weight[..., 2] *= ~seen.with_hand
-    weight *= np.nanmean(seen.wrist[..., 2], axis=0)[:, None]  # of metres at the hand, of the ray's slope
-    observed = (seen.pixels - [seen.camera.cx, seen.camera.cy]) / focal
-    residual = np.where(weight[..., None] > 0.0, flat - observed, 0.0) * weight[..., None]
-    by_point = np.zeros((*depth.shape, 2, 3))
-    by_point[..., 0, 0] = by_point[..., 1, 1] = 1.0 / depth
-    by_point[..., 2] = -flat / depth[..., None]
+    rays = np.where(weight[..., None] > 0.0, seen.camera.rays(seen.pixels), 0.0)[..., :2]
+    residual = (points[..., :2] - rays * points[..., 2:]) * weight[..., None]
+    by_point = np.concatenate([np.broadcast_to(np.eye(2), (*weight.shape, 2, 2)), -rays[..., None]], axis=-1)
     by_point *= weight[..., None, None]
-    jacobian = np.zeros((*depth.shape, 2, 9))
+    jacobian = np.zeros((*weight.shape, 2, 9))
     jacobian[..., WRIST] = by_point
     jacobian[..., :2, :, FOREARM] = -seen.lengths[..., 1, None, None, None] * by_point[..., :2, :, :]
     jacobian[..., 0, :, UPPER] = -seen.lengths[..., 0, None, None] * by_point[..., 0, :, :]
@@ -215,16 +216,27 @@ def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
     return residual, np.concatenate(by_arm, axis=-1)
 
 
+def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
+    """The arms of T consecutive frames, at `fps` frames per second, window by window. Frames in which nothing
+    is seen follow from their neighbours; each arm must have a hand, and a body, in one frame at least."""
+    arms, count, first, overlap = _start(seen), len(seen.wrist), 0, int(ARMS.overlap_seconds * fps)
+    while True:
+        last = min(first + SOLVER.window_frames + overlap, count)
+        window = slice(first, last)
+        # Of the frames that two windows share, the first half is the earlier one's.
+        keep = 0 if first == 0 else overlap // 2
+        found = _window(seen.select(window), arms.select(window), fps).select(slice(keep, None))
+        arms = arms.replaced(np.arange(first + keep, last), found)
+        if last == count:
+            return arms
+        first += SOLVER.window_frames
+
+
 @np.errstate(all="ignore")
-def fit_arms(seen: ArmsSeen, fps: float, should_stop: Callable[[], bool] = lambda: False) -> Arms:
-    """The arms of T consecutive frames, at `fps` frames per second. Frames in which nothing is seen follow
-    from their neighbours; each arm must have a hand in one frame at least."""
-    arms = _start(seen)
+def _window(seen: ArmsSeen, arms: Arms, fps: float) -> Arms:
     cost, band, gradient = _system(arms, seen, fps)
     damping = 1e-3
     for _ in range(ARMS.iterations):
-        if should_stop():
-            break
         candidate = arms.moved(_solve(band, gradient, damping).reshape(*arms.wrist.shape[:2], FREE))
         after, next_band, next_gradient = _system(candidate, seen, fps)
         if not after < cost:
@@ -274,31 +286,53 @@ def _system(arms: Arms, seen: ArmsSeen, fps: float) -> tuple[float, np.ndarray, 
         own[:, :size] += by_both.swapaxes(1, 2) @ by_both
         gradient += (by_both.swapaxes(1, 2) @ apart[..., None])[..., 0]
         cost += float(np.square(apart).sum())
-    # Accelerations of the points, each with its own sigma, by the unknowns of three frames
-    sigma = np.array([ARMS.shoulder_acceleration, ARMS.elbow_acceleration, ARMS.wrist_acceleration]) / fps**2
-    points = np.stack(arms.points(seen.lengths), axis=2) / sigma[:, None]  # (T, A, 3, 3)
+    # Differences of the points over two and three frames, by the unknowns of each
+    points = np.stack(arms.points(seen.lengths), axis=2).reshape(count, number, 9)
     by_points = np.zeros((count, number, 3, 3, 9))
     by_points[..., WRIST] = np.eye(3)
     by_points[:, :, :2, :, FOREARM] = -seen.lengths[:, :, 1, None, None, None] * np.eye(3)
     by_points[:, :, 0, :, UPPER] = -seen.lengths[:, :, 0, None, None] * np.eye(3)
-    moving = (by_points / sigma[:, None, None]).reshape(count, number, 9, 9) @ tangents
-    change = place_acceleration(points).reshape(-1, number, 9)
-    cost += float(np.square(change).sum())
-    coefficients = (1.0, -2.0, 1.0)
-    last = max(count - 2, 0)
-    for a, ca in enumerate(coefficients):
-        of_a = ca * moving[a : last + a].swapaxes(-1, -2)
-        gradient[a : last + a] += (of_a @ change[..., None])[..., 0].reshape(-1, size)
-        for b, cb in enumerate(coefficients[: a + 1]):
-            block = of_a @ (cb * moving[b : last + b])
-            for arm in range(number):
-                at = arm * FREE
-                row = (a - b) * size + at
-                own[b : last + b, row : row + FREE, at : at + FREE] += block[:, arm]
+    moving = by_points.reshape(count, number, 9, 9) @ tangents
+    for coefficients, weight in (
+        ((-1.0, 1.0), _of_speed(seen, fps)),
+        ((1.0, -2.0, 1.0), _of_acceleration(fps)),
+    ):
+        last = max(count - len(coefficients) + 1, 0)
+        change = sum(c * points[a : last + a] for a, c in enumerate(coefficients)) * weight
+        cost += float(np.square(change).sum())
+        for a, ca in enumerate(coefficients):
+            of_a = (ca * weight[..., None] * moving[a : last + a]).swapaxes(-1, -2)
+            gradient[a : last + a] += (of_a @ change[..., None])[..., 0].reshape(-1, size)
+            for b, cb in enumerate(coefficients[: a + 1]):
+                block = of_a @ (cb * weight[..., None] * moving[b : last + b])
+                for arm in range(number):
+                    at = arm * FREE
+                    row = (a - b) * size + at
+                    own[b : last + b, row : row + FREE, at : at + FREE] += block[:, arm]
     band = np.zeros((count, size, 3 * size))
     for column in range(size):
         band[:, column, : 3 * size - column] = own[:, column:, column]
     return cost, band.reshape(count * size, 3 * size).T, gradient
+
+
+def _of_acceleration(fps: float) -> np.ndarray:
+    """(9,) one over the expected second differences of shoulder, elbow and wrist."""
+    sigma = np.array([ARMS.shoulder_acceleration, ARMS.elbow_acceleration, ARMS.wrist_acceleration])
+    return np.repeat(fps**2 / sigma, 3)
+
+
+def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
+    """(T - 1, A, 9) one over the expected first differences: an arm whose hand rests hardly moves. Nothing is
+    expected of the wrist, nor of arms without a hand."""
+    rows = np.arange(len(seen.wrist))
+    # Over so long that the hand's own tremor is none.
+    lag = max(round(0.2 * fps), 1)
+    before, after = np.maximum(rows[:-1] - lag, 0), np.minimum(rows[1:] + lag, rows[-1])
+    way = np.linalg.norm(seen.wrist[after] - seen.wrist[before], axis=-1, keepdims=True)
+    speed = way * fps / (after - before)[:, None, None]
+    weight = np.repeat(fps / (ARMS.resting_speed + ARMS.speed_share * np.nan_to_num(speed)), 9, axis=-1)
+    weight[..., 6:] = 0.0
+    return np.where(np.isfinite(speed), weight, 0.0)
 
 
 def _solve(band: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:

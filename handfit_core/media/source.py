@@ -98,8 +98,9 @@ class Media:
     first_and_last: tuple[int, int]
     """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
 
-    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
-        """Yield the frames in order, from index `first`, counted from 0, and `count` of them at most."""
+    def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
+        """Yield the frames in order, from index `first`, counted from 0: of `count` of them at most, every
+        step-th one."""
         raise NotImplementedError
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:

@@ -11,7 +11,17 @@ import pytest
 from handfit_core import arms as takes
 from handfit_core.arms import _seen, arms_of
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
-from handfit_core.fit.arms import ARMS, FREE, TERMS, Arms, ArmsSeen, fit_arms, shoulder_width
+from handfit_core.fit.arms import (
+    ARMS,
+    FREE,
+    TERMS,
+    Arms,
+    ArmsSeen,
+    _start,
+    _window,
+    fit_arms,
+    shoulder_width,
+)
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack
 from tests.core.fit.differences import by_each, close, random, unit
@@ -98,6 +108,16 @@ def test_noise_falls():
         assert np.median(moved) < 0.002
         assert np.percentile(moved, 95) < 0.005
         assert np.median(degrees_off(hand.arm, truth), axis=0).max() < 5.0
+
+
+def test_long_clips_are_solved_in_windows():
+    """As if they were solved at once: to a millimetre."""
+    long = person(720)
+    seen = _seen(long.hands, body_of(long.points, 0.019), CAMERA, slice(0, 720))
+    whole, parts = _window(seen, _start(seen), FPS), fit_arms(seen, FPS)
+    assert (
+        np.linalg.norm(whole.points(seen.lengths)[0] - parts.points(seen.lengths)[0], axis=-1).max() < 0.001
+    )
 
 
 def test_shoulders_of_one_person_are_joined():
