@@ -53,6 +53,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "posing.keys_simplified": lambda i: {"take": i.two_hands()},
     "posing.exported": lambda i: {"source": i.photo},
     "character.applied": lambda i: {"take": i.two_hands()},
+    "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
 }
 
