@@ -30,8 +30,8 @@ from handfit_core.take import Take
 
 log = logging.getLogger("handfit")
 
-Stage = Literal["detect", "fit", "score"]
-"""`score` is of evaluations only"""
+Stage = Literal["detect", "fit", "score", "lens"]
+"""`score` is of evaluations, and `lens` of a lens that is measured"""
 
 
 @dataclass(frozen=True)
