@@ -39,8 +39,10 @@ class ChessboardSettings:
     used: int = 30
     """Boards that are calibrated with; the error falls with their root, the time grows with their number"""
     least: int = 8
-    """Boards"""
-    search_side: int = 1280
+    """Boards that differ"""
+    differing: float = 0.03
+    """of the longer side that a board's outer corners must have moved, root of the sum of squares"""
+    search_side: int = 960
     """pixels of the longer side, in which the board is searched; its corners are refined in all pixels"""
     most_blur: float = 1.5
     """times the median width of the edges: blurred boards are also skewed by the rolling shutter"""
@@ -52,7 +54,7 @@ class ChessboardSettings:
     """of the longer side: a principal point that is known worse is taken to be the picture's middle"""
     least_parts: int = 7
     """of the picture's nine in which corners must have been seen"""
-    tilted: float = 0.1
+    tilted: float = 0.06
     """logarithm of the ratio of opposite sides of a board that is seen from aside"""
     least_tilted: int = 4
     """boards; a board that is parallel to the picture says nothing about the focal length"""
@@ -111,12 +113,13 @@ def measure_lens(
             blur.append(found[1])
     boards = np.array(corners).reshape(-1, CORNERS[0] * CORNERS[1], 2)
     name = media.source.name
-    if len(boards) < CHESSBOARD.least:
-        seen = f"in {len(boards)} of {looked_at} frames only" if len(boards) else "in no frame"
-        raise InputError(f"{name}: the chessboard was found {seen}: {_HOW}")
-    boards = boards[np.array(blur) <= CHESSBOARD.most_blur * np.median(blur)]
     size = media.width, media.height
-    boards = boards[_diverse(_quads(boards) / np.array(size), CHESSBOARD.used)]
+    if len(boards):
+        boards = boards[np.array(blur) <= CHESSBOARD.most_blur * np.median(blur)]
+        boards = boards[_diverse(_quads(boards) / max(size))]
+    if len(boards) < CHESSBOARD.least:
+        seen = f"in {len(boards)} places only" if len(boards) else f"in none of {looked_at} frames"
+        raise InputError(f"{name}: the chessboard was found {seen}: {_HOW}")
     _check_spread(name, boards, size)
     return _calibrated(name, boards, size)
 
@@ -183,16 +186,16 @@ def _quads(boards: np.ndarray) -> np.ndarray:
     return np.take_along_axis(outer, ((first[:, None] + np.arange(4)) % 4)[..., None], axis=1)
 
 
-def _diverse(quads: np.ndarray, count: int) -> np.ndarray:
-    """Indices of at most `count` of the boards (N, 4, 2), each as far as can be from those before: in place,
-    distance and tilt alike, as all of them move corners."""
+def _diverse(quads: np.ndarray) -> np.ndarray:
+    """Indices of the boards (N, 4, 2) to use, each as far as can be from those before: in place, distance and
+    tilt alike, as all of them move corners."""
     rows = quads.reshape(len(quads), -1)
     away = np.linalg.norm(rows - rows.mean(axis=0), axis=1)
     chosen = [int(away.argmin())]
-    away = np.full(len(rows), np.inf)
-    while len(chosen) < min(count, len(rows)):
-        away = np.minimum(away, np.linalg.norm(rows - rows[chosen[-1]], axis=1))
+    away = np.linalg.norm(rows - rows[chosen[0]], axis=1)
+    while len(chosen) < CHESSBOARD.used and away.max() > CHESSBOARD.differing:
         chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.linalg.norm(rows - rows[chosen[-1]], axis=1))
     return np.array(chosen)
 
 
@@ -254,7 +257,7 @@ def _calibrated(name: str, boards: np.ndarray, size: tuple[int, int]) -> Measure
             break
         fixed |= flag
         found = _solve(boards, size, fixed)
-    focal, sigma = float(found.matrix[0, 0]), float(found.sigma[:2].max())
+    focal, sigma = float(found.matrix[0, 0]), max(float(found.sigma[:2].max()), _scatter(boards, size, found))
     if not found.error <= CHESSBOARD.most_error * longer:
         raise InputError(
             f"{name}: the chessboard's corners lie {found.error:.1f} px from where a lens would show them: "
@@ -270,8 +273,21 @@ def _calibrated(name: str, boards: np.ndarray, size: tuple[int, int]) -> Measure
     return MeasuredLens(Lens(intrinsics, (k1, k2, 0.0, 0.0, 0.0), *size), found.error, sigma, len(boards))
 
 
-def _solve(boards: np.ndarray, size: tuple[int, int], fixed: int) -> _Calibration:
-    """Calibrate: one focal length, no tangential and no third radial term, and what is not `fixed`."""
+def _scatter(boards: np.ndarray, size: tuple[int, int], found: _Calibration) -> float:
+    """The standard deviation, px, of the focal length, by quarters of the boards. Within a board errors
+    are alike, as by a rolling shutter, of which OpenCV's own deviations know nothing."""
+    import cv2
+
+    others = cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2
+    focals = [_solve(boards[part::4], size, others, found).matrix[0, 0] for part in range(4)]
+    return float(np.std(focals, ddof=1)) / 2.0
+
+
+def _solve(
+    boards: np.ndarray, size: tuple[int, int], fixed: int, start: _Calibration | None = None
+) -> _Calibration:
+    """Calibrate: one focal length, no tangential and no third radial term, and what is not `fixed`, which is
+    then as in `start`, or the picture's middle and 0."""
     import cv2
 
     across, down = CORNERS
@@ -279,6 +295,9 @@ def _solve(boards: np.ndarray, size: tuple[int, int], fixed: int) -> _Calibratio
     board[:, :2] = np.stack(np.meshgrid(np.arange(across), np.arange(down)), axis=-1).reshape(-1, 2)
     guess = 0.8 * max(size)
     matrix: Any = np.array([[guess, 0.0, size[0] / 2.0], [0.0, guess, size[1] / 2.0], [0.0, 0.0, 1.0]])
+    distortion: Any = np.zeros(5)
+    if start is not None:
+        matrix, distortion = start.matrix.copy(), start.distortion.copy()
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_ASPECT_RATIO
     flags |= cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     _, matrix, distortion, _, _, sigma, _, errors = cv2.calibrateCameraExtended(
@@ -286,7 +305,7 @@ def _solve(boards: np.ndarray, size: tuple[int, int], fixed: int) -> _Calibratio
         [each[:, None].astype(np.float32) for each in boards],
         size,
         matrix,
-        np.zeros(5),
+        distortion,
         flags=flags | fixed,
         criteria=(_UNTIL, 100, 1e-9),
     )

@@ -77,7 +77,7 @@ def saved_lenses() -> dict[str, MeasuredLens]:
     path = lenses_path()
     try:
         content = json.loads(read_file(path, _LARGEST))
-        return {name: _measured(content[name]) for name in sorted(content)}
+        return {name: _measured(one) for name, one in sorted(dict(content).items())}
     except FileNotFoundError:
         return {}
     except (OSError, KeyError, TypeError, ValueError, RecursionError) as error:
