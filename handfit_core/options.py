@@ -360,8 +360,8 @@ class CaptureOptions:
     lens: Lens | tuple[float, float, float] | None = _option(
         None,
         _lens,
-        "the camera where the picture's size is not known: the name of a lens that was measured with the "
-        "command lens, or focal length in picture widths, principal point in widths and heights",
+        "the name of a lens that was measured with the command lens; or the camera where the picture's size "
+        "is not known: focal length in picture widths, principal point in widths and heights",
         "NAME|F,X,Y",
         by_default="as --intrinsics",
     )

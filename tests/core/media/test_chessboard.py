@@ -106,7 +106,16 @@ def data(tmp_path, monkeypatch):
 def test_lenses_are_kept_by_any_name(data):
     """In one file, whose name is none of theirs."""
     assert saved_lenses() == {}
-    names = ["my phone", "../../etc/passwd", "a/b\\c", "..a", "C:\\x.json", "📱 👨‍👩‍👧", "nul\0\nx", "\ud800x"]
+    names = [
+        "my phone",
+        "../../etc/passwd",
+        "a/b\\c",
+        "..a",
+        "C:\\x.json",
+        "📱 👨‍👩‍👧",
+        "nul\0\nx",
+        "\ud800x",
+    ]
     for name in names:
         save_lens(name, MEASURED)
     assert saved_lenses() == dict.fromkeys(sorted([*names[:-1], "?x"]), MEASURED)
