@@ -173,6 +173,11 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
             layout.prop(settings, "focal_length", text="Millimeters")
         elif settings.camera == "ACTIVE" and context.scene.camera is None:
             sentence(layout, context, "The scene has no active camera", "ERROR", alert=True)
+        elif settings.camera == "LENS":
+            layout.prop(settings, "measured_lens")
+            row = layout.row(align=True)
+            row.operator("manient.show_chessboard", text="Chessboard", icon="TEXTURE")
+            row.operator("manient.measure_lens", icon="FILE_MOVIE")
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
         column.prop(settings, "render_setup")
