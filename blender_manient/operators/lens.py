@@ -21,8 +21,8 @@ from ..session.cache import cache_folder
 from .base import LINKED_SCENE, InternalOperator, StepsOperator, Waiting
 
 _ADVICE = (
-    "Film the chessboard for half a minute, with the camera set as for captures and stabilisation off: all of "
-    "the board, in all corners of the picture, near and far, and up to 45 degrees from each side"
+    "Film the chessboard for half a minute, with the camera set as for captures and stabilisation off: the "
+    "whole board, in all corners of the picture, near and far, and up to 45 degrees from each side"
 )
 
 

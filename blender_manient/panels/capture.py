@@ -177,7 +177,7 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
             layout.prop(settings, "measured_lens")
             row = layout.row(align=True)
             row.operator("manient.show_chessboard", text="Chessboard", icon="TEXTURE")
-            row.operator("manient.measure_lens", icon="FILE_MOVIE")
+            row.operator("manient.measure_lens", text="Measure", icon="FILE_MOVIE")
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
         column.prop(settings, "render_setup")

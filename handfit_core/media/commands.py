@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-import webbrowser
 from collections.abc import Callable
 from functools import partial
 
@@ -14,7 +12,7 @@ from handfit_core.media.chessboard import board_png, measure_lens
 from handfit_core.media.lenses import checked_name, save_lens, saved_lenses
 
 _ADVICE = (
-    "show it on a screen without anything around it, and film it for half a minute: the whole board, in all "
+    "open it on the whole screen, and film it for half a minute: the whole board, in all "
     "corners of the picture, near and far, and up to 45 degrees from each side"
 )
 
@@ -40,8 +38,6 @@ def _lens(progress: Callable, args: argparse.Namespace) -> int:
         with written_whole(path) as beside:
             beside.write_bytes(board_png())
         print(f"{printable(str(path))}: {_ADVICE}")
-        if sys.stdout.isatty():
-            webbrowser.open(path.absolute().as_uri())
     elif args.list:
         for name, measured in saved_lenses().items():
             print(f"{printable(name)}: {measured.said}")

@@ -322,3 +322,8 @@ def test_a_worker_that_cannot_read_any_more_ends(start: Any) -> None:
     code = "import json\ndef loads(line): raise MemoryError\njson.loads = loads\n"
     with pytest.raises(WorkerError, match=r"^memory ran out"):
         ask(start(code), "check")
+
+
+def test_a_lens_is_measured_and_saved(warm: Worker, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="the chessboard was found in none of 1 frames"):
+        ask(warm, "lens", input=[PHOTO], name="mine")
