@@ -132,6 +132,23 @@ def test_finds_what_can_be_chosen(warm: Worker, tmp_path: Path) -> None:
         assert len(ask(warm, "find", input=[PHOTO], options=options)["hands"]) == count
 
 
+def test_adds_arms_to_takes(warm: Worker, tmp_path: Path) -> None:
+    """A drawn hand has none, and both ways tell why."""
+    first, second = str(tmp_path / "a.npz"), str(tmp_path / "b.npz")
+    ask(warm, "capture", **capture_of(tmp_path, "1-3"))
+    before: list[Event] = []
+    done = warm.wait(warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
+    assert [(e["stage"], e["done"], e["total"]) for e in before if e["event"] == "progress"][-1] == (
+        "detect",
+        3,
+        3,
+    )
+    (hand,) = done["hands"]
+    assert (done["output"], hand["arm"]) == (second, 0)
+    assert hand["no_arm"] == Take.load(second).hands[0].no_arm != ""
+    assert ask(warm, "capture", **capture_of(tmp_path, "1-3", arms=True))["hands"] == done["hands"]
+
+
 def test_makes_contact_sheets(warm: Worker, tmp_path: Path) -> None:
     take, sheet = str(tmp_path / "a.npz"), tmp_path / "new" / "a.sheet.jpg"
     assert ask(warm, "capture", input=[PATTERN], output=take, options={"frames": "3-8"})["frames"] == 6
@@ -163,6 +180,8 @@ def test_makes_contact_sheets(warm: Worker, tmp_path: Path) -> None:
         ("find", {"picture": f"{__file__}/b.jpg"}, "OutputError", "cannot write"),
         ("sheet", {"take": PHOTO}, "TakeError", "hand.0001.jpg"),
         ("warm", {"model": "/nowhere.pkl"}, "HandModelError", "nowhere"),
+        ("lens", {"name": "1,2"}, "OptionError", "a name with a letter"),
+        ("lens", {"name": "mine"}, "InputError", "the chessboard was found in none of 1 frames"),
     ],
     ids=str,
 )
@@ -322,8 +341,3 @@ def test_a_worker_that_cannot_read_any_more_ends(start: Any) -> None:
     code = "import json\ndef loads(line): raise MemoryError\njson.loads = loads\n"
     with pytest.raises(WorkerError, match=r"^memory ran out"):
         ask(start(code), "check")
-
-
-def test_a_lens_is_measured_and_saved(warm: Worker, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="the chessboard was found in none of 1 frames"):
-        ask(warm, "lens", input=[PHOTO], name="mine")
