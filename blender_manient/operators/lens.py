@@ -20,8 +20,8 @@ from ..session import details, shared_worker
 from ..session.cache import cache_folder
 from .base import LINKED_SCENE, InternalOperator, StepsOperator, Waiting
 
-_ADVICE = (
-    "Film the chessboard for half a minute, with the camera set as for captures and stabilisation off: the "
+ADVICE = (
+    "Film the chessboard for half a minute, with the camera set as for captures and stabilization off: the "
     "whole board, in all corners of the picture, near and far, and up to 45 degrees from each side"
 )
 
@@ -37,13 +37,14 @@ class MANIENT_OT_show_chessboard(InternalOperator, bpy.types.Operator):
             beside.write_bytes(board_png())
         if not bpy.app.background:
             bpy.ops.wm.path_open(filepath=str(path))
-        return f"{_ADVICE} ({path})"
+        return f"Film {path} on the whole screen"
 
 
 class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
     """Measure a camera's lens from a film of the chessboard, and keep it for all captures with that one."""
 
     bl_label = "Measure Lens"
+    bl_options = {"UNDO"}  # adjusting it would measure again
     title = "Measuring"
     undone = "An undo stopped the measuring: begin it again"
 
@@ -72,7 +73,7 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
     def draw(self, context):
         """The name beside the file browser, and how to film."""
         self.layout.prop(self, "lens")
-        sentence(self.layout, context, _ADVICE, "INFO")
+        sentence(self.layout, context, ADVICE, "INFO")
 
     def run(self, context):
         """Measure and wait for it. From the file browser, in which no operator can go on running, another one

@@ -8,7 +8,7 @@ from handfit_core.options import OPTIONS
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import counted
-from ..operators import add_hand
+from ..operators import add_hand, lens
 from ..operators.modes import find_hands as find_mode
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
@@ -178,6 +178,8 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
             row = layout.row(align=True)
             row.operator("manient.show_chessboard", text="Chessboard", icon="TEXTURE")
             row.operator("manient.measure_lens", text="Measure", icon="FILE_MOVIE")
+            if not settings.measured_lens:
+                sentence(layout, context, lens.ADVICE, "INFO")
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
         column.prop(settings, "render_setup")

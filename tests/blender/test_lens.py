@@ -34,7 +34,9 @@ def test_measured_lenses_are_offered_by_name(settings):
     settings.camera = "LENS"
     with pytest.raises(OptionError, match="choose the measured lens"):
         new_job(bpy.context, only_frame=False)
-    assert {"Chessboard", "Measure"} <= set(drawn(MANIENT_PT_capture_advanced).rows)
+    page = drawn(MANIENT_PT_capture_advanced)
+    assert {"Chessboard", "Measure"} <= set(page.rows)
+    assert "Film the chessboard for half a minute" in page.said
     for name in ("my/phone", "Webcam 📷"):
         save_lens(name, MeasuredLens(LENS, 0.2, 1.0, 20))
     assert properties.choices_of_option["measured_lens"]() == ["Webcam 📷", "my/phone"]
