@@ -21,6 +21,7 @@ from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers import ShouldStop
+from handfit_core.sources import measured_lens
 from handfit_core.take import HandTrack, Take
 
 
@@ -106,6 +107,8 @@ def with_arms(
     bodies = find_bodies(media, numbers, points, take.intrinsics, options, on_frame, should_stop)
     if should_stop():
         return take
+    if (lens := measured_lens(options, media)) is not None:  # as of the hands
+        bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
     step = np.median(np.diff(numbers)) if len(numbers) > 1 else 1.0
     return replace(take, hands=arms_of(take.hands, bodies, take.intrinsics, take.fps / float(step)))
 
