@@ -197,6 +197,7 @@ def new_job(
             else settings.solver or CaptureOptions.solver,
             model=_model(settings),
             threshold=settings.threshold,
+            arms=settings.arms and target == "NEW" and source.kind != "data" and not bare,
             smoothing=settings.smoothing,
             plain_detection=settings.preset == "DRAFT",
             quality="standard" if settings.preset == "PAPER" else settings.preset.lower(),

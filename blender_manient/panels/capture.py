@@ -29,6 +29,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         if settings.preset != "PAPER":
             column.prop(settings, "smoothing", slider=True)
         column.prop(settings, "target")
+        if settings.target == "NEW":
+            column.prop(settings, "arms")
         hand = active_hand(context)
         if settings.target != "NEW" and hand is None:
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")

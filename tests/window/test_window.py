@@ -39,6 +39,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.undo_in_the_middle": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.another_file_in_the_middle": lambda i: {"source": i.clip(CLIP)},
     "capture.dropped": lambda i: {"source": i.photo},
+    "capture.arms_added": lambda i: {"source": i.photo},
     "finding.chosen": lambda i: {"source": i.four_hands},
     "finding.added": lambda i: {"source": i.photo},
     "refine.keypoint_dragged": lambda i: {"source": i.clip(60)},
@@ -53,6 +54,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "posing.keys_simplified": lambda i: {"take": i.two_hands()},
     "posing.exported": lambda i: {"source": i.photo},
     "character.applied": lambda i: {"take": i.two_hands()},
+    "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
 }
 

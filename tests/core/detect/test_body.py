@@ -100,7 +100,7 @@ def test_the_hands_of_a_photo_have_their_bodies(networks, samples, name, people,
     hands = hands_in(samples / name)
     media = open_media(str(samples / name))
     camera = Intrinsics.assumed(media.width, media.height)
-    bodies = find_bodies(media, [1], hands[:, None], camera, CaptureOptions())
+    bodies = find_bodies(media, [1], list(hands[:, None]), camera, CaptureOptions())
     assert len(bodies) == people
     wrists = np.concatenate([body.keypoints[0, [*WRISTS.values()]] for body in bodies])
     off = np.linalg.norm(hands[:, None, 0] - wrists, axis=-1).min(axis=1) / np.ptp(hands, axis=1).max(axis=1)
@@ -126,7 +126,7 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
     tracks = []
     for threads in (1, 3):
         media, options = open_media(str(path)), CaptureOptions(processes=threads)
-        tracks.append(find_bodies(media, range(1, 211), hands, Intrinsics.assumed(*size), options))
+        tracks.append(find_bodies(media, range(1, 211), list(hands), Intrinsics.assumed(*size), options))
     assert [len(each) for each in tracks] == [1, 1]
     ((one,), (other,)) = tracks
     for name in ("keypoints", "visibility", "world", "score", "present"):
