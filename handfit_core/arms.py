@@ -44,10 +44,11 @@ class GateSettings:
     min_visibility: float = 0.5
     """of shoulder, elbow and wrist"""
     max_jump: float = 1.5
-    """hand lengths by which shoulders move from frame to frame; beyond there is a cut"""
+    """hand lengths by which shoulders move from one frame to the next one with that body; beyond there is a
+    cut"""
     max_gap_seconds: float = 0.5
     """Farther from frames with a body there is no arm"""
-    max_residual: float = 0.6
+    max_residual: float = 0.4
     """hand lengths in the picture by which fitted elbows and shoulders are off, median: beyond, body and hand
     do not belong together"""
     max_longer: float = 1.2
@@ -58,6 +59,7 @@ class GateSettings:
 
 GATES: Final = GateSettings()
 
+NO_PICTURES: Final = "no arm: there are no pictures in which one could be found"
 NO_BODY: Final = "no arm: no body is in the picture"
 APART: Final = "no arm: no body's wrist is at this hand"
 OTHER_SIDE: Final = "no arm: the body in the picture has its other hand here; is this hand's side right?"
@@ -96,6 +98,8 @@ def reopened(take: Take, max_megapixels: float | None = None) -> Media:
 
 def with_arms(take: Take, bodies: Sequence[BodyTrack]) -> Take:
     """The take with the arms of its hands on these bodies; each gets one, or a sentence why there is none."""
+    if take.source.kind == "data":
+        return replace(take, hands=tuple(replace(hand, no_arm=NO_PICTURES) for hand in take.hands))
     step = np.median(np.diff(take.frame_numbers)) if len(take.frame_numbers) > 1 else 1.0
     return replace(take, hands=arms_of(take.hands, bodies, take.intrinsics, take.fps / float(step)))
 
@@ -111,6 +115,8 @@ def with_bodies(
 
     `on_frame` gets the count of frames that are done. Once it is to stop, the hands come back as they
     were."""
+    if media.source.kind == "data":
+        return found, ()
     points = [
         scatter(track.detections.keypoints_2d, track.detections.frame, track.frame_count, np.nan)
         for track in found.tracks
@@ -261,16 +267,16 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
     """The frames between cuts, where the shoulders of a body jump."""
-    if not hands:
+    sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
+    if not sizes:
         return []
     count = len(hands[0].detected)
-    sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
     cuts = {0, count}
     for body in bodies:
         rows = np.flatnonzero(body.present)
         middle = body.keypoints[rows][:, [*SHOULDERS.values()]].mean(axis=1)
         jumps = np.linalg.norm(np.diff(middle, axis=0), axis=1) > GATES.max_jump * np.median(sizes)
-        cuts.update(rows[1:][jumps & (np.diff(rows) == 1)].tolist())
+        cuts.update(rows[1:][jumps].tolist())
     return [slice(*each) for each in pairwise(sorted(cuts))]
 
 

@@ -48,6 +48,7 @@ def test_arms_are_added_to_a_take(tmp_path):
         assert take.hands[0].no_arm.startswith("no arm: ")
         assert take.hands[0].no_arm in result.stderr
         np.testing.assert_array_equal(take.hands[0].joints_3d, before.hands[0].joints_3d)
+    assert f"({take.hands[0].no_arm})" in run("info", beside).stdout
     replace(before, source=replace(before.source, files=(str(tmp_path / "gone.jpg"),))).save(path)
     assert "gone.jpg: there is no such file" in run("arms", path).stderr
 
