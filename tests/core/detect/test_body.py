@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from handfit_core import capture
 from handfit_core.detect.bodies import FOLLOWING, find_bodies
 from handfit_core.detect.body import WRISTS, BodyNetworks, crop_about
 from handfit_core.detect.landmark_model import BODY, body_model_path
@@ -138,3 +139,11 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
         shoulders = one.keypoints[shot, 11:13]
         assert np.nanmax(np.abs(shoulders - np.nanmedian(shoulders, axis=0))) < 25.0
     assert np.isfinite(one.score).sum() <= 210 / FOLLOWING.detection_interval * 4
+
+
+@pytest.mark.usefixtures("networks")
+def test_a_capture_with_arms_has_the_side_that_the_body_names(samples):
+    """A man from behind, who holds up his left hand."""
+    photo = str(samples / "many_hands" / "mpii_051423444.jpg")
+    sides = [[hand.side for hand in capture(photo, arms=arms).hands] for arms in (False, True)]
+    assert sides == [["right"], ["left"]]
