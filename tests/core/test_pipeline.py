@@ -34,7 +34,7 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.lenses import MeasuredLens, save_lens
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import hand_summaries
+from handfit_core.pipeline import add_arms, hand_summaries
 from handfit_core.registry import Registry
 from handfit_core.skeleton import SIDES
 from handfit_core.solvers import SOLVERS, Solver, TrackSolver, get_solver
@@ -423,6 +423,34 @@ def test_detector_agrees_with_mediapipes_own_output(samples):
     points = np.array(json.loads((video.parent / "asl_hand.mediapipe_2d.json").read_text()))[:10, :, :2]
     (hand,) = capture(video, frames="1-10", solver="paper-a-plus").hands
     assert np.median(np.linalg.norm(hand.keypoints_2d - points, axis=-1)) < 10.0
+
+
+def test_arms_are_stopped_as_hands_are(samples):
+    """A capture keeps its hands, and a take to which they were to be added stays as it was."""
+    photo = samples / "photos" / "mona_lisa.jpg"
+    seen: list[Progress] = []
+    stop = lambda: len(seen) > 1  # noqa: E731
+    take = capture(photo, arms=True, progress=seen.append, should_stop=stop)
+    assert [p.stage for p in seen][:2] == ["detect", "detect"]
+    assert take.hands
+    assert not any(hand.arm or hand.no_arm for hand in take.hands)
+    with pytest.raises(Cancelled, match="stopped before the arms were found"):
+        add_arms(take, should_stop=lambda: True)
+    assert all(hand.arm for hand in add_arms(take).hands)
+
+
+def test_bodies_are_seen_through_a_measured_lens(samples):
+    """As hands are: the arms lie where they lie without one, and not beside the hands."""
+    photo = samples / "photos" / "mona_lisa.jpg"
+    plain = capture(photo, arms=True)
+    camera = plain.intrinsics
+    lens = Lens(camera, (-0.25, 0.05, 0.0, 0.0, 0.0), plain.width, plain.height)
+    for hand, before in zip(capture(photo, arms=True, lens=lens).hands, plain.hands, strict=True):
+        assert hand.arm is not None
+        assert before.arm is not None
+        elbow, bent = (camera.project(each.arm.elbow)[0] for each in (before, hand) if each.arm)
+        moved = lens.undistorted(elbow)
+        assert np.linalg.norm(bent - moved) < 0.5 * np.linalg.norm(elbow - moved)
 
 
 def test_a_measured_lens_is_taken_out_of_what_is_detected(tmp_path, monkeypatch):
