@@ -123,7 +123,7 @@ def with_bodies(
         for track in found.tracks
     ]
     bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
-    if (lens := measured_lens(options, media)) is not None:
+    if (lens := measured_lens(options, media)) is not None:  # as of the hands
         bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
     if found.fits is None and not should_stop():
         found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))

@@ -85,6 +85,7 @@ def test_fewer_keys_and_all_of_them(make_take, later: bool):
     take = make_take(sides=("right",)).take
     found = with_arms(take)
     arm = found.hands[0].arm
+    assert arm is not None
     elbow = arm.wrist + [0.25, 0.0, 0.0]
     arm = replace(arm, elbow=elbow, shoulder=elbow - [0.0, 0.28, 0.0])  # which turns nowhere
     found = replace(found, hands=(replace(found.hands[0], arm=arm),))

@@ -439,20 +439,6 @@ def test_arms_are_stopped_as_hands_are(samples):
     assert all(hand.arm for hand in add_arms(take).hands)
 
 
-def test_bodies_are_seen_through_a_measured_lens(samples):
-    """As hands are: the arms lie where they lie without one, and not beside the hands."""
-    photo = samples / "photos" / "mona_lisa.jpg"
-    plain = capture(photo, arms=True)
-    camera = plain.intrinsics
-    lens = Lens(camera, (-0.25, 0.05, 0.0, 0.0, 0.0), plain.width, plain.height)
-    for hand, before in zip(capture(photo, arms=True, lens=lens).hands, plain.hands, strict=True):
-        assert hand.arm is not None
-        assert before.arm is not None
-        elbow, bent = (camera.project(each.arm.elbow)[0] for each in (before, hand) if each.arm)
-        moved = lens.undistorted(elbow)
-        assert np.linalg.norm(bent - moved) < 0.5 * np.linalg.norm(elbow - moved)
-
-
 def test_a_measured_lens_is_taken_out_of_what_is_detected(tmp_path, monkeypatch):
     """By its name, in pictures of another size."""
     monkeypatch.setenv("HANDFIT_DATA", str(tmp_path))
