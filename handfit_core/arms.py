@@ -118,6 +118,8 @@ def with_bodies(
 
     `on_frame` gets the count of frames that are done. Once it is to stop, the hands come back as they
     were."""
+    if media.source.kind == "data":
+        return found, ()
     points = [
         scatter(track.detections.keypoints_2d, track.detections.frame, track.frame_count, np.nan)
         for track in found.tracks
