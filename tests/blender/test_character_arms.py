@@ -166,7 +166,7 @@ def test_arms_point_as_captured_by_their_own_bones(hands, kind, down):
     target = character(kind, down)
     placed(target, np.random.default_rng(5), 0.02)
     done = put(target, hands)
-    assert all(one.left_alone == () for one in done)
+    assert [(one.left_alone, one.bones) for one in done] == [((), 18)] * 2
     check_as_captured(target, hands)
 
 
@@ -300,6 +300,7 @@ def test_the_panel_has_arms_where_the_capture_does(make_take, hands):
     assert "arms_ease" not in drawn(MANIENT_PT_character).rows
     target.manient.character.arms = True
     assert {"arms_influence", "arms_ease"} <= {*drawn(MANIENT_PT_character).rows}
+    assert "wrist" not in drawn(MANIENT_PT_character).rows
     assert "arms_outside" not in drawn(MANIENT_PT_character).rows
     skin(target)
     assert "arms_outside" in drawn(MANIENT_PT_character).rows
