@@ -19,6 +19,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from handfit_core.errors import HandfitError
+from handfit_core.media.lenses import saved_lenses
 from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import SOLVERS
@@ -58,7 +60,15 @@ BLEND: Any = {
     "subtype": "FACTOR",
 }
 
-choices_of_option: dict[str, Callable[[], list[str]]] = {}
+
+def _lens_names() -> list[str]:
+    try:
+        return [*saved_lenses()]
+    except HandfitError:  # which the capture tells of
+        return []
+
+
+choices_of_option: dict[str, Callable[[], list[str]]] = {"measured_lens": _lens_names}
 """Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
 
 
@@ -170,6 +180,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     # Texts, which stay what they are in a file that is opened where there is no such plug-in.
     solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))  # type: ignore
     detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))  # type: ignore
+    arms: BoolProperty(name="Arms", **option_property("arms"))  # type: ignore
     smoothing: FloatProperty(  # type: ignore
         name="Smoothing", soft_max=4.0, **option_property("smoothing")
     )
@@ -187,8 +198,14 @@ class ManientSettings(bpy.types.PropertyGroup):
             ("SOLVE", "Solve", "From the photo's own data, or a common lens"),
             ("ACTIVE", "Scene Camera", "The lens of the scene's active camera"),
             ("FOCAL", "Focal Length", "A focal length that you know"),
+            ("LENS", "Measured Lens", "A camera of yours that was measured with a chessboard, once for all"),
         ),
         default="SOLVE",
+    )
+    measured_lens: StringProperty(  # type: ignore
+        name="Lens",
+        description="The name of the measured lens. Its distortion is taken out of the captured hands",
+        search=_found("measured_lens"),
     )
     focal_length: FloatProperty(  # type: ignore
         name="Focal Length",

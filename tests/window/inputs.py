@@ -62,6 +62,11 @@ class Inputs:
         """A take of the bundled hand."""
         return RENDERED_HAND / "truth.take.npz"
 
+    @property
+    def film_of_the_board(self) -> Path:
+        """A film that tells its lens."""
+        return self._written("board.mp4", _FILM_BOARD, RENDERED_HAND.parents[1])
+
     def clip(self, frames: int, blank_from: int | None = None) -> Path:
         """A video of the bundled hand, to and fro; from `blank_from` on it shows nothing."""
         return self._written("clip.mp4", _WRITE_CLIP, RENDERED_HAND, frames, blank_from)
@@ -101,6 +106,14 @@ class Inputs:
         return path
 
 
+_FILM_BOARD = """
+sys.path.insert(0, sys.argv[1])
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from tests.films import all_around, film
+lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0), 640, 480)
+film(sys.argv[2], lens, all_around(lens, 20))
+"""
 _WRITE_CLIP = """
 import pathlib
 folder, output, frames, blank = sys.argv[1:]
