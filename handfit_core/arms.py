@@ -15,6 +15,7 @@ from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
 from handfit_core.detect.body_sides import with_body_sides
 from handfit_core.errors import InputError
 from handfit_core.fit.arms import ARMS, ArmsSeen, fit_arms
+from handfit_core.fit.gaps import detect_cuts
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.frame_range import FrameRange
@@ -23,7 +24,7 @@ from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers import ShouldStop
-from handfit_core.sources import Found
+from handfit_core.sources import Found, measured_lens
 from handfit_core.take import HandTrack, Take
 
 
@@ -35,7 +36,7 @@ class GateSettings:
     max_distance: float = 0.5
     """hand lengths in the picture between the body's wrist and the hand's"""
     min_score: float = 0.65
-    """The body detector's"""
+    """The body detector's, in the best quarter of the frames in which it was asked"""
     body_scale: float = 0.19
     """metres of a body's coordinates that a hand is taken to be long"""
     min_scale: float = 0.5
@@ -47,7 +48,9 @@ class GateSettings:
     """hand lengths by which shoulders move from one frame to the next one with that body; beyond there is a
     cut"""
     max_gap_seconds: float = 0.5
-    """Farther from frames with a body there is no arm"""
+    max_end_seconds: float = 0.4
+    """Farther from frames with a body there is no arm: between two of them, and before the first or after the
+    last"""
     max_residual: float = 0.4
     """hand lengths in the picture by which fitted elbows and shoulders are off, median: beyond, body and hand
     do not belong together"""
@@ -122,6 +125,8 @@ def with_bodies(
         for track in found.tracks
     ]
     bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
+    if (lens := measured_lens(options, media)) is not None:  # as of the hands
+        bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
     if found.fits is None and not should_stop():
         found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))
     return found, bodies
@@ -204,9 +209,9 @@ def _judged(hand: HandTrack, body: BodyTrack, camera: Intrinsics, shot: slice) -
         return distance, OTHER_SIDE if other <= GATES.max_distance else APART
     if is_forearm:
         return distance, FOREARM_ONLY
-    # The detector is asked once in a while: of two scores the better one counts.
+    # The detector is asked once in a while, and arms before the chest hide a person from it.
     score = np.sort(body.score[shot][np.isfinite(body.score[shot])])
-    if not len(score) or score[len(score) // 2] < GATES.min_score:
+    if not len(score) or score[3 * len(score) // 4] < GATES.min_score:
         return distance, NO_PERSON
     of_arm = [of[hand.side] for of in (SHOULDERS, ELBOWS, WRISTS)]
     visible = np.median(body.visibility[shot][both][:, of_arm], axis=0)
@@ -235,7 +240,7 @@ def _fitted(
     disagreement = np.arccos(np.clip((directions * seen.directions).sum(axis=-1), -1.0, 1.0))
     visible = np.clip(np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:]), 0.3, 1.0)
     errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
-    there = _near(body_seen, int(GATES.max_gap_seconds * fps)) & seen.with_hand
+    there = _near(body_seen, fps) & seen.with_hand
     directions[~there] = errors[~there] = np.nan
     return directions.swapaxes(0, 1), errors.swapaxes(0, 1), np.where(there, scale, np.nan).T
 
@@ -266,16 +271,21 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
-    """The frames between cuts, where the shoulders of a body jump."""
+    """The frames between cuts, where the shoulders of a body jump, or a hand while no body is there."""
     sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
     if not sizes:
         return []
     count = len(hands[0].detected)
-    cuts = {0, count}
+    cuts, followed = {0, count}, np.zeros(count, dtype=bool)
     for body in bodies:
         rows = np.flatnonzero(body.present)
         middle = body.keypoints[rows][:, [*SHOULDERS.values()]].mean(axis=1)
         jumps = np.linalg.norm(np.diff(middle, axis=0), axis=1) > GATES.max_jump * np.median(sizes)
+        cuts.update(rows[1:][jumps].tolist())
+        followed[1:] |= body.present[1:] & body.present[:-1]
+    for hand in hands:
+        rows = np.flatnonzero(hand.detected)
+        jumps = detect_cuts(hand.keypoints_2d[rows]) & (np.diff(rows) == 1) & ~followed[rows[1:]]
         cuts.update(rows[1:][jumps].tolist())
     return [slice(*each) for each in pairwise(sorted(cuts))]
 
@@ -310,7 +320,10 @@ def _axes(hand: HandTrack) -> np.ndarray:
     return axes / np.linalg.norm(axes, axis=2, keepdims=True)
 
 
-def _near(there: np.ndarray, frames: int) -> np.ndarray:
-    """(T, A) bool: so many frames at most from one that is there."""
-    total = np.cumsum(np.pad(there, ((frames + 1, frames), (0, 0))), axis=0)
-    return total[2 * frames + 1 :] > total[: -2 * frames - 1]
+def _near(there: np.ndarray, fps: float) -> np.ndarray:
+    """(T, A) bool: between frames that are there and not far, or next to one."""
+    rows = np.arange(len(there))[:, None]
+    since = rows - np.maximum.accumulate(np.where(there, rows, -np.inf), axis=0)
+    until = np.minimum.accumulate(np.where(there, rows, np.inf)[::-1], axis=0)[::-1] - rows
+    near = np.maximum(since, until) <= GATES.max_gap_seconds * fps
+    return near | (np.minimum(since, until) <= max(GATES.max_end_seconds * fps, 1.0))

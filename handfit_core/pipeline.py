@@ -32,8 +32,8 @@ from handfit_core.take import HandTrack, Take
 
 log = logging.getLogger("handfit")
 
-Stage = Literal["detect", "fit", "score"]
-"""`score` is of evaluations only"""
+Stage = Literal["detect", "fit", "score", "lens"]
+"""`score` is of evaluations, and `lens` of a lens that is measured"""
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,13 @@ from handfit_core.detect.tflite import with_image_metadata
 from handfit_core.detection import find_in_frame
 from handfit_core.errors import LandmarkModelError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import turn_from_axis
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
+from tests.conftest import ROOT
 
 PAINTED, SIGNER, TWO = (
     "photos/mona_lisa.jpg",
@@ -151,6 +153,27 @@ def test_where_no_arm_is_seen_few_frames_are_looked_at(networks, samples, monkey
     hand = np.tile(hands_in(samples / "photos" / "thumb_up.jpg")[0] * 0.4 + [120, 300], (96, 1, 1))
     find_bodies(media, range(1, 97), [hand], Intrinsics.assumed(620, 1080), CaptureOptions(processes=1))
     assert 4 <= len(looked) <= 24
+
+
+def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(networks, tmp_path):
+    """A painting as a wide lens would show it: hands move by 20 pixels, elbows as well."""
+    path = ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg"
+    straight = cv2.imread(str(path))
+    height, width = straight.shape[:2]
+    camera = Intrinsics(0.8 * height, 0.8 * height, width / 2.0, height / 2.0)
+    lens = Lens(camera, (-0.25, 0.08, 0.0, 0.0, 0.0), width, height)
+    seen = lens.undistorted(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1) + 0.5)
+    at = (seen - 0.5).astype(np.float32)
+    bent = cv2.remap(straight, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    cv2.imwrite(str(tmp_path / "bent.png"), bent)
+    of = {hand.side: hand for hand in capture(path, arms=True, intrinsics=camera).hands}
+    elbows = []
+    for hand in capture(tmp_path / "bent.png", arms=True, lens=lens).hands:
+        off = np.linalg.norm(hand.keypoints_2d - of[hand.side].keypoints_2d, axis=-1)
+        assert off.mean() < 5.0
+        elbow, other = (camera.project(each.arm.elbow[0]) for each in (hand, of[hand.side]) if each.arm)
+        elbows.append(np.linalg.norm(elbow - other))
+    assert np.mean(elbows) < 15.0  # and 23 without
 
 
 @pytest.mark.usefixtures("networks")

@@ -162,6 +162,17 @@ def test_several_people_and_shots():
     assert arm.present.tolist() == [True] * 30 + [False] * 30
 
 
+@pytest.mark.parametrize(("jump", "last"), [(0.0, 40), (600.0, 30)])
+def test_an_arm_without_a_body_ends(jump, last):
+    """Soon after it is lost, and at once where the hand jumps: that is a cut."""
+    lost = np.arange(60) >= 30
+    hand = PERSON.hands[0]
+    moved = replace(hand, keypoints_2d=hand.keypoints_2d + np.where(lost, jump, 0.0)[:, None, None])
+    arm = arms_of([moved], [replace(PERSON.body, present=~lost)], CAMERA, FPS)[0].arm
+    assert arm is not None
+    assert np.flatnonzero(arm.present).tolist() == list(range(last))
+
+
 def seen_as(**arrays: np.ndarray | float) -> Callable[[BodyTrack], BodyTrack]:
     def changed(body: BodyTrack) -> BodyTrack:
         shapes = {name: getattr(body, name) for name in arrays}
