@@ -1,8 +1,8 @@
 """Hands that are followed while they move: `live`, a preview of what a recording is captured to afterwards.
 
-Each frame has one run of the landmark networks a hand, in the crop where the hand was, and a few iterations of
-the fit from the last pose. What comes out is smoothed without looking ahead (One-Euro filter: Casiez et al.,
-"1€ Filter", 2012).
+Each frame has one run of the landmark networks a hand, in the crop where the hand was, and a few iterations
+of the fit from the last pose. What comes out is smoothed without looking ahead (One-Euro filter: Casiez et
+al., "1€ Filter", 2012).
 """
 
 from __future__ import annotations

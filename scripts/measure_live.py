@@ -19,6 +19,7 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -118,7 +119,7 @@ def serve(shown: list[np.ndarray], fps: float = FPS) -> None:
     """Serve pictures as a stream to one client after another until stdin closes; prints the port."""
 
     class Stream(http.server.BaseHTTPRequestHandler):
-        def log_message(self, *_: object) -> None:
+        def log_message(self, format: str, *args: Any) -> None:
             pass
 
         def do_GET(self) -> None:
@@ -140,8 +141,6 @@ def serve(shown: list[np.ndarray], fps: float = FPS) -> None:
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Stream)
     server.daemon_threads = True
     print(server.server_port, flush=True)
-    import threading
-
     threading.Thread(target=server.serve_forever, daemon=True).start()
     sys.stdin.read()
 
