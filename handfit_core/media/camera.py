@@ -149,6 +149,7 @@ class LiveReader:
         self._stop = threading.Event()
         self._newest: Frame | None = None
         self._writer: ClipWriter | None = None
+        self._writing = threading.Lock()
         self._error: Exception | None = None
         self._ended = False
         self.received = 0
@@ -192,15 +193,14 @@ class LiveReader:
         """Write every frame that comes from now on to a file. Raises OutputError."""
         writer = ClipWriter(path, self._fps)
         self.stop_recording()
-        with self._changed:
-            self._writer = writer
+        self._writer = writer
 
     def stop_recording(self) -> ClipWriter | None:
         """Close the file; returns what was written to it, None where nothing was."""
-        with self._changed:
+        with self._writing:
             writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.close()
+            if writer is not None:
+                writer.close()
         return writer
 
     def _read(self) -> None:
@@ -228,12 +228,12 @@ class LiveReader:
             self.dropped += self._newest is not None
             self._newest = Frame(self.received, now, rgb)
             self._changed.notify_all()
-            writer = self._writer
-        if writer is not None:
-            try:
-                writer.write(rgb, now)
-            except OutputError as error:
-                self.problem = str(error)
+        with self._writing:
+            if self._writer is not None:
+                try:
+                    self._writer.write(rgb, now)
+                except OutputError as error:
+                    self.problem = str(error)
 
 
 def _pictures(
