@@ -181,8 +181,8 @@ class LiveReader:
 
     @property
     def ended(self) -> bool:
-        """Whether no frame will come any more, and the last one was taken."""
-        return self._ended and self._newest is None
+        """Whether no frame will come any more, and the last one was taken; an error, `newest` tells."""
+        return self._ended and self._newest is None and self._error is None
 
     @property
     def recording(self) -> ClipWriter | None:

@@ -476,6 +476,7 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
         (3,),
     ]
     assert unpack(pose["picture"]).shape == (120, 160, 3)
+    assert (pose["size"], pose["intrinsics"]) == ([640, 480], [640.0, 640.0, 320.0, 240.0])
     worker.tell(request, "live-record", output=None)
     recorded = until(worker, request, "recorded")
     worker.cancel(request)
