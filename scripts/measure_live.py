@@ -167,8 +167,9 @@ def _followed(run: Live, hands: int, seconds: float) -> dict[str, Any]:
     received = shown = 0
     while (now := time.perf_counter()) < begin + seconds:
         pose = run.next()
-        if pose is None or now < begin:
+        if now < begin:
             received, shown = run.reader.received, run.shown
+        if now < begin or pose is None:
             continue
         latencies.append(1000.0 * (time.perf_counter() - stamp_of(pose.rgb)))
         both += sum(hand.state == "seen" for hand in pose.hands) >= hands
