@@ -193,7 +193,7 @@ def new_job(
             solver=settings.experiment
             if settings.preset == "PAPER"
             else settings.solver or CaptureOptions.solver,
-            model=_model(settings),
+            model=model_of(settings),
             threshold=settings.threshold,
             smoothing=settings.smoothing,
             plain_detection=settings.preset == "DRAFT",
@@ -259,7 +259,8 @@ def _picture_size(settings, source: source_info.SourceFiles) -> tuple[int, int] 
     return (width, height) if width else None
 
 
-def _model(settings) -> str | None:
+def model_of(settings) -> str | None:
+    """The hand model that the settings name, as options do. Raises InputError."""
     if settings.model == "OPEN":
         return OPEN_HAND
     path = settings.model_path or preferences.get().mano_folder
