@@ -23,7 +23,9 @@ from handfit_core.interchange.readers import program_of
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media, Source
+from handfit_core.media.videos import Video
 from handfit_core.options import CaptureOptions
+from handfit_core.retiming import evenly_timed
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import Take
@@ -92,7 +94,11 @@ def capture(
         take = replace(take, program=program_of(recording))
         if found.fits is not None:
             take = replace(take, solver=recording.format)
-    return replace(take, hands=hands, model_digests=digests)
+    take = replace(take, hands=hands, model_digests=digests)
+    times = media.recorded_times() if isinstance(media, Video) else None
+    if times is None or found.numbers[-1] > len(times):
+        return take
+    return evenly_timed(take, times[np.asarray(found.numbers) - 1])
 
 
 def check_options(options: CaptureOptions) -> None:

@@ -67,6 +67,8 @@ class ClipWriter:
         self.frames = 0
         self.seconds = 0.0
         """From its first to its last frame"""
+        self.failed = False
+        """Whether a frame could not be written"""
         self._fps = fps
         self._size: tuple[int, int] | None = None
         self._began = 0.0
@@ -98,6 +100,7 @@ class ClipWriter:
         try:
             self._put(head + _element("1F43B675", cluster))
         except OSError as error:
+            self.failed = True
             self._file.truncate(end)
             self.close()
             raise OutputError(
