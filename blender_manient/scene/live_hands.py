@@ -51,13 +51,15 @@ class OpenHand(LiveHand):
 
     def __init__(self, scene: bpy.types.Scene, model: str, side: Side, betas: np.ndarray) -> None:
         """Raises HandModelError."""
-        self._collection, rig = build_open_hand(scene, "Live", model, side, betas)
-        self._collection.find().manient.is_live = True
+        collection, rig = build_open_hand(scene, "Live", model, side, betas)
+        collection.manient.is_live = True
+        self._collection = BlockReference.of("collections", collection)
         self._armature = BlockReference.of("objects", rig.armature)
         self._rest = rig.rest
         self._place = _Place(model, side, betas)
 
     def show(self, motion):
+        """Take the pose, the wrist where it was seen."""
         armature = self._armature.find()
         if armature is None:
             raise OptionError("the hand that followed the live source was deleted: press Start again")
@@ -65,6 +67,7 @@ class OpenHand(LiveHand):
         set_pose(CapturedHandRig(armature, motion.side), quats[0], locations[0])
 
     def take_away(self):
+        """Remove the hand."""
         remove_collection(self._collection.find())
 
 
@@ -76,7 +79,8 @@ class CharacterHand(LiveHand):
         and OptionError."""
         check_unlayered(armature)
         self._armature = BlockReference.of("objects", armature)
-        self._side, self._as_source = side, AsSource(model, of)
+        self._side: Side = side
+        self._as_source = AsSource(model, of)
         source = self._as_source.motion(of, np.zeros(1)).on(side).source
         self._target, keyed, self.left_alone = prepared(
             armature, hand_map_of(armature, side), source, fingers_only=True
@@ -89,6 +93,7 @@ class CharacterHand(LiveHand):
         }
 
     def show(self, motion):
+        """Take the fingers' pose."""
         armature = self._armature.find()
         if armature is None:
             raise OptionError(f"{self._armature.name!r}, which followed the live source, was deleted")
@@ -98,8 +103,11 @@ class CharacterHand(LiveHand):
         set_pose(CharacterBones(armature, self._target.bones), quats)
 
     def take_away(self):
+        """Give the bones back what their channels had."""
         armature = self._armature.find()
-        for name, before in self._before.items() if armature is not None else ():
+        if armature is None:
+            return
+        for name, before in self._before.items():
             bone = armature.pose.bones.get(name)
             for kind, values in before.items() if bone is not None else ():
                 setattr(bone, kind, values)
@@ -141,7 +149,7 @@ class _Place:
 
 def build_open_hand(
     scene: bpy.types.Scene, name: str, model: str, side: Side, betas: np.ndarray
-) -> tuple[BlockReference, CapturedHandRig]:
+) -> tuple[bpy.types.Collection, CapturedHandRig]:
     """An open hand in a new collection of that name. Raises HandModelError."""
     loaded = with_wrist(kept_model(model, side), "forearm")
     shaped = loaded.shaped(betas)
@@ -153,7 +161,7 @@ def build_open_hand(
     for thing in (rig.armature, mesh):
         collection.objects.link(thing)
     scene.collection.children.link(collection)
-    return BlockReference.of("collections", collection), rig
+    return collection, rig
 
 
 def build_preview(
@@ -166,7 +174,7 @@ def build_preview(
     keys = run_to_completion(computing_keys(motion, shaped, rig.rest, frames))
     for _ in animating(rig, keys):
         pass
-    return collection
+    return BlockReference.of("collections", collection)
 
 
 def remove_collection(collection: bpy.types.Collection | None) -> None:

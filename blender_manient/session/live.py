@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +25,16 @@ from handfit_core.skeleton import SIDES, Side
 from handfit_core.slices import map_yields, run_to_completion
 from handfit_core.worker.events import Event, as_error
 
-from ..common import preferences, screen
-from ..common.block_reference import BlockReference
+from ..common import preferences
 from ..common.blender_versions import action_slot, channels
+from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted
 from ..scene import captures
 from ..scene.actions import channels_of
 from ..scene.apply import apply_pose
 from ..scene.build import BuiltTake, ChangeWatch
 from ..scene.characters import hand_map_of
+from ..scene.hand_motion import record_written_keys
 from ..scene.live_hands import (
     AsSource,
     CharacterHand,
@@ -45,7 +46,6 @@ from ..scene.live_hands import (
     remove_leftovers,
 )
 from ..scene.onto_character import Motion, TransferOptions, applying, computing, reading_motion, writing
-from ..scene.hand_motion import record_written_keys
 from ..scene.store import hand_of
 from ..scene.timing import frame_rate
 from . import jobs, shared_worker
@@ -55,6 +55,8 @@ PICTURE_WIDTH = 320
 """pixels of the small picture"""
 _ENDING_SECONDS = 3.0
 """seconds that the worker gets to end by itself, a recording's last frames included"""
+_REFUSED_SECONDS = 2.0
+"""seconds without a recorded frame after which the worker cannot record"""
 _MEASURED = 60
 """events over which the latency is measured: two seconds"""
 
@@ -245,6 +247,7 @@ class LiveSession:
         self._ending_until: float | None = None
         self._record_at: float | None = None
         self._recording: LiveTake | None = None
+        self._recording_since = 0.0
         self.recorded: list[LiveTake] = []
         """Recordings that are over and wait for `take_recorded`"""
         self.message = "Starting"
@@ -293,7 +296,7 @@ class LiveSession:
 
     def calibrate(self) -> None:
         """Have the worker look at an open hand for a second."""
-        self.worker.tell("live-calibrate", job=self._request)
+        self.worker.tell(self._request, "live-calibrate")
         self.message = "Hold your open hand still, its palm to the camera"
 
     def snapshot(self) -> None:
@@ -309,7 +312,9 @@ class LiveSession:
                 active = context.active_object
                 hand = hand_of(active) if active is not None else None
                 if hand is None:
-                    raise OptionError("select the captured hand that gets the pose, or choose a character in Live")
+                    raise OptionError(
+                        "select the captured hand that gets the pose, or choose a character in Live"
+                    )
                 if hand.side == side or len(self._newest) == 1:
                     apply_pose(hand.armature, motion, frame)
             elif (armature := target[0].find()) is not None:
@@ -408,11 +413,16 @@ class LiveSession:
         if self._recording is not None and event["recorded"] is not None:
             self._recording.poses.append((event["time"], dict(self._newest)))
             self._recording.seconds = event["time"] - self._recording.poses[0][0]
+        elif self._recording is not None and time.monotonic() - self._recording_since > _REFUSED_SECONDS:
+            self._recording = None  # a warning has said why
+            self._play(False)
         if event["picture"] is not None:
             pictures.show(unpack(event["picture"]))
 
     def _made(self, side: Side, motion: HandMotion) -> LiveHand:
         scene, target = self.scene.find(), self.followed[side]
+        if scene is None:
+            raise OptionError("the scene that Live was started in was deleted")
         if target is None:
             return OpenHand(scene, str(self.options.model), side, motion.betas)
         armature = target[0].find()
@@ -424,22 +434,22 @@ class LiveSession:
         return made
 
     def _begin_recording(self) -> None:
-        folder, scene = recordings_folder(), self.scene.find()
+        folder = recordings_folder()
         number = 1 + max([0, *(int(p.stem[5:]) for p in folder.glob("take-*.mkv") if p.stem[5:].isdecimal())])
         take = LiveTake(
             number,
             folder / f"take-{number:03d}.mkv",
             self.scene,
-            float(scene.frame_current),
+            float(bpy.context.scene.frame_current),
             self.options,
             self.followed,
         )
-        self.worker.tell("live-record", job=self._request, output=str(take.path))
-        self._recording = take
+        self.worker.tell(self._request, "live-record", output=str(take.path))
+        self._recording, self._recording_since = take, time.monotonic()
         self._play(True)
 
     def _end_recording(self) -> None:
-        self.worker.tell("live-record", job=self._request, output=None)
+        self.worker.tell(self._request, "live-record", output=None)
         self._play(False)
 
     def _play(self, on: bool) -> None:
@@ -462,9 +472,9 @@ class LiveSession:
 
     def _calibrated(self, hands: Sequence[dict[str, Any]]) -> None:
         if hands:
-            lengths = [float(hand["hand_length"]) for hand in hands]
-            self.options = self.options.replaced(hand_length=sum(lengths) / len(lengths))
-            self.message = f"Your hand is {100.0 * self.options.hand_length:.1f} cm long"
+            length = float(np.mean([hand["hand_length"] for hand in hands]))
+            self.options = replace(self.options, hand_length=length)
+            self.message = f"Your hand is {100.0 * length:.1f} cm long"
             self._take_away()  # the next pose makes hands of the shape
 
     def _take_away(self) -> None:
@@ -561,9 +571,7 @@ pictures = _Pictures()
 
 def _motion(told: dict[str, Any]) -> HandMotion:
     """A hand of an event, as a motion of one frame."""
-    betas, *pose = (
-        np.asarray(told[name], dtype=np.float64) for name in ("betas", "global_orient", "hand_pose", "transl")
-    )
+    betas, *pose = (unpack(told[name]) for name in ("betas", "global_orient", "hand_pose", "transl"))
     return HandMotion(told["side"], betas, *(rows[None] for rows in pose))
 
 

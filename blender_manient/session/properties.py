@@ -122,7 +122,9 @@ class ManientLive(bpy.types.PropertyGroup):
     size: EnumProperty(  # type: ignore
         name="Size",
         description="What the camera is asked for; pictures of other sizes are followed, too",
-        items=tuple((size, size.replace("x", " × "), "Pixels") for size in ("640x480", "1280x720", "1920x1080")),
+        items=tuple(
+            (size, size.replace("x", " × "), "Pixels") for size in ("640x480", "1280x720", "1920x1080")
+        ),
         default="640x480",
     )
     fps: IntProperty(  # type: ignore
@@ -143,8 +145,8 @@ class ManientLive(bpy.types.PropertyGroup):
     )
     folder: StringProperty(  # type: ignore
         name="Folder",
-        description="Where recordings and their takes are written; of a .blend that was never saved: a folder "
-        "of the add-on's",
+        description="Where recordings and their takes are written; of a .blend that was never saved: in a "
+        "folder of the add-on's",
         subtype="DIR_PATH",
         default="//live",
     )
