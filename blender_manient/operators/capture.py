@@ -19,7 +19,7 @@ from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
-from ..session import jobs, shared_worker, source_info
+from ..session import jobs, live, shared_worker, source_info
 from .base import LINKED_SCENE, InternalOperator, ModalOperator
 
 
@@ -66,7 +66,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
 
     def follow(self, context, event):
         """Tick the queue; Esc stops everything."""
-        if event.type == "ESC" and event.value == "PRESS":
+        if event.type == "ESC" and event.value == "PRESS" and live.running() is None:  # which Esc ends first
             jobs.cancel_all()
         elif event.type != "TIMER":
             return {"PASS_THROUGH"}
