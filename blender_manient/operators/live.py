@@ -16,6 +16,7 @@ from ..scene.timing import frame_rate
 from ..session import jobs, live, shared_worker
 from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 from .capture import model_of
+from .modes.view import FrontView, first_viewport
 
 _REDRAW_EVERY = 6
 """ticks from one drawing of the panel to the next: its numbers are read, not watched"""
@@ -41,7 +42,10 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
         raise OptionError("Live needs Blender's window")
 
     def begin(self, context):
-        self._session, self._ticks = start(context), 0
+        self._session, self._ticks, self._view = start(context), 0, None
+        viewport = first_viewport(context)
+        if viewport is not None and None in self._session.followed.values():
+            self._view = FrontView(viewport, context.scene)
 
     def follow(self, context, event):
         """Go on; Space records, Esc ends."""
@@ -71,6 +75,9 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
     def ended(self, context):
         if not self._session.over:
             self._session.abandon()
+        if self._view is not None:
+            self._view.leave(context)
+            self._view = None
         screen.redraw("VIEW_3D")
 
 

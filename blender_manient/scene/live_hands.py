@@ -182,11 +182,12 @@ def remove_collection(collection: bpy.types.Collection | None) -> None:
     if collection is None:
         return
     objects = list(collection.objects)
-    data = [o.data for o in objects]
-    materials = [m for block in data for m in getattr(block, "materials", ()) if m is not None]
-    actions = [o.animation_data.action for o in objects if o.animation_data is not None]
+    data = {o.data for o in objects}
+    hung = {m for block in data for m in getattr(block, "materials", ())}
+    hung |= {o.animation_data.action for o in objects if o.animation_data is not None}
     bpy.data.batch_remove([collection, *objects])
-    bpy.data.batch_remove([b for b in {*data, *materials, *actions} if b is not None and not b.users])
+    for blocks in (data, hung):  # what hung on the first has no user only now
+        bpy.data.batch_remove([block for block in blocks if block is not None and not block.users])
 
 
 def remove_leftovers() -> None:

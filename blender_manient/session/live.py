@@ -19,6 +19,7 @@ import numpy as np
 
 from handfit_core.arrays import unpack
 from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
@@ -227,6 +228,8 @@ class LiveSession:
         """Raises HandfitError. The source is opened in the worker."""
         self.scene, self.what, self.options = BlockReference.of("scenes", scene), what, options
         self.followed = followed
+        for side in followed:
+            kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
         size, online = list(what.size), bool(getattr(bpy.app, "online_access", True))
         live = {"online": online, "size": size, "fps": what.fps}
