@@ -100,10 +100,14 @@ class LiveOptions:
         limits = {"fps": (1.0, 1000.0), "min_cutoff": (0.01, 1000.0), "beta": (0.0, 1000.0)}
         for name, (least, most) in limits.items():
             if not _is_number(value := getattr(self, name)) or not least <= value <= most:
-                raise OptionError(f"{name} of a live run must lie between {least:g} and {most:g}, not {value!r}")
+                raise OptionError(
+                    f"{name} of a live run must lie between {least:g} and {most:g}, not {value!r}"
+                )
         size = tuple(self.size)
         if len(size) != 2 or not all(_is_number(side) and 16 <= side <= 8192 for side in size):
-            raise OptionError(f"the size of a live run must be a width and a height in pixels, not {self.size!r}")
+            raise OptionError(
+                f"the size of a live run must be a width and a height in pixels, not {self.size!r}"
+            )
 
     @classmethod
     def of_message(cls, options: Mapping[str, Any], live: Mapping[str, Any]) -> Self:
@@ -111,7 +115,9 @@ class LiveOptions:
         known = {each.name for each in fields(cls)} - {"capture"}
         for name in live:
             if name not in known:
-                raise OptionError(f"there is no option {name!r} of a live run; choose from {', '.join(known)}")
+                raise OptionError(
+                    f"there is no option {name!r} of a live run; choose from {', '.join(known)}"
+                )
         return cls(CaptureOptions.of_message(options), **live)
 
 
@@ -325,11 +331,14 @@ class _SideFit:
             float(hands.score[0]),
             betas[0],
             *self._parameters(turns, wrist, betas[0]),
-            hands.keypoints_2d[0],
+            keypoints=hands.keypoints_2d[0],
         )
         self._lost_at = seconds
 
-    def _parameters(self, turns: np.ndarray, wrist: np.ndarray, betas: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _parameters(
+        self, turns: np.ndarray, wrist: np.ndarray, betas: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """global_orient (3,), hand_pose (45,) and transl (3,)."""
         vectors = rotmat_to_rotvec(turns)
         shaped = self._fitter.model.shaped(betas).joints[0]
         return vectors[0], vectors[1:].reshape(45), wrist - shaped
@@ -381,10 +390,10 @@ class HandFollower:
     def __init__(self, options: LiveOptions) -> None:
         given = options.capture
         self._options = options
-        self._sides = tuple(side for side in SIDES if given.hands in (side, "auto", "both"))
+        sides: list[Side] = [side for side in SIDES if given.hands in (side, "auto", "both")]
         self._networks = Networks(given.landmark_model, quality="draft")
         self._detector = self._new_detector()
-        self._hands = {side: _SideFit(side, options) for side in self._sides}
+        self._hands = {side: _SideFit(side, options) for side in sides}
         self._size: tuple[int, int] | None = None
         self._intrinsics = Intrinsics.assumed(640, 480)
         self._calibrating_until: float | None = None

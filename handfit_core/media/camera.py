@@ -14,7 +14,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -191,7 +191,9 @@ class LiveReader:
 
     def _read(self) -> None:
         try:
-            with contextlib.closing(_pictures(self._source, self._size, self._fps, self._stop, self._say)) as all:
+            with contextlib.closing(
+                _pictures(self._source, self._size, self._fps, self._stop, self._say)
+            ) as all:
                 for rgb in all:
                     self._put(rgb)
         except Exception as error:  # whoever takes the next frame gets it
@@ -208,8 +210,8 @@ class LiveReader:
         now = time.perf_counter()
         if rgb.shape[0] * rgb.shape[1] > CAMERA.max_pixels:
             raise InputError(
-                f"{self._source}: gives pictures of {rgb.shape[1]}x{rgb.shape[0]} pixels, which are too large "
-                "to follow hands in as they come; choose a smaller size"
+                f"{self._source}: gives pictures of {rgb.shape[1]}x{rgb.shape[0]} pixels, which are too "
+                "large to follow hands in as they come; choose a smaller size"
             )
         with self._changed:
             self.received += 1
@@ -235,8 +237,8 @@ def _played(file: str, stop: threading.Event) -> Generator[np.ndarray, None, Non
     """The pictures of a file, each at its time. Raises InputError."""
     media = open_media(file)
     began: float | None = None
-    with contextlib.closing(media.frames()) as frames:
-        for frame in frames:
+    with contextlib.closing(media):
+        for frame in media.frames():
             now = time.perf_counter()
             began = now if began is None else began
             if stop.wait(max(0.0, began + frame.time - now)):
@@ -266,15 +268,15 @@ def _captured(
         say(
             f"{source} sends no pictures any more; trying again until it is stopped"
             if not first
-            else f"{source} does not answer within {CAMERA.answer_seconds:g} seconds, or sends no pictures that "
-            "can be read; trying again until it is stopped"
+            else f"{source} does not answer within {CAMERA.answer_seconds:g} seconds, or sends no pictures "
+            "that can be read; trying again until it is stopped"
         )
         stop.wait(CAMERA.retry_seconds)
 
 
 def _opened(
     source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event
-) -> Iterator[np.ndarray]:
+) -> Generator[np.ndarray, None, None]:
     """The pictures of a source from opening it until it ends, fails or is to stop; none where it cannot be
     opened."""
     # OpenCV reads it when it loads; its own value is 10 seconds.
@@ -332,8 +334,8 @@ def _why_no_camera(number: int) -> str:
     listed = ", ".join(f"{n} ({name})" for n, name in cameras())
     if sys.platform == "darwin":
         return (
-            f"camera {number} cannot be opened: if there is one, allow Blender, or the terminal, to use it in "
-            "System Settings > Privacy & Security > Camera"
+            f"camera {number} cannot be opened: if there is one, allow Blender, or the terminal, to use it "
+            "in System Settings > Privacy & Security > Camera"
         )
     device = Path(f"/dev/video{number}")
     if sys.platform.startswith("linux"):
@@ -342,4 +344,3 @@ def _why_no_camera(number: int) -> str:
         if not os.access(device, os.R_OK | os.W_OK):
             return f"{device} may not be used: add yourself to the group 'video', and log in again"
     return f"camera {number} gives no pictures: close other programs that use it, or choose another one"
-

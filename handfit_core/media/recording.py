@@ -38,7 +38,9 @@ def _element(name: str, content: bytes | int | str | float) -> bytes:
 
 def _head(width: int, height: int, frame_seconds: float, frames: int) -> bytes:
     """All that stands before the first frame; of one length, whatever the numbers are."""
-    kind = [("4286", 1), ("42F7", 1), ("42F2", 4), ("42F3", 8), ("4282", "matroska"), ("4287", 4), ("4285", 2)]
+    # The name of the kind first: FFmpeg is given only what has it near its beginning.
+    kind = [("4282", "matroska"), ("4286", 1), ("42F7", 1), ("42F2", 4)]
+    kind += [("42F3", 8), ("4287", 4), ("4285", 2)]
     length = float(frames * frame_seconds * _TICKS)
     info = [("2AD7B1", 1_000_000_000 // _TICKS), ("4D80", _MARK), ("5741", _MARK), ("4489", length)]
     video = _element("B0", width) + _element("BA", height)
@@ -73,10 +75,10 @@ class ClipWriter:
         self._size: tuple[int, int] | None = None
         self._began = 0.0
         try:
-            self._file = open(self.path, "xb", buffering=0)
+            self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115 (until it is closed)
         except OSError as error:
             raise OutputError(
-                f"{shown(str(self.path))}: cannot be recorded to ({why(error)}); choose another file or folder"
+                f"{shown(str(self.path))}: cannot be recorded to ({why(error)}); choose another file"
             ) from error
 
     def write(self, rgb: np.ndarray, time: float) -> None:

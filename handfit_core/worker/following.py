@@ -79,7 +79,9 @@ def follow(
     }
 
 
-_NO_OPEN_HAND: Final = "no open hand was seen: hold one up, fingers straight, its palm to the camera, for a second"
+_NO_OPEN_HAND: Final = (
+    "no open hand was seen: hold one up, fingers straight, its palm to the camera, for a second"
+)
 
 
 def _do(run: Live, told: Mapping[str, Any], say: Callable[..., None]) -> None:
