@@ -53,6 +53,8 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "posing.exported": lambda i: {"source": i.photo},
     "character.applied": lambda i: {"take": i.two_hands()},
     "character.linked": lambda i: {"source": i.clip(60)},
+    "live.recorded": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
+    "live.on_rigify": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
 }
 
 
