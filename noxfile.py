@@ -32,6 +32,8 @@ FARM_TOOLS = ["openjd-cli"]
 """What checks and runs farms' job files."""
 SNAKEMAKE = "snakemake==9.27.1"
 """Does, too, in an environment of its own, as it asks for other versions than constraints.txt has."""
+OSC_CHECK = ["python-osc"]
+"""What reads back what is sent live."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -109,11 +111,19 @@ def benchmark(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHON)
+def arms(session: nox.Session) -> None:
+    """Render people who gesture, capture them with arms, and print how far these are off: into out/arms/."""
+    install(session, *RUN_TIME, *PAPER, "anny", DEMO_BPY)
+    fetch_landmark_model(session)
+    session.run("python", "scripts/measure_arms.py", "out/arms", *session.posargs)
+
+
+@nox.session(python=PYTHON)
 @nox.parametrize("part", ["core", "bpy-4.5"])
 def tests(session: nox.Session, part: str) -> None:
     """The core without Blender, and the add-on and the scripts in one Blender, 4.5's wheel."""
     if part == "core":
-        tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
+        tools = (*SBOM_CHECK, *FARM_TOOLS, *OSC_CHECK, *PYTEST)
         install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
         clients = {**vrm_clients(session), **snakemake(session)}

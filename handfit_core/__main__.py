@@ -1,6 +1,6 @@
-"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `batch` for many inputs, `convert` and
-`info` for other programs' files, `model convert`, `model info`, `evaluate DATASET`; and `worker`, the process
-that Blender talks to."""
+"""The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `arms TAKE`, `batch` for many inputs,
+`convert` and `info` for other programs' files, `model convert`, `model info`, `evaluate DATASET`; and
+`worker`, the process that Blender talks to."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
 from handfit_core.live_command import add_live_command
 from handfit_core.options import CaptureOptions, add_options
-from handfit_core.pipeline import Progress, ProgressCallback, capture_to_file
+from handfit_core.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
 from handfit_core.tasks.arguments import check_command
 from handfit_core.tasks.commands import add_batch_command
 from handfit_core.version import __version__
@@ -89,6 +89,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_output(command, "the take to write")
     add_options(command)
 
+    arms = commands.add_parser("arms", help="find the arms of a take's hands in its pictures")
+    arms.set_defaults(handler=_arms)
+    arms.add_argument("take", type=path_of, metavar="TAKE", help="the take to which arms are added")
+    _add_output(arms, "the take to write (default: TAKE itself)", required=False)
+    add_options(arms, ["max_megapixels"])
+
     worker = commands.add_parser(
         "worker", help="answer Blender's requests on stdin (docs/worker-protocol.md)"
     )
@@ -117,9 +123,9 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_output(command: argparse.ArgumentParser, what: str) -> None:
+def _add_output(command: argparse.ArgumentParser, what: str, *, required: bool = True) -> None:
     """Where the result goes, and how it is told of."""
-    command.add_argument("-o", "--output", required=True, type=path_of, metavar="OUT.npz", help=what)
+    command.add_argument("-o", "--output", required=required, type=path_of, metavar="OUT.npz", help=what)
     command.add_argument(
         "--progress",
         choices=("bar", "json", "none"),
@@ -148,6 +154,13 @@ def _worker(args: argparse.Namespace) -> int:
 def _capture(args: argparse.Namespace) -> int:
     source, options = _source(args.input), CaptureOptions.of_arguments(args)
     args.reporter.done(capture_to_file(source, args.output, options, _progress(args)))
+    return 0
+
+
+def _arms(args: argparse.Namespace) -> int:
+    limit = CaptureOptions.of_arguments(args).max_megapixels
+    report = add_arms_to_file(args.take, args.output, _progress(args), max_megapixels=limit)
+    args.reporter.done(report)
     return 0
 
 
@@ -246,6 +259,7 @@ class _TextOutput:
                 + (f"{h['filled']} more filled, " if h["filled"] else "")
                 + (f"{h['doubtful']} doubtful, " if h["doubtful"] else "")
                 + _mean_error(h)
+                + _arm(h)
                 for h in summary.get("hands", ())
             )
             or f"{summary['frames']} frames looked at"
@@ -278,6 +292,13 @@ def _mean_error(hand: dict[str, Any]) -> str:
     else:  # one word: the picture tells less
         told, word = f"likely error {scale.said(likely)} ({scale.quality(likely)}), ", ""
     return f"{told}mean error {IN_PICTURE.said(share)} ({word}{pixels:.1f} px)"
+
+
+def _arm(hand: dict[str, Any]) -> str:
+    """What was found of a hand's arm, where it was looked for, in words."""
+    if "arm" not in hand:
+        return ""
+    return f", {hand['no_arm'] or 'arm in ' + str(hand['arm']) + ' frames'}"
 
 
 class _LogHandler(logging.Handler):

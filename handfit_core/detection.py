@@ -49,7 +49,10 @@ def detect_frames(
         seen = _one_by_one(media, options, on_frame, should_stop, blamed)
     else:
         with blamed(), clip(media, options) as detector:
-            seen = _in_chunks(detector, detect_chunks(detector, options, on_frame, should_stop))
+            chunks = detect_chunks(
+                detector, lambda m: clip(m, options), options.processes, on_frame, should_stop
+            )
+            seen = _in_chunks(detector, chunks)
     if not seen.numbers:
         if should_stop():
             raise Cancelled(f"{media.source.name}: stopped before a hand was found")

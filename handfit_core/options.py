@@ -319,6 +319,11 @@ class CaptureOptions:
         by_default="one a core, at most 8",
     )
     solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=solver_names)
+    arms: bool = _option(
+        False,
+        _flag,
+        "find the arms of the hands, too, where shoulder and elbow are in the picture: takes a third longer",
+    )
     model: str | None = _option(
         None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
     )

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.errors import OptionError
+from handfit_core.errors import Cancelled, OptionError
 from handfit_core.files import check_writable
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 from handfit_core.fitting import fit_hands
@@ -28,7 +28,7 @@ from handfit_core.options import CaptureOptions
 from handfit_core.retiming import evenly_timed
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
-from handfit_core.take import Take
+from handfit_core.take import HandTrack, Take
 
 log = logging.getLogger("handfit")
 
@@ -95,10 +95,45 @@ def capture(
         if found.fits is not None:
             take = replace(take, solver=recording.format)
     take = replace(take, hands=hands, model_digests=digests)
+    take = _with_arms(take, media, options, report, stop) if options.arms and not stop() else take
     times = media.recorded_times() if isinstance(media, Video) else None
     if times is None or found.numbers[-1] > len(times):
         return take
     return evenly_timed(take, times[np.asarray(found.numbers) - 1])
+
+
+def add_arms(
+    take: Take,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    max_megapixels: float | None = None,
+) -> Take:
+    """The take with the arms of its hands, or with a sentence why there are none; arms that it had are found
+    anew, and its hands stay as they are.
+
+    Its pictures are read once more, from where the take says they are. `progress` and `should_stop` as in
+    `capture`, `max_megapixels` as in `open_media`. Raises InputError where the pictures are gone or others,
+    or where the take never had any, LandmarkModelError, and Cancelled.
+    """
+    from handfit_core.arms import reopened  # which a capture without arms does not load
+
+    stop, options = should_stop or never, CaptureOptions(max_megapixels=max_megapixels)
+    media = reopened(take, max_megapixels)
+    with_arms = _with_arms(take, media, options, progress or (lambda _: None), stop)
+    if stop():
+        raise Cancelled("stopped before the arms were found")
+    return with_arms
+
+
+def _with_arms(
+    take: Take, media: Media, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Take:
+    """Once it is to stop, the take as it was."""
+    from handfit_core.arms import with_arms
+
+    total = len(take.frame_numbers)
+    return with_arms(take, media, options, lambda done: report(Progress("detect", done, total)), stop)
 
 
 def check_options(options: CaptureOptions) -> None:
@@ -158,9 +193,32 @@ def capture_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
-    path = take.save(output, compact=compact)
+    return _saved(take, output, compact, started)
+
+
+def add_arms_to_file(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    progress: ProgressCallback | None = None,
+    should_stop: ShouldStop | None = None,
+    *,
+    max_megapixels: float | None = None,
+    compact: bool = False,
+) -> dict[str, Any]:
+    """Add arms to the take at `path` and write it to `output`, None: over itself; returns a report as
+    `capture_to_file`. Raises TakeError, what `add_arms` raises, and OutputError."""
+    started = time.perf_counter()
+    take = Take.load(path)
+    output = path if output is None else output
+    check_writable(output, take.source.files)
+    take = add_arms(take, progress, should_stop, max_megapixels=max_megapixels)
+    return _saved(take, output, compact, started)
+
+
+def _saved(take: Take, output: str | os.PathLike[str], compact: bool, started: float) -> dict[str, Any]:
+    """Write a take, on which work began at that time of `perf_counter`; the report of it."""
     return {
-        "output": str(path),
+        "output": str(take.save(output, compact=compact)),
         "frames": len(take.frame_numbers),
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
@@ -180,8 +238,9 @@ def _read_part(source: Source, count: int) -> Source:
 
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
     """The report of each hand: side, frames found, filled and doubtful, mean error in pixels and as a
-    share of the hand's length, and the one that is expected, metres (None where they have no value), and
-    whether anybody can tell that one."""
+    share of the hand's length, and the one that is expected, metres (None where they have no value), whether
+    anybody can tell that one, and, where an arm was looked for, in how many frames it is and why it is in
+    none."""
     return [
         {
             "side": track.side,
@@ -192,9 +251,16 @@ def hand_summaries(take: Take) -> list[dict[str, Any]]:
             "mean_error_of_hand": mean_relative_error(track, take.intrinsics),
             "mean_expected_error": mean_expected_error(track),
             "error_known": error_is_known(track),
+            **_arm_summary(track),
         }
         for track in take.hands
     ]
+
+
+def _arm_summary(track: HandTrack) -> dict[str, Any]:
+    if track.arm is None and not track.no_arm:
+        return {}
+    return {"arm": 0 if track.arm is None else int(track.arm.present.sum()), "no_arm": track.no_arm}
 
 
 def _mean(values: np.ndarray) -> float | None:

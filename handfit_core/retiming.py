@@ -14,6 +14,7 @@ import numpy as np
 from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
+from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack, Take, at_rows
 
 LOWEST_RATE, HIGHEST_RATE = 1.0, 120.0
@@ -111,6 +112,7 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
     }
     return replace(
         rows,
+        arm=None if track.arm is None else _sampled_arm(track.arm, before, after, part, there),
         **{name: kept(pose, there) for name, pose in poses.items()},
         detected=detected,
         filled=filled if filled.any() else None,
@@ -120,6 +122,30 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
         },
         **{name: kept(getattr(rows, name), detected) for name in _MEASURED},
     )
+
+
+def _sampled_arm(
+    arm: ArmMotion, before: np.ndarray, after: np.ndarray, part: np.ndarray, there: np.ndarray
+) -> ArmMotion:
+    """An arm between its rows before and after, `part` of the way, where its hand is `there`; all (N,)."""
+    nearest = np.where(part >= 0.5, after, before)
+    present = there & arm.present[nearest]
+    between = arm.present[before] & arm.present[after]
+    before, after = np.where(between, before, nearest), np.where(between, after, nearest)
+
+    def moved(points: np.ndarray) -> np.ndarray:
+        way = points[before] + part[:, None] * (points[after] - points[before])
+        return np.where(present[:, None], way, np.nan)
+
+    def bone(of: np.ndarray, length: float) -> np.ndarray:
+        """Bones keep their lengths."""
+        along = moved(of)
+        return along * (length / np.linalg.norm(along, axis=1, keepdims=True))
+
+    wrist = moved(arm.wrist)
+    elbow = wrist - bone(arm.wrist - arm.elbow, arm.lengths[1])
+    shoulder = elbow - bone(arm.elbow - arm.shoulder, arm.lengths[0])
+    return ArmMotion(shoulder, elbow, wrist, arm.lengths, present, moved(arm.expected_error))
 
 
 def shown_rows(take: Take, numbers: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
@@ -97,11 +98,17 @@ class HandTrack(HandMotion):
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, default=None)
     """The keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands for the
     palm; NaN: none; None: none does"""
+    arm: ArmMotion | None = None
+    """The arm that it hangs on; None: there is none, or nobody looked"""
+    no_arm: str = ""
+    """Why no arm was found, a sentence; empty: there is one, or nobody looked"""
 
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
         finite where there is a hand."""
         check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
+        if self.arm is not None:
+            check_arrays(self.arm, TakeError, f"the {self.side} arm's ", T=count)
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
@@ -255,12 +262,18 @@ class Take:
         }
         if self.program:
             header["program"] = self.program
+        asked = [i for i, track in enumerate(self.hands) if track.arm is not None or track.no_arm]
+        if asked:
+            header["arms"] = {str(i): self.hands[i].no_arm for i in asked}
         arrays: dict[str, Any] = {
             "header": np.array(json.dumps(header, ensure_ascii=False)),
             "frame_numbers": np.asarray(self.frame_numbers, dtype=np.int64),
         }
+        floats = np.float32 if compact else np.float64
         for i, track in enumerate(self.hands):
-            arrays |= kept_arrays(track, f"hand{i}_", np.float32 if compact else np.float64)
+            arrays |= kept_arrays(track, f"hand{i}_", floats)
+            if track.arm is not None:
+                arrays |= kept_arrays(track.arm, f"arms/hand{i}_", floats)
         np.savez_compressed(stream, **arrays)
 
     @classmethod
@@ -305,9 +318,14 @@ class Take:
         try:
             fields = _of_header(header)
             hands = []
+            no_arms = fields.pop("arms")
             for i, side in enumerate(fields.pop("sides")):
                 arrays = yield from reading_arrays(HandTrack, archive, f"hand{i}_")
-                hands.append(HandTrack(side=side, **arrays))
+                arm, why = None, no_arms.get(str(i))
+                if why == "":
+                    of_arm = yield from reading_arrays(ArmMotion, archive, f"arms/hand{i}_")
+                    arm = ArmMotion(**of_arm)
+                hands.append(HandTrack(side=side, **arrays, arm=arm, no_arm=why or ""))
             return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
         except KeyError as error:
             raise TakeError(
@@ -343,12 +361,18 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
 
 def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
     """A hand over some of its frames, in any order."""
-    return replace(hand, **{n: np.asarray(array)[rows] for n, array in arrays_of(hand, "T").items()})
+    arm = None if hand.arm is None else replace(hand.arm, **_at_rows(hand.arm, rows))
+    return replace(hand, arm=arm, **_at_rows(hand, rows))
+
+
+def _at_rows(of: HandTrack | ArmMotion, rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.asarray(array)[rows] for name, array in arrays_of(of, "T").items()}
 
 
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
     source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
+    arms = _object(header, "arms") if "arms" in header else {}
     files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
     if source.get("kind") not in SOURCE_KINDS:
         raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
@@ -373,6 +397,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
             side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES
         },
         "sides": sides,
+        "arms": {hand: text("arms", why, 200) for hand, why in arms.items()},
     }
 
 

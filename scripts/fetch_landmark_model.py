@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Assemble MediaPipe's landmark models: hand_landmarker.task from the pinned wheel on the package index, and
+"""Assemble MediaPipe's landmark models: hands' and bodies' from the pinned wheel on the package index, and
 the landmark network of December 2020 from MediaPipe's pinned npm package.
 
     python scripts/fetch_landmark_model.py            # into the cache, where everything finds them
@@ -42,17 +42,19 @@ def main() -> int:
         *("-o", "--output"),
         type=Path,
         help=f"where to write {landmark_model.TASK.name} (default: the cache); "
-        f"{landmark_model.NETWORK_2020.name} goes beside it",
+        f"{landmark_model.BODY.name} and {landmark_model.NETWORK_2020.name} go beside it",
     )
     parser.add_argument("--force", action="store_true", help="assemble them even if they are there already")
     args = parser.parse_args()
     first = args.output or landmark_model.cached_path()
     second = first.with_name(landmark_model.NETWORK_2020.name)
     try:
-        if args.force or not first.is_file():
+        body = first.with_name(landmark_model.BODY.name)
+        if args.force or not first.is_file() or not has_sum(body, landmark_model.BODY.sha256):
             assemble(first, args.wheel)
         else:
             print(f"{first}: already there")
+            print(f"{body}: already there")
         if args.force or not has_sum(second, landmark_model.NETWORK_2020.sha256):
             assemble_2020(second, args.package)
         else:
@@ -69,9 +71,14 @@ def has_sum(path: Path, sha256: str) -> bool:
 
 
 def assemble(path: Path, wheel: Path | None = None) -> None:
-    """Write hand_landmarker.task, of the wheel given or of a downloaded one. Raises LandmarkModelError,
-    OutputError."""
-    _assemble(landmark_model.assemble, wheel, download_wheel, path)
+    """Write hand_landmarker.task and beside it the body networks, of the wheel given or of a downloaded one.
+    Raises LandmarkModelError, OutputError."""
+
+    def both(wheel: Path, hands: Path, body: Path) -> None:
+        landmark_model.assemble(wheel, hands)
+        landmark_model.assemble_body(wheel, body)
+
+    _assemble(both, wheel, download_wheel, path, path.with_name(landmark_model.BODY.name))
 
 
 def assemble_2020(path: Path, package: Path | None = None) -> None:
@@ -81,11 +88,12 @@ def assemble_2020(path: Path, package: Path | None = None) -> None:
 
 
 def _assemble(
-    make: Callable[[Path, Path], Path], given: Path | None, download: Callable[[Path], Path], path: Path
+    make: Callable[..., object], given: Path | None, download: Callable[[Path], Path], *paths: Path
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        make(given or download(Path(folder)), path)
-    print(f"{path}: assembled ({path.stat().st_size / 1e6:.1f} MB)")
+        make(given or download(Path(folder)), *paths)
+    for path in paths:
+        print(f"{path}: assembled ({path.stat().st_size / 1e6:.1f} MB)")
 
 
 def download_wheel(folder: Path) -> Path:

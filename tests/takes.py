@@ -10,6 +10,7 @@ import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
+from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
@@ -54,4 +55,28 @@ def correctable(take: Take) -> Take:
     for hand in take.hands:
         points = hand.joints_3d - hand.joints_3d[:, :1]
         hands.append(replace(hand, keypoints_depth=0.0 * points[..., 2], world_landmarks=points))
+    return replace(take, hands=tuple(hands))
+
+
+def with_arms(take: Take, why_none: str = "") -> Take:
+    """The same take with an arm at each hand, bent by 90 degrees: the forearm goes on from the palm, and the
+    upper arm hangs from the shoulder in the picture; or without any, for that reason."""
+    if why_none:
+        return replace(take, hands=tuple(replace(hand, no_arm=why_none) for hand in take.hands))
+    hands, lengths = [], np.array([0.28, 0.25])
+    for hand in take.hands:
+        wrist = hand.joints_3d[:, 0]
+        along = wrist - hand.joints_3d[:, 9]
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        up = np.array([0.0, -1.0, 0.0]) + along * along[:, 1:2]
+        elbow = wrist + lengths[1] * along
+        arm = ArmMotion(
+            shoulder=elbow + lengths[0] * up / np.linalg.norm(up, axis=1, keepdims=True),
+            elbow=elbow,
+            wrist=wrist,
+            lengths=lengths,
+            present=hand.present,
+            expected_error=np.where(hand.present[:, None], [0.2, 0.35], np.nan),
+        )
+        hands.append(replace(hand, arm=arm))
     return replace(take, hands=tuple(hands))

@@ -57,9 +57,9 @@ class Crop:
         """Whether left and right hands are swapped."""
         return bool(np.linalg.det(self.linear) < 0.0)
 
-    def render(self, rgb: np.ndarray) -> np.ndarray:
+    def render(self, rgb: np.ndarray, *, black_beyond: bool = False) -> np.ndarray:
         """Cut it out of a picture: (H, W, 3) uint8 -> (size, size, 3) uint8. Beyond the picture its border is
-        repeated."""
+        repeated, or it is black there."""
         import cv2
 
         height, width = rgb.shape[:2]
@@ -81,7 +81,7 @@ class Crop:
             np.column_stack([linear, centred]),
             (self.size, self.size),
             flags=cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REPLICATE,
+            borderMode=cv2.BORDER_CONSTANT if black_beyond else cv2.BORDER_REPLICATE,
         )
 
     def to_picture(self, hand: HandDetection) -> HandDetection:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal, Protocol, Self
+from typing import Any, Final, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -109,9 +109,20 @@ class DetectorSettings:
     """Whether to search the whole picture only, with one prediction for each hand: faster, and finds less"""
 
 
-class ChunkedDetector(Protocol):
-    """Finds the hands of one clip in chunks of 96 frames. Use it as a context manager; ours is
-    `chunks.ClipDetector`, which makes and joins `chunks.Chunk`s."""
+class ChunkOfFrames(Protocol):
+    """What was found in consecutive frames of a clip."""
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of its frames: fewer than 96 at the clip's end."""
+        ...
+
+
+Part = TypeVar("Part", bound=ChunkOfFrames, covariant=True)
+
+
+class InChunks(Protocol[Part]):
+    """Goes through one clip in chunks of 96 frames. Use it as a context manager."""
 
     media: Media
 
@@ -125,10 +136,15 @@ class ChunkedDetector(Protocol):
     def single_threaded(self) -> None:
         """Use one thread, since other threads detect other chunks."""
 
-    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Any:
-        """Detect the hands of the chunk with that index, counted from 0, from its own frames alone.
+    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool], /) -> Part:
+        """Detect what is in the chunk with that index, counted from 0, from its own frames alone.
         `on_frame` is called with the count of its frames so far; `should_stop` is asked before each, and ends
         the chunk there."""
+        ...
+
+
+class ChunkedDetector(InChunks[Any], Protocol):
+    """Finds the hands of one clip; ours is `chunks.ClipDetector`, which makes and joins `chunks.Chunk`s."""
 
     def joined(
         self, chunks: Sequence[Any], /

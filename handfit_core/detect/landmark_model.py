@@ -5,7 +5,7 @@ networks lie in an older MediaPipe wheel on the package index (Apache-2.0); a zi
 uncompressed, aligned to 4 bytes, is a working task file.
 
 The landmark network of December 2020 has a better depth. It lies in MediaPipe's npm package of that month
-(Apache-2.0), and everything works without it, too.
+(Apache-2.0), and everything works without it, too. The body networks, of the same wheel, are for arms.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import struct
 import tarfile
 import zipfile
 import zlib
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -54,6 +55,29 @@ class TaskFile:
 
 
 TASK: Final = TaskFile()
+
+
+@dataclass(frozen=True)
+class BodyFile:
+    """Where MediaPipe's body networks are found, and where they lie in `TaskFile`'s wheel."""
+
+    name: str = "body_landmarks.task"
+    sha256: str = "1a40f1083bec40fd18f62c47b3f0f0f65722445a5cca003e1d96992a40cdd991"
+    variable: str = "HANDFIT_BODY_MODEL"
+    """Environment variable with another path of that file, or `none` to go without"""
+    detector: tuple[str, str] = (
+        "pose_detector.tflite",
+        "mediapipe/modules/pose_detection/pose_detection.tflite",
+    )
+    landmarks: tuple[str, str] = (
+        "pose_landmarks_detector.tflite",
+        "mediapipe/modules/pose_landmark/pose_landmark_full.tflite",
+    )
+    landmarks_kept: tuple[int, int, int] = (0, 1, 4)
+    """Its outputs but for the segmentation and the heat maps, which take three quarters of its time"""
+
+
+BODY: Final = BodyFile()
 
 
 @dataclass(frozen=True)
@@ -95,6 +119,22 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
     raise LandmarkModelError(
         f"MediaPipe's landmark model ({TASK.name}) was not found; run scripts/fetch_landmark_model.py "
         "once, or name the file with --landmark-model"
+    )
+
+
+def body_model_path() -> Path:
+    """The file of the body networks: `$HANDFIT_BODY_MODEL`, or the one bundled with this package or in the
+    cache folder. Raises LandmarkModelError."""
+    named = os.environ.get(BODY.variable)
+    bundled = Path(__file__).parent / "data" / BODY.name
+    places = (path_of(named),) if named else (bundled, cached_body_path())
+    for path in places:
+        if named != "none" and is_file(path):
+            return path
+    why = f"{BODY.variable} is {named!r}" if named else "they were not found"
+    raise LandmarkModelError(
+        f"arms need MediaPipe's body networks ({BODY.name}), and {why}; run scripts/fetch_landmark_model.py "
+        "once, install the add-on's zip again, or capture without arms"
     )
 
 
@@ -162,13 +202,35 @@ def cached_path_2020() -> Path:
     return cache_dir() / NETWORK_2020.name
 
 
+def cached_body_path() -> Path:
+    """Where the body networks are kept between runs."""
+    return cache_dir() / BODY.name
+
+
 def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
     """Make the task file from the pinned MediaPipe wheel; equal wheels give equal bytes.
 
     Raises LandmarkModelError when the wheel is not the pinned one, OutputError when `destination`
     cannot be written.
     """
-    wheel, destination = Path(wheel), Path(destination)
+    return _write_task(destination, _of_wheel(wheel, TASK.entries))
+
+
+def assemble_body(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:
+    """Make the file of the body networks, with the metadata by which MediaPipe runs them, as `assemble` makes
+    the hands'."""
+    networks = _of_wheel(wheel, (BODY.detector, BODY.landmarks))
+    detector, landmarks = BODY.detector[0], BODY.landmarks[0]
+    outputs = ("landmarks", "presence", "world")
+    kept = BODY.landmarks_kept
+    networks[detector] = with_image_metadata(networks[detector], 127.5, 127.5, ("boxes", "scores"))
+    networks[landmarks] = with_image_metadata(networks[landmarks], 0.0, 255.0, outputs, kept)
+    return _write_task(destination, networks)
+
+
+def _of_wheel(wheel: str | os.PathLike[str], entries: Iterable[tuple[str, str]]) -> dict[str, bytes]:
+    """The members of the pinned MediaPipe wheel by the names that they get. Raises LandmarkModelError."""
+    wheel = Path(wheel)
     try:
         found = hashlib.sha256(wheel.read_bytes()).hexdigest()
     except OSError as error:
@@ -178,12 +240,18 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
             f"{wheel}: sha256 is {found}, expected {TASK.wheel_sha256} ({TASK.wheel_requirement} for Python "
             f"{TASK.wheel_python}, {TASK.wheel_platform}); download it again"
         )
+    with zipfile.ZipFile(wheel) as source:
+        return {name: source.read(member) for name, member in entries}
+
+
+def _write_task(destination: str | os.PathLike[str], networks: Mapping[str, bytes]) -> Path:
+    """Write a zip of networks as MediaPipe's tasks read it. Raises OutputError."""
+    destination = Path(destination)
     with (
-        zipfile.ZipFile(wheel) as source,
         written_whole(destination) as beside,
         zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as task,
     ):
-        for name, member in TASK.entries:
+        for name, network in networks.items():
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             assert task.fp is not None
             data_start = task.fp.tell() + 30 + len(name)
@@ -193,7 +261,7 @@ def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str])
             padding = -data_start % 4
             # The id that Android's zipalign pads with
             info.extra = struct.pack("<HH", 0xD935, padding) + b"\0" * padding
-            task.writestr(info, source.read(member))
+            task.writestr(info, network)
     return destination
 
 

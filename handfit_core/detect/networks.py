@@ -19,6 +19,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import islice
+from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final, Self, TypeVar
 
@@ -27,7 +28,7 @@ import numpy as np
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.landmark_model import landmark_model_path, landmarks_2020_path
+from handfit_core.detect.landmark_model import TASK, landmark_model_path, landmarks_2020_path
 from handfit_core.errors import LandmarkModelError
 from handfit_core.machine import usable_cores
 from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
@@ -126,7 +127,9 @@ class Palms:
         points, side = self.points[index], float(self.side[index])
         up = _unit(points[2] - points[0])
         centre = self.centre[index] + NETWORK.palm_crop_shift * side * up
-        return Crop.of_square(centre, NETWORK.palm_crop_span * side, NETWORK.hand_input_px, turn=_upright(up))
+        return Crop.of_square(
+            centre, NETWORK.palm_crop_span * side, NETWORK.hand_input_px, turn=turn_upright(up)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +155,7 @@ def crop_around(keypoints: np.ndarray) -> Crop:
     middle[1] += NETWORK.hand_crop_shift * (high - low)[1]
     centre = middle[0] * across + middle[1] * up
     return Crop.of_square(
-        centre, NETWORK.hand_crop_span * max(side, 1.0), NETWORK.hand_input_px, turn=_upright(up)
+        centre, NETWORK.hand_crop_span * max(side, 1.0), NETWORK.hand_input_px, turn=turn_upright(up)
     )
 
 
@@ -177,13 +180,60 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / length if length > 0.0 else np.array([0.0, -1.0])
 
 
-def _upright(up: np.ndarray) -> float:
+def turn_upright(up: np.ndarray) -> float:
     """Radians, clockwise as seen, that turn a direction (2,) upwards."""
     return -float(np.arctan2(up[0], -up[1]))
 
 
-class Networks:
-    """The palm network and the landmark networks. Use as a context manager.
+class Runner:
+    """Loads networks into MediaPipe's image embedder and runs them. Use as a context manager."""
+
+    def __init__(self) -> None:
+        # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
+        os.environ.setdefault("GLOG_minloglevel", "2")
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+        import mediapipe as mp
+
+        _drop_import_tracebacks()
+        self._mp = mp
+        self._open = ExitStack()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give MediaPipe's threads and memory back."""
+        self._open.close()
+
+    def _load(self, path: Path, *members: str) -> list[Any]:
+        """The networks of these names in a zip, or of a file that is one. Raises LandmarkModelError."""
+        vision = self._mp.tasks.vision
+        try:
+            if members:
+                with zipfile.ZipFile(path) as task:
+                    networks = [task.read(member) for member in members]
+            else:
+                networks = [path.read_bytes()]
+            bases = [self._mp.tasks.BaseOptions(model_asset_buffer=network) for network in networks]
+            made = (vision.ImageEmbedder.create_from_options(vision.ImageEmbedderOptions(b)) for b in bases)
+            return [self._open.enter_context(network) for network in made]
+        except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError) as error:
+            self._open.close()
+            raise LandmarkModelError(
+                f"{path}: MediaPipe cannot load this landmark model ({error}); assemble it again with "
+                "scripts/fetch_landmark_model.py --force"
+            ) from error
+
+    def _run(self, network: Any, rgb: np.ndarray) -> Sequence[np.ndarray]:
+        image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=rgb)
+        return [output.embedding for output in network.embed(image).embeddings]
+
+
+class Networks(Runner):
+    """The palm network and the landmark networks.
 
     With quality `draft`, the landmark network of December 2020 replaces the present one where its file is
     there. Raises LandmarkModelError when the landmark model file is missing or damaged.
@@ -193,6 +243,7 @@ class Networks:
         self, landmark_model: str | os.PathLike[str] | None = None, *, quality: Quality = "standard"
     ) -> None:
         path = landmark_model_path(landmark_model)
+        super().__init__()
         self.quality: Quality = quality
         self.threads = min(usable_threads(), NETWORK.max_threads)
         """How many run the networks on several crops of a picture"""
@@ -202,32 +253,9 @@ class Networks:
         """Runs the landmark network of December 2020 on a frame while the present one runs on the next"""
         self._idle: SimpleQueue[Networks | None] = SimpleQueue()
         """Networks for the pool's threads; None: such as are not loaded yet"""
-        # MediaPipe and TensorFlow Lite greet on stderr; only real errors are of interest.
-        os.environ.setdefault("GLOG_minloglevel", "2")
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-        import mediapipe as mp
-
-        _drop_import_tracebacks()
-        self._mp = mp
-        self._open = ExitStack()
-        try:
-            with zipfile.ZipFile(path) as task:
-                self._palms = self._load(task.read("hand_detector.tflite"))
-                self._hand = self._load(task.read("hand_landmarks_detector.tflite"))
-            second = landmarks_2020_path()
-            self._hand_2020 = None if second is None else self._load(second.read_bytes())
-        except (OSError, KeyError, zipfile.BadZipFile, RuntimeError, ValueError) as error:
-            self._open.close()
-            raise LandmarkModelError(
-                f"{path}: MediaPipe cannot load this landmark model ({error}); assemble it again with "
-                "scripts/fetch_landmark_model.py --force"
-            ) from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._palms, self._hand = self._load(path, *(name for name, _ in TASK.entries))
+        second = landmarks_2020_path()
+        (self._hand_2020,) = [None] if second is None else self._load(second)
 
     def close(self) -> None:
         """Give MediaPipe's threads and memory back."""
@@ -238,7 +266,7 @@ class Networks:
         while not self._idle.empty():
             if (other := self._idle.get()) not in (None, self):
                 other.close()
-        self._open.close()
+        super().close()
 
     def map(
         self, function: Callable[[Networks, Item], Result], items: Sequence[Item]
@@ -273,19 +301,10 @@ class Networks:
         finally:
             self._idle.put(networks)
 
-    def _load(self, network: bytes) -> Any:
-        vision, base = self._mp.tasks.vision, self._mp.tasks.BaseOptions(model_asset_buffer=network)
-        options = vision.ImageEmbedderOptions(base)
-        return self._open.enter_context(vision.ImageEmbedder.create_from_options(options))
-
     @property
     def is_draft(self) -> bool:
         """Whether the landmark network of December 2020 replaces the present one."""
         return self.quality == "draft" and self._hand_2020 is not None
-
-    def _run(self, network: Any, rgb: np.ndarray) -> Sequence[np.ndarray]:
-        image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=rgb)
-        return [output.embedding for output in network.embed(image).embeddings]
 
     def detect_palms(self, rgb: np.ndarray, crop: Crop, min_score: float) -> Palms:
         """The palms in a crop, `palm_input_px` wide, of a picture (H, W, 3) uint8 RGB, before non-maximum
@@ -294,8 +313,8 @@ class Networks:
         chosen = np.flatnonzero(logits >= np.log(min_score / (1.0 - min_score)))
         chosen = chosen[np.argsort(-logits[chosen], kind="stable")]
         numbers = boxes.reshape(-1, 9, 2)[chosen]
-        numbers[:, 0] += NETWORK.palm_input_px * _anchors()[chosen]
-        numbers[:, 2:] += NETWORK.palm_input_px * _anchors()[chosen][:, None]
+        numbers[:, 0] += NETWORK.palm_input_px * anchors()[chosen]
+        numbers[:, 2:] += NETWORK.palm_input_px * anchors()[chosen][:, None]
         inverse = np.linalg.inv(crop.linear)
         return Palms(
             score=1.0 / (1.0 + np.exp(-logits[chosen])),
@@ -373,12 +392,13 @@ def usable_threads() -> int:
     return max(1, min(cores, int(limit) if limit.isdecimal() else cores))
 
 
-@lru_cache(maxsize=1)
-def _anchors() -> np.ndarray:
-    """(2016, 2) anchors in sides of the crop: two at each place of a 24 x 24 grid, six of a 12 x 12 grid."""
-    grids = []
-    for count, each in ((24, 2), (12, 6)):
+@lru_cache
+def anchors(grids: tuple[tuple[int, int], ...] = ((24, 2), (12, 6))) -> np.ndarray:
+    """(A, 2) anchors of a detector in sides of the crop: of each grid, places a side and anchors at each; the
+    palm network's where none are given."""
+    places = []
+    for count, each in grids:
         middles = (np.arange(count) + 0.5) / count
         grid = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-        grids.append(grid.repeat(each, axis=0))
-    return np.concatenate(grids)
+        places.append(grid.repeat(each, axis=0))
+    return np.concatenate(places)

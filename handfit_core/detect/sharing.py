@@ -10,34 +10,34 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
-from handfit_core.detect.chunks import Chunk
-from handfit_core.detect.detector import DETECTORS, ChunkedDetector
+from handfit_core.detect.detector import InChunks, Part
 from handfit_core.detect.networks import usable_threads
 from handfit_core.media.opening import open_media
 from handfit_core.media.settings import MEDIA
-from handfit_core.options import CaptureOptions
+from handfit_core.media.source import Media
 
 MAX_THREADS: Final = 8
 """Threads unless more are asked for: each decodes the video for itself, and more would do little else"""
 
 
 def detect_chunks(
-    detector: ChunkedDetector,
-    options: CaptureOptions,
+    detector: InChunks[Part],
+    another: Callable[[Media], InChunks[Part]],
+    threads: int | None,
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
-) -> list[Chunk]:
-    """Detect all chunks of a clip, in as many threads as the options say. The number of threads changes no
-    result.
+) -> list[Part]:
+    """Detect all chunks of a clip in so many threads, None: as `thread_count` says; `another` makes a
+    detector for a thread, of the clip opened once more. The number of threads changes no result.
 
     `on_progress` gets the count of the frames that are done. Where it is stopped, the chunks before the first
     gap are returned.
     """
     media = detector.media
-    count = 1 if media.given is None else thread_count(options.processes, media.expected_frames)
+    count = 1 if media.given is None else thread_count(threads, media.expected_frames)
     if count > 1:
-        return _in_threads(count, detector, options, on_progress, should_stop)
-    found: list[Chunk] = []
+        return _in_threads(count, detector, another, on_progress, should_stop)
+    found: list[Part] = []
     done = itertools.count(1)
     for index in itertools.count():
         found.append(detector.chunk(index, lambda _: on_progress(next(done)), should_stop))
@@ -48,13 +48,13 @@ def detect_chunks(
 
 def _in_threads(
     count: int,
-    detector: ChunkedDetector,
-    options: CaptureOptions,
+    detector: InChunks[Part],
+    another: Callable[[Media], InChunks[Part]],
     on_progress: Callable[[int], None],
     should_stop: Callable[[], bool],
-) -> list[Chunk]:
+) -> list[Part]:
     indices = itertools.count()
-    found: dict[int, Chunk] = {}
+    found: dict[int, Part] = {}
     ended = Event()
     """Set where the clip's end was seen, or at a stop"""
     stopped = Event()
@@ -62,7 +62,7 @@ def _in_threads(
     """None for each frame that is done, and each thread's future once it has ended"""
 
     def work(number: int) -> None:
-        with nullcontext(detector) if number == 0 else _another_detector(detector, options) as own:
+        with nullcontext(detector) if number == 0 else another(_reopened(detector.media)) as own:
             own.single_threaded()
             while not ended.is_set():
                 index = next(indices)
@@ -92,7 +92,7 @@ def _in_threads(
         finally:
             stopped.set()
             ended.set()
-    chunks: list[Chunk] = []
+    chunks: list[Part] = []
     while (chunk := found.get(len(chunks))) is not None:
         chunks.append(chunk)
         if len(chunk.numbers) < MEDIA.chunk_frames:
@@ -100,12 +100,9 @@ def _in_threads(
     return [chunk for chunk in chunks if chunk.numbers]
 
 
-def _another_detector(detector: ChunkedDetector, options: CaptureOptions) -> ChunkedDetector:
-    """A detector of the same clip for another thread."""
-    clip, media = DETECTORS.get(options.detector).clip, detector.media
-    assert clip is not None
+def _reopened(media: Media) -> Media:
     assert media.given is not None
-    return clip(open_media(media.given, options.frames, max_megapixels=options.max_megapixels), options)
+    return open_media(media.given, media.wanted.frames, max_megapixels=media.wanted.max_megapixels)
 
 
 def thread_count(asked: int | None, frames: int) -> int:

@@ -1,4 +1,4 @@
-"""Metadata for TensorFlow Lite's model files, added without TensorFlow's own tools.
+"""Metadata for TensorFlow Lite's model files, added without TensorFlow's own tools, and outputs left out.
 
 A model file is a FlatBuffer (https://flatbuffers.dev/internals): tables refer to objects behind them by
 offsets in bytes. So a new root table with the metadata goes before the old file, which stays as it is.
@@ -18,38 +18,77 @@ Field = int | Writer | None
 
 _PREFIX_BYTES: Final = 4096
 """Before the old file: a multiple of the 16 to which tensors are aligned"""
-_BUFFERS, _METADATA, _MODEL_FIELDS = 4, 6, 7
+_SUBGRAPHS, _BUFFERS, _METADATA, _MODEL_FIELDS = 2, 4, 6, 7
 """Fields of the root table, and how many are copied"""
+_OUTPUTS, _OPERATORS, _SUBGRAPH_FIELDS = 2, 3, 5
+"""Fields of a subgraph's table, and how many are copied"""
+_OPERATOR_INPUTS, _OPERATOR_OUTPUTS = 1, 2
+"""Fields of an operator's table"""
 _FEATURE, _IMAGE, _NORMALIZATION, _RGB = 1, 2, 1, 1
 """Values of the metadata's unions and of its colour space"""
 
 
-def with_image_metadata(network: bytes, mean: float, std: float, outputs: Sequence[str]) -> bytes:
-    """Add to a model file without metadata that of a network with one RGB picture as input.
+def with_image_metadata(
+    network: bytes, mean: float, std: float, outputs: Sequence[str], kept: Sequence[int] | None = None
+) -> bytes:
+    """Give a model file the metadata of a network with one RGB picture as input, in place of its own.
 
-    A picture's channel is 0..255 before (channel - mean) / std; `outputs` names all of the network's outputs,
-    which are feature vectors. Equal arguments give equal bytes.
+    A picture's channel is 0..255 before (channel - mean) / std; `outputs` names the network's outputs, which
+    are feature vectors. With `kept`, the indices of those that stay, the others are left out, and so are the
+    operators that only they need. Equal arguments give equal bytes.
     """
     (root,) = struct.unpack_from("<I", network)
-    buffers = _field(network, root, _BUFFERS)
-    assert buffers is not None
-    buffers += _number(network, buffers)
-    many = _number(network, buffers)
-    places = [buffers + 4 * i for i in range(1, many + 1)]
-    kept = [_existing(place + _number(network, place)) for place in places]
+    weights = [_existing(place) for place in _referred(network, root, _BUFFERS)]
     fields: list[Field] = []
     for i in range(_MODEL_FIELDS):
         at = _field(network, root, i)
         value = 0 if at is None else _number(network, at)
         # The first is the schema's version; all others refer to something.
         fields.append(None if at is None else value if i == 0 else _existing(at + value))
+    if kept is not None:
+        fields[_SUBGRAPHS] = _vector(_pruned(network, root, kept))
     metadata = bytearray()
     _references(metadata, [_image_metadata(mean, std, outputs)], between=b"M001")
-    fields[_BUFFERS] = _vector(*kept, _table(_bytes(bytes(metadata))))
-    fields[_METADATA] = _vector(_table(_bytes(b"TFLITE_METADATA\0", counted=15), many))
+    fields[_BUFFERS] = _vector(*weights, _table(_bytes(bytes(metadata))))
+    fields[_METADATA] = _vector(_table(_bytes(b"TFLITE_METADATA\0", counted=15), len(weights)))
     made = bytearray()
     _references(made, [_table(*fields)], between=b"TFL3")
+    assert len(made) <= _PREFIX_BYTES
     return bytes(made).ljust(_PREFIX_BYTES, b"\0") + network
+
+
+def _pruned(network: bytes, root: int, kept: Sequence[int]) -> Writer:
+    """The table of the only subgraph, with the outputs of these indices and the operators that they need."""
+    (graph,) = _referred(network, root, _SUBGRAPHS)
+    outputs = _numbers(network, graph, _OUTPUTS)
+    wanted = {outputs[i] for i in kept}
+    operators: list[Field] = []
+    for operator in reversed(_referred(network, graph, _OPERATORS)):  # in the order of running
+        if wanted.intersection(_numbers(network, operator, _OPERATOR_OUTPUTS)):
+            wanted.update(_numbers(network, operator, _OPERATOR_INPUTS))
+            operators.insert(0, _existing(operator))
+    fields: list[Field] = []
+    for i in range(_SUBGRAPH_FIELDS):
+        at = _field(network, graph, i)
+        fields.append(None if at is None else _existing(at + _number(network, at)))
+    fields[_OUTPUTS], fields[_OPERATORS] = _vector(*(outputs[i] for i in kept)), _vector(*operators)
+    return _table(*fields)
+
+
+def _numbers(data: bytes, table: int, field: int) -> list[int]:
+    """A table's vector of whole numbers; empty where it is absent."""
+    if (at := _field(data, table, field)) is None:
+        return []
+    at += _number(data, at)
+    return list(struct.unpack_from(f"<{_number(data, at)}I", data, at + 4))
+
+
+def _referred(data: bytes, table: int, field: int) -> list[int]:
+    """The offsets of the tables in a table's vector."""
+    at = _field(data, table, field)
+    assert at is not None
+    at += _number(data, at) + 4
+    return [at + 4 * i + offset for i, offset in enumerate(_numbers(data, table, field))]
 
 
 def _image_metadata(mean: float, std: float, outputs: Sequence[str]) -> Writer:

@@ -127,9 +127,9 @@ class _Clip(Media):
         """As `Media.numbers`: the pictures are counted."""
         return range(len(self._entries))[first:][:count]
 
-    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+    def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
         """As `Media.frames`."""
-        for row in self.numbers(first, count):
+        for row in self.numbers(first, count)[::step]:
             rgb, size = _read(self._entries[row])
             if row == len(self.sizes):  # some are read once more
                 self.sizes.append(size)

@@ -64,9 +64,9 @@ class RecordedMedia(Media):
         """As `Media.numbers`."""
         return self._numbers[first:] if count is None else self._numbers[first : first + count]
 
-    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+    def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
         """As `Media.frames`; none has a picture."""
-        for number in self.numbers(first, count):
+        for number in self.numbers(first, count)[::step]:
             yield Frame(number, (number - self._numbers[0]) / self.fps, None)
 
 

@@ -44,12 +44,12 @@ def open_media(
     try:
         if not isinstance(source, str | os.PathLike):
             media = _open_pictures([path_of(p) for p in source], wanted, "the list of pictures")
-            media.given = [str(p) for p in source]
+            media.given, media.wanted = [str(p) for p in source], wanted
             return media
         if not str(source):
             raise InputError("no input was given; name a photo, a folder of photos or a video")
         media = _open_path(path_of(source), wanted)
-        media.given = str(source)
+        media.given, media.wanted = str(source), wanted
         return media
     except OSError as error:  # a folder that may not be read, a name that is too long
         what = shown(error.filename) if isinstance(error.filename, str) else "the input"

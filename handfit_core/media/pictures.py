@@ -126,9 +126,10 @@ class Pictures(Media):
         """The numbers of all pictures of the sequence."""
         return self._all_numbers
 
-    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+    def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
         """Yield the pictures in order, see `Media`. Raises InputError for a picture of another size."""
-        for number, file in zip(self.numbers(first, count), self._files[first:][:count], strict=True):
+        chosen = zip(self.numbers(first, count)[::step], self._files[first:][:count][::step], strict=True)
+        for number, file in chosen:
             # Taken out, so that it does not stay in memory.
             rgb = self._read_already.pop(file, None)
             try:

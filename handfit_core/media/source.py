@@ -72,6 +72,14 @@ class Frame:
     """(H, W, 3) uint8, upright; None where the picture could not be read"""
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """The frames to read of an input, and the limit of their size."""
+
+    frames: FrameRange = FrameRange()  # noqa: RUF009 (frozen)
+    max_megapixels: float | None = None
+
+
 class Media:
     """An opened input. Iterate `frames()`; `source`, `fps`, `width` and `height` are known at once."""
 
@@ -84,12 +92,15 @@ class Media:
 
     given: str | list[str] | None = None
     """What it was opened from, with which `open_media` opens it again. None: it cannot be opened again"""
+    wanted: Wanted = Wanted()
+    """With which frames and limit it was opened"""
 
     first_and_last: tuple[int, int]
     """Frame numbers that `frames()` begins and ends with, as far as the header tells"""
 
-    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
-        """Yield the frames in order, from index `first`, counted from 0, and `count` of them at most."""
+    def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
+        """Yield the frames in order, from index `first`, counted from 0: of `count` of them at most, every
+        step-th one."""
         raise NotImplementedError
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
@@ -104,11 +115,3 @@ class Media:
 
     def close(self) -> None:
         """Release the file. A later read opens it again."""
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """The frames to read of an input, and the limit of their size."""
-
-    frames: FrameRange = FrameRange()  # noqa: RUF009 (frozen)
-    max_megapixels: float | None = None

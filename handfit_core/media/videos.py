@@ -111,7 +111,7 @@ class Video(Media):
         """The numbers from 1 to the header's count, or without an end where it has none."""
         return range(1, self._count + 1 if self._count else sys.maxsize)
 
-    def frames(self, first: int = 0, count: int | None = None) -> Iterator[Frame]:
+    def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
         """Yield the frames in order, see `Media`; warns of a video that breaks off.
 
         Frames behind those that were read last are found by reading on, others by reading from the beginning:
@@ -119,7 +119,7 @@ class Video(Media):
         """
         import cv2
 
-        wanted = self.numbers(first, count)
+        wanted = self.numbers(first, count)[::step]
         if not wanted:
             return
         capture, number = self._reading or (cv2.VideoCapture(self._name), 0)

@@ -15,7 +15,7 @@ from handfit_core.files import written_whole
 from handfit_core.interchange.opening import RELATIVE, open_input
 from handfit_core.media.videos import Video
 from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.pipeline import capture_to_file
+from handfit_core.pipeline import add_arms_to_file, capture_to_file
 from handfit_core.retiming import check_rate, is_other_rate
 from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
@@ -35,6 +35,8 @@ def answer(
     match message["request"]:
         case "capture":
             return capture(message, should_stop, on_progress)
+        case "arms":
+            return arms(message, should_stop, on_progress)
         case "refit":
             return edit.answer(message, should_stop)
         case "probe":
@@ -66,11 +68,27 @@ def capture(
         stopped = stopped or should_stop()
         return stopped
 
-    def report(progress: Progress) -> None:
-        on_progress(progress.stage, progress.done, progress.total)
-
+    report = _reporting(on_progress)
     done = capture_to_file(source, message["output"], options, report, should_stop_once, **flags)
     return {**done, "stopped": stopped}
+
+
+def arms(
+    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
+) -> dict[str, Any]:
+    """Add arms to a take's hands, write the take. Raises what `pipeline.add_arms_to_file` raises."""
+    return add_arms_to_file(
+        message["take"],
+        message["output"],
+        _reporting(on_progress),
+        should_stop,
+        max_megapixels=OPTIONS["max_megapixels"].read(message.get("max_megapixels")),
+        compact=message.get("compact", False),
+    )
+
+
+def _reporting(on_progress: OnProgress) -> Callable[[Progress], None]:
+    return lambda progress: on_progress(progress.stage, progress.done, progress.total)
 
 
 def _check_retimed(source: Any, options: Any, rate: float) -> None:

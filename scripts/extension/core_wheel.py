@@ -24,7 +24,10 @@ LANDMARK_MODEL_SHA256 = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419
 
 LANDMARKS_2020 = f"handfit_core/detect/data/{landmark_model.NETWORK_2020.name}"
 """`landmarks_2020_path()` looks there."""
-LANDMARK_MODELS = (LANDMARK_MODEL, LANDMARKS_2020)
+
+BODY_MODEL = f"handfit_core/detect/data/{landmark_model.BODY.name}"
+"""`body_model_path()` looks there."""
+LANDMARK_MODELS = (LANDMARK_MODEL, BODY_MODEL, LANDMARKS_2020)
 
 SAME_TIME = "1577836800"
 """Seconds since 1970 of the files in the wheel: 2020-01-01"""
@@ -100,18 +103,20 @@ def source_files(root: Path = ROOT) -> list[str]:
     return found
 
 
-def checked_landmark_models() -> tuple[Path, Path]:
-    """The assembled landmark models in the user's cache, made where they are not there yet, hashes checked.
+def checked_landmark_models() -> tuple[Path, Path, Path]:
+    """The assembled `LANDMARK_MODELS` in the user's cache, made where they are not there yet, hashes checked.
 
     Raises BuildError, LandmarkModelError.
     """
-    first, second = landmark_model.cached_path(), landmark_model.cached_path_2020()
+    first, body = landmark_model.cached_path(), landmark_model.cached_body_path()
+    second = landmark_model.cached_path_2020()
     for path, sha256, make in (
-        (first, LANDMARK_MODEL_SHA256, assemble),
-        (second, landmark_model.NETWORK_2020.sha256, assemble_2020),
+        (first, LANDMARK_MODEL_SHA256, lambda: assemble(first)),
+        (body, landmark_model.BODY.sha256, lambda: assemble(first)),
+        (second, landmark_model.NETWORK_2020.sha256, lambda: assemble_2020(second)),
     ):
         if not has_sum(path, sha256):
-            make(path)
+            make()
         if not has_sum(path, sha256):
             raise BuildError(f"{path}: this was assembled to other bytes than the expected ones")
-    return first, second
+    return first, body, second

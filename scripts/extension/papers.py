@@ -27,6 +27,16 @@ BUNDLED = (
         "detect/data/LICENSE-landmark-model.txt",
     ),
     (
+        "MediaPipe body networks",
+        "0.10.21",
+        "Apache-2.0",
+        "Copyright The MediaPipe Authors. pose_detection.tflite and pose_landmark_full.tflite of the\n"
+        "wheel mediapipe 0.10.21, in handfit_core/detect/data/body_landmarks.task. They were changed:\n"
+        "metadata, by which MediaPipe's image embedder runs them, were put before them, and outputs of the\n"
+        "second one, segmentation and heat maps, are left out.",
+        "detect/data/LICENSE-landmark-model.txt",
+    ),
+    (
         "MediaPipe hand landmark network of December 2020",
         "0.1.1606863095",
         "Apache-2.0",

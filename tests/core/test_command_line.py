@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -33,6 +34,22 @@ def test_capture_writes_a_take(tmp_path):
     assert len(result.stderr.splitlines()) == 1
     assert [p.name for p in output.parent.iterdir()] == [output.name]
     assert Take.load(output).hands[0].side == "right"
+
+
+def test_arms_are_added_to_a_take(tmp_path):
+    """Over the take itself, or beside it, where they say why there are none; its hands stay."""
+    path, beside = tmp_path / "a.npz", tmp_path / "b.npz"
+    assert run("capture", PHOTO, "-o", path).returncode == 0
+    before = Take.load(path)
+    for more, output in ((), path), (("-o", beside), beside):
+        result = run("arms", path, *more)
+        assert result.returncode == 0, result.stderr
+        take = Take.load(output)
+        assert take.hands[0].no_arm.startswith("no arm: ")
+        assert take.hands[0].no_arm in result.stderr
+        np.testing.assert_array_equal(take.hands[0].joints_3d, before.hands[0].joints_3d)
+    replace(before, source=replace(before.source, files=(str(tmp_path / "gone.jpg"),))).save(path)
+    assert "gone.jpg: there is no such file" in run("arms", path).stderr
 
 
 def test_json_progress(tmp_path):

@@ -32,6 +32,7 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "landmark_model": ("l.task", "l.task", "l.task"),
     "processes": (3, "3", 3),
     "solver": ("paper-a", "paper-a", "paper-a"),
+    "arms": (True, "", True),
     "model": ("m.pkl", "m.pkl", "m.pkl"),
     "smoothing": (0.5, "0.5", 0.5),
     "hand_length": (0.2, "200", 0.2),

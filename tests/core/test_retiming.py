@@ -9,6 +9,7 @@ from handfit_core.edit.corrections import Correction, CorrectionField
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.retiming import (
     check_rate,
@@ -108,6 +109,29 @@ def test_every_second_frame():
     np.testing.assert_array_equal(track.detected, near)
     np.testing.assert_array_equal(track.filled, ~near)
     track.check(len(times))
+
+
+def test_arms_keep_their_lengths():
+    """Between the pictures, too, where they are as far as the hand is; beside a gap they hold."""
+    numbers = np.arange(1, 21)
+    there = ~np.isin(numbers, range(10, 15))
+    turned = 0.2 * numbers[:, None]
+    bone = np.concatenate([np.cos(turned), np.sin(turned), 0.0 * turned], axis=1)
+    wrist = np.where(there[:, None], 0.01 * numbers[:, None] + [0.0, 0.0, 1.0], np.nan)
+    elbow, lengths = wrist - 0.25 * bone, np.array([0.3, 0.25])
+    errors = np.where(there[:, None], [0.2, 0.3], np.nan)
+    arm = ArmMotion(elbow - 0.3 * bone[:, [1, 2, 0]], elbow, wrist, lengths, there, errors)
+    take = clip(numbers)
+    take = replace(take, hands=(replace(take.hands[0], arm=arm),))
+    new = retimed(take, 0.8).hands[0].arm
+    assert new is not None
+    at = moments(take, 0.8)
+    np.testing.assert_array_equal(new.present, ~np.isin(shown_numbers(at), range(10, 15)))
+    np.testing.assert_allclose(new.wrist[:5, 0], 0.01 * at[:5])
+    for first, last, length in ((new.shoulder, new.elbow, 0.3), (new.elbow, new.wrist, 0.25)):
+        np.testing.assert_allclose(np.linalg.norm(last - first, axis=1)[new.present], length)
+    np.testing.assert_array_equal(retimed(take, 1.0).hands[0].arm.wrist, arm.wrist)
+    retimed(take, 0.8).hands[0].check(len(at))
 
 
 def test_shortest_way():

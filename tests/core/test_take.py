@@ -13,9 +13,10 @@ import pytest
 from handfit_core.arrays import arrays_of, check_arrays
 from handfit_core.errors import OutputError, TakeError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.skeleton import SIDES
-from handfit_core.take import FORMAT_VERSION, TAKE_LIMITS, HandTrack, Take, is_take
+from handfit_core.take import FORMAT_VERSION, TAKE_LIMITS, HandTrack, Take, at_rows, is_take
 
 FRAMES = 4
 DETECTED = np.array([True, True, False, True])
@@ -59,6 +60,18 @@ def full(**changes: Any) -> HandTrack:
     flags = {"filled": ~DETECTED, "doubtful": np.arange(FRAMES) == 1, "other_side": np.arange(FRAMES) == 1}
     covered = np.arange(21) > np.array([[21], [5], [21], [21]])
     return track(**{**arrays, **flags, "overlapped": covered, **changes})
+
+
+def with_arm(present: Any = None) -> HandTrack:
+    """A track whose arm is there in two of its frames, or says that it is in others."""
+    there = np.array([True, False, False, True])
+    rng = np.random.default_rng(6)
+    points = {n: rng.normal(size=(FRAMES, 3)) for n in ("shoulder", "elbow", "wrist")}
+    arrays = {**points, "expected_error": rng.uniform(size=(FRAMES, 2))}
+    for array in arrays.values():
+        array[~there] = np.nan
+    there = there if present is None else present
+    return track(arm=ArmMotion(lengths=np.array([0.3, 0.25]), present=there, **arrays))
 
 
 def take(**changes: Any) -> Take:
@@ -118,11 +131,27 @@ def test_round_trip(compact, tmp_path):
             np.testing.assert_array_equal(getattr(found, name), kept, err_msg=name)  # also NaN
         np.testing.assert_array_equal(found.present, DETECTED | (found.filled is not None))
     with np.load(path, allow_pickle=False) as archive:
-        assert json.loads(str(archive["header"]))["version"] == FORMAT_VERSION
+        header = json.loads(str(archive["header"]))
+        assert header["version"] == FORMAT_VERSION
+        assert "arm" not in "".join([*archive, *header])
     small, whole = original.to_bytes(), original.to_bytes(compact=False)
     assert len(small) < 0.7 * len(whole)
     assert Take.from_bytes(small).to_bytes() == Take.from_bytes(Take.from_bytes(small).to_bytes()).to_bytes()
     assert Take.load(take(hands=()).save(tmp_path / "t.npz")).hands == ()
+
+
+def test_arms_come_back():
+    """Or why there is none; of a hand whose arm nobody looked for, neither."""
+    original = take(hands=(track(), with_arm(), track("left", no_arm="no arm: no body is in the picture")))
+    loaded = Take.from_bytes(original.to_bytes(compact=False))
+    assert [hand.no_arm for hand in loaded.hands] == ["", "", "no arm: no body is in the picture"]
+    assert [hand.arm is None for hand in loaded.hands] == [True, False, True]
+    found, expected = (arrays_of(each.hands[1].arm or track()) for each in (loaded, original))
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+    some = at_rows(loaded.hands[1], np.array([3, 0])).arm
+    assert some is not None
+    np.testing.assert_array_equal(some.elbow, expected["elbow"][[3, 0]])
 
 
 @pytest.mark.parametrize(
@@ -141,6 +170,10 @@ def test_round_trip(compact, tmp_path):
         ),
         ({"hands": (full(keypoints_depth=np.full((FRAMES, 21), np.nan)),)}, "keypoints_depth is not finite"),
         ({"hands": (full(right_side=np.full(FRAMES, 1.5)),)}, "right_side must lie between 0 and 1"),
+        (
+            {"hands": (with_arm(present=DETECTED),)},
+            "the right arm's shoulder is not finite where the hand is present",
+        ),
         ({"hands": (track(),) * (TAKE_LIMITS.max_hands + 1)}, "at most 200 hands, not 201"),
     ],
 )
@@ -234,6 +267,9 @@ def camera(**changes: Any) -> dict[str, Any]:
         ({"frame_numbers": np.zeros((4, 2), dtype=int)}, "frame_numbers must be a list"),
         ({"frame_numbers": np.array([1, 2, 3, 2**64 - 1], dtype=np.uint64)}, "frame_numbers lie beyond"),
         ({"hand0_betas": None}, "it lacks 'hand0_betas"),
+        ({"arms": ["0"]}, "arms must be an object"),
+        ({"arms": {"0": None}}, "arms must be a text"),
+        ({"arms": {"0": ""}}, "it lacks 'arms/hand0_shoulder"),
         ({"hand0_detected": np.ones(FRAMES)}, "holds float64 as hand0_detected"),
     ],
     ids=lambda value: str(value)[:60],

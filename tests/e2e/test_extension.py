@@ -18,13 +18,12 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.detect.landmark_model import NETWORK_2020
+from handfit_core.detect.landmark_model import BODY, NETWORK_2020
 from scripts.build_extension import build, this_platform
 from scripts.extension import wheels
 from scripts.extension.core_wheel import (
-    LANDMARK_MODEL,
     LANDMARK_MODEL_SHA256,
-    LANDMARKS_2020,
+    LANDMARK_MODELS,
     NOT_THE_ARTISTS,
 )
 from scripts.extension.wheels import PLATFORMS, PYTHONS, TORCH, BuildError, lock_path, read_lock
@@ -93,13 +92,14 @@ def test_the_core_is_its_source_with_the_models_and_without_evaluation_and_netwo
     (name,) = [n for n in zipped.namelist() if n.startswith("wheels/handfit_core-")]
     zipped.extract(name, tmp_path)
     with zipfile.ZipFile(tmp_path / name) as wheel:
-        models = [wheel.read(name) for name in (LANDMARK_MODEL, LANDMARKS_2020)]
+        models = [wheel.read(name) for name in LANDMARK_MODELS]
         names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     sums = [hashlib.sha256(content).hexdigest() for content in models]
-    assert sums == [LANDMARK_MODEL_SHA256, NETWORK_2020.sha256]
+    assert sums == [LANDMARK_MODEL_SHA256, BODY.sha256, NETWORK_2020.sha256]
     assert {name for name in names if not name.endswith(".py")} == {
         "handfit_core/py.typed",
         "handfit_core/detect/data/LICENSE-landmark-model.txt",
+        "handfit_core/detect/data/body_landmarks.task",
         "handfit_core/detect/data/hand_landmarker.task",
         "handfit_core/detect/data/hand_landmarks_2020.tflite",
         "handfit_core/hand_model/data/LICENSE-open-hand.md",

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,9 @@ def test_without_the_network_of_2020_there_is_no_wheel(checkout, tmp_path, monke
     monkeypatch.setattr(module, "fetched", lambda _: [tmp_path / "setuptools.whl"])
     landmark_model.cached_path().write_bytes(b"first")
     monkeypatch.setattr(module, "LANDMARK_MODEL_SHA256", hashlib.sha256(b"first").hexdigest())
+    monkeypatch.setattr(module, "assemble", lambda _: landmark_model.cached_body_path().write_bytes(b"body"))
+    body = replace(landmark_model.BODY, sha256=hashlib.sha256(b"body").hexdigest())
+    monkeypatch.setattr(landmark_model, "BODY", body)
     if before:
         landmark_model.cached_path_2020().write_bytes(before)
     monkeypatch.setattr(module, "assemble_2020", lambda path: path.write_bytes(b"of another version"))

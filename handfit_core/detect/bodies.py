@@ -1,0 +1,310 @@
+"""The bodies that hands belong to: a pass over a clip's frames after its hands are known.
+
+As hands are, bodies are found chunk by chunk of frames, each from its own frames alone, so that the number of
+threads changes no result. Whose body is whose is decided once, over all chunks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from typing import Final, Self
+
+import numpy as np
+
+from handfit_core.detect.body import NUM_BODY_POINTS, WRISTS, Body, BodyNetworks, BodyTrack
+from handfit_core.detect.sharing import detect_chunks
+from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.read_ahead import read_ahead
+from handfit_core.media.settings import MEDIA
+from handfit_core.media.source import Media
+from handfit_core.options import CaptureOptions
+
+
+@dataclass(frozen=True)
+class FollowingSettings:
+    """Thresholds and intervals of following bodies. Intervals are in frames."""
+
+    min_score: float = 0.5
+    """Of the detector for a person who is looked at"""
+    min_any_score: float = 0.05
+    """Of the detector for a person who is followed already: what is less counts as 0"""
+    min_presence: float = 0.5
+    """Of the landmark network, below which a body is lost"""
+    detection_interval: int = 48
+    """From one run of the detector to the next, where all hands have bodies"""
+    first_wait: int = 8
+    max_wait: int = 32
+    """Between two runs of the detector for a hand without a body: first, twice as many each time, at most"""
+    step: int = 2
+    """Every step-th frame is looked at, and bodies are interpolated between: fitted arms are as exact, and
+    tremble no more"""
+    max_wrist_distance: float = 1.0
+    """Hand sizes; a body whose wrist is farther than this from a hand's is another's"""
+    max_misses: int = 6
+    """Predictions in which no hand is at a body's wrists, after which it is followed no more"""
+    most_looked_at: int = 6
+    """People of one picture whose bodies are predicted, to find that of a hand"""
+    max_reach: float = 2.0
+    """Distances of the two points of `People.axis`, as far as from a man's hips to above his head; a hand
+    farther from his hips than this is not his"""
+    same_person_distance: float = 0.5
+    """As these; two people whose hips are nearer than this are one"""
+
+
+FOLLOWING: Final = FollowingSettings()
+
+
+def find_bodies(
+    media: Media,
+    numbers: Sequence[int],
+    hands: Sequence[np.ndarray],
+    intrinsics: Intrinsics,
+    options: CaptureOptions,
+    on_frame: Callable[[int], None] = lambda _: None,
+    should_stop: Callable[[], bool] = lambda: False,
+) -> tuple[BodyTrack, ...]:
+    """The people whom a clip's hands belong to, one track each over T frames.
+
+    `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
+    NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
+    side, is nearest a hand's; two hands share one where they share it in most frames. Of the options, the
+    number of threads counts, and changes no result.
+
+    `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
+    that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
+    """
+    if not len(hands):
+        return ()
+    seen = np.stack(hands)
+    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), intrinsics)
+    if not clip.wanted.any():
+        return ()
+    with _BodyDetector(media, clip) as detector:
+        chunks = detect_chunks(
+            detector, lambda again: _BodyDetector(again, clip), options.processes, on_frame, should_stop
+        )
+    return _joined(clip, chunks)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clip:
+    """H hands in T frames, and the camera."""
+
+    numbers: list[int]
+    """(T) of the source's frames"""
+    wrists: np.ndarray
+    """(H, T, 2) pixels, NaN where there is no hand"""
+    extents: np.ndarray
+    """(H, T) sizes of the hands in the picture, pixels"""
+    intrinsics: Intrinsics
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """(T,) bool: frames with a hand."""
+        return np.asarray(np.isfinite(self.extents).any(axis=0))
+
+
+@dataclass(eq=False)
+class _Followed:
+    """A person over some of a chunk's frames."""
+
+    axis: np.ndarray
+    """(2, 2) pixels about which the next crop is laid"""
+    near: dict[int, np.ndarray] = field(default_factory=dict)
+    """(H,) how near each hand was to a wrist, 1 at it, 0 from `max_wrist_distance` on, by rows of the clip"""
+    misses: int = 0
+    bodies: dict[int, Body] = field(default_factory=dict)
+    """By rows of the clip"""
+    scores: dict[int, float] = field(default_factory=dict)
+    """The detector's, by rows of the clip"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The people in a chunk's frames."""
+
+    numbers: list[int]
+    people: list[_Followed]
+
+
+class _BodyDetector:
+    """Finds the bodies of a clip's hands. Use it as a context manager."""
+
+    def __init__(self, media: Media, clip: _Clip) -> None:
+        self.media = media
+        self._clip = clip
+        self._rows = {number: row for row, number in enumerate(clip.numbers)}
+        self._networks = BodyNetworks()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the networks' memory back, and let go of the file."""
+        self._networks.close()
+        self.media.close()
+
+    def single_threaded(self) -> None:
+        """There is one thread anyway."""
+
+    def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
+        """Find the bodies in the chunk with that index, as `detector.InChunks` says. Frames before the first
+        and after the last hand are not read."""
+        start, step = index * MEDIA.chunk_frames, FOLLOWING.step
+        numbers = list(self.media.numbers(start, MEDIA.chunk_frames))
+        rows = [self._rows.get(number, -1) for number in numbers]
+        wanted = [i for i in range(0, len(rows), step) if rows[i] >= 0 and self._clip.wanted[rows[i]]]
+        following = _Following(self._networks, self._clip)
+        if not wanted:
+            past = not numbers or numbers[0] > self._clip.numbers[-1]
+            return _Part([] if past else numbers, [])
+        at, end = wanted[0], wanted[-1] + 1
+        with closing(read_ahead(self.media.frames(start + at, end - at, step))) as frames:
+            for frame in frames:
+                if should_stop():
+                    break
+                if frame.rgb is not None and rows[at] >= 0:
+                    following.find(frame.rgb, rows[at])
+                for _ in range(step):
+                    at += 1
+                    on_frame(at)
+        return _Part(numbers if at >= end else numbers[:at], following.people)
+
+
+class _Following:
+    """Follows bodies through the frames of a chunk."""
+
+    def __init__(self, networks: BodyNetworks, clip: _Clip) -> None:
+        self.people: list[_Followed] = []
+        """All that were followed"""
+        self._networks, self._clip = networks, clip
+        self._now: list[_Followed] = []
+        self._thumbnail: Thumbnail | None = None
+        self._next_detection = 0
+        """Row of the next detection where all hands have bodies"""
+        self._wait, self._next_search = FOLLOWING.first_wait, 0
+        """Frames to wait after a search for a hand's body that failed, and the row of the next one"""
+
+    def find(self, rgb: np.ndarray, row: int) -> None:
+        """Find the bodies of the hands of that row in its picture (H, W, 3) uint8 RGB."""
+        thumbnail = Thumbnail.of(rgb)
+        if self._thumbnail is not None and thumbnail.is_cut_from(self._thumbnail):
+            self._now, self._next_detection, self._next_search = [], row, row
+        self._thumbnail = thumbnail
+        there = np.isfinite(self._clip.extents[:, row])
+        if not there.any():
+            return
+        for person in self._now:
+            self._predict(person, rgb, row)
+        free = there.copy()
+        for person in self._now:
+            person.misses += 1
+            if row in person.bodies and (near := self._nearness(person.bodies[row], row)).any():
+                person.near[row], person.misses = near, 0
+                free &= near == 0.0
+        self._now = [p for p in self._now if row in p.bodies and p.misses <= FOLLOWING.max_misses]
+        if row >= self._next_detection or (free.any() and row >= self._next_search):
+            self._detect(rgb, row, free)
+
+    def _detect(self, rgb: np.ndarray, row: int, free: np.ndarray) -> None:
+        """Find people anew, and begin to follow those to whom hands without a body, (H,) bool, belong."""
+        found = self._networks.detect(rgb, FOLLOWING.min_any_score)
+        radii = np.linalg.norm(found.axis[:, 1] - found.axis[:, 0], axis=-1)
+        known = np.zeros(len(found.score), dtype=bool)
+        for person in self._now:
+            apart = np.linalg.norm(found.axis[:, 0] - person.axis[0], axis=-1)
+            same = apart < FOLLOWING.same_person_distance * radii
+            person.scores[row] = float(found.score[same].max(initial=0.0))
+            known |= same
+        wrists = self._clip.wrists[free, row]
+        off = np.linalg.norm(found.axis[:, :1] - wrists[None], axis=-1)
+        reached = (off < FOLLOWING.max_reach * radii[:, None]).any(axis=1)
+        candidates = np.flatnonzero(~known & reached & (found.score >= FOLLOWING.min_score))
+        for i in candidates[: FOLLOWING.most_looked_at]:
+            person = _Followed(found.axis[i], scores={row: float(found.score[i])})
+            # The second crop is one about landmarks, as all further ones are.
+            for _ in range(2):
+                self._predict(person, rgb, row)
+            if row in person.bodies and (near := self._nearness(person.bodies[row], row))[free].any():
+                person.near[row] = near
+                free = free & (near == 0.0)
+                self._now.append(person)
+                self.people.append(person)
+        self._next_detection = row + FOLLOWING.detection_interval
+        self._next_search = row + self._wait
+        self._wait = min(2 * self._wait, FOLLOWING.max_wait) if free.any() else FOLLOWING.first_wait
+
+    def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
+        """Add the body of that row where it is found."""
+        body = self._networks.predict(rgb, person.axis, self._clip.intrinsics)
+        person.bodies.pop(row, None)
+        if body.presence >= FOLLOWING.min_presence:
+            person.bodies[row], person.axis = body, body.axis
+
+    def _nearness(self, body: Body, row: int) -> np.ndarray:
+        """(H,) how near each hand of that row is to one of the body's wrists: 1 at it, 0 at the limit and
+        beyond. Each wrist has one hand."""
+        wrists, hands = body.keypoints[list(WRISTS.values())], self._clip.wrists[:, row]
+        off = np.linalg.norm(hands[:, None] - wrists[None], axis=-1) / self._clip.extents[:, row, None]
+        near = np.clip(1.0 - np.nan_to_num(off, nan=np.inf) / FOLLOWING.max_wrist_distance, 0.0, 1.0)
+        best = np.zeros(len(near))
+        while near.any():
+            hand, wrist = np.unravel_index(near.argmax(), near.shape)
+            best[hand] = near[hand, wrist]
+            near[hand], near[:, wrist] = 0.0, 0.0
+        return best
+
+
+def _joined(clip: _Clip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
+    """The people of all chunks, by the hands that they have."""
+    people = [person for part in parts for person in part.people]
+    body_of = np.full(clip.extents.shape, -1)
+    nearest = np.zeros(clip.extents.shape)
+    for number, person in enumerate(people):
+        for row, near in person.near.items():
+            nearer = near > nearest[:, row]
+            body_of[nearer, row], nearest[nearer, row] = number, near[nearer]
+    count = len(body_of)
+    owners = list(range(count))
+    for one in range(count):
+        for other in range(one):
+            both = (body_of[one] >= 0) & (body_of[other] >= 0)
+            if 2 * int((both & (body_of[one] == body_of[other])).sum()) > int(both.sum()):
+                owners = [owners[other] if owner == owners[one] else owner for owner in owners]
+    votes = [(body_of == number).sum(axis=1) for number in range(len(people))]
+    tracks = []
+    for owner in sorted(set(owners)):
+        mine = [n for n, each in enumerate(votes) if each.any() and owners[int(each.argmax())] == owner]
+        if mine:
+            tracks.append(_track(clip, [people[n] for n in sorted(mine, key=lambda n: votes[n].max())]))
+    return tuple(tracks)
+
+
+def _track(clip: _Clip, people: Sequence[_Followed]) -> BodyTrack:
+    """One person whom these all are, the surest last, who counts where there are several in a frame."""
+    count = len(clip.numbers)
+    whole = {
+        name: np.full((count, NUM_BODY_POINTS, *shape), np.nan)
+        for name, shape in (("keypoints", (2,)), ("visibility", ()), ("world", (3,)))
+    }
+    score = np.full(count, np.nan)
+    for person in people:
+        known = np.array(sorted(person.bodies))
+        rows = np.arange(known[0], known[-1] + 1)
+        before, after = np.searchsorted(known, rows, "right") - 1, np.searchsorted(known, rows)
+        span = known[after] - known[before]
+        near = span <= FOLLOWING.step
+        part = (rows - known[before]) / np.maximum(span, 1)
+        for name, values in whole.items():
+            predicted = np.stack([getattr(person.bodies[row], name) for row in known])
+            moved = predicted[after] - predicted[before]
+            between = predicted[before] + part.reshape(-1, *[1] * (moved.ndim - 1)) * moved
+            values[rows[near]] = between[near]
+        score[list(person.scores)] = list(person.scores.values())
+    return BodyTrack(**whole, score=score, present=np.isfinite(whole["visibility"][:, 0]))

@@ -1,0 +1,140 @@
+"""The body networks, and the pass that finds the bodies of hands."""
+
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.detect.bodies import FOLLOWING, find_bodies
+from handfit_core.detect.body import WRISTS, BodyNetworks, crop_about
+from handfit_core.detect.landmark_model import BODY, body_model_path
+from handfit_core.detect.tflite import with_image_metadata
+from handfit_core.detection import find_in_frame
+from handfit_core.errors import LandmarkModelError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import turn_from_axis
+from handfit_core.media.opening import open_media
+from handfit_core.media.pictures import read_picture
+from handfit_core.options import CaptureOptions
+
+PAINTED, SIGNER, TWO = (
+    "photos/mona_lisa.jpg",
+    "many_hands/panoptic_ex2_2.flv_000040_l.jpg",
+    "many_hands/mpii_052475643.jpg",
+)
+
+
+@pytest.fixture(scope="module")
+def networks():
+    try:
+        with BodyNetworks() as networks:
+            yield networks
+    except LandmarkModelError as error:
+        pytest.skip(str(error))
+
+
+def hands_in(path):
+    """Keypoints (N, 21, 2) of a photo's hands, the surest first."""
+    hands = find_in_frame(str(path), CaptureOptions())[1]
+    return np.stack([hand.keypoints_2d for hand in hands])
+
+
+def on_canvas(rgb, x, y, width=900, height=900):
+    """The picture at that place of a grey one."""
+    canvas = np.full((height, width, 3), 128, np.uint8)
+    canvas[y : y + rgb.shape[0], x : x + rgb.shape[1]] = rgb
+    return canvas
+
+
+def test_the_crop_is_about_the_hips_and_upright():
+    hips, above = np.array([300.0, 200.0]), np.array([380.0, 260.0])
+    crop = crop_about(np.stack([hips, above]))
+    placed = np.stack([hips, above]) @ crop.linear.T + crop.offset
+    np.testing.assert_allclose(placed, [[128.0, 128.0], [128.0, 128.0 - 128.0 / 1.25]])
+
+
+def test_outputs_that_are_left_out_change_no_other(networks, samples):
+    """The file on the disk has the pruned network, in whose bytes the whole one still lies."""
+    with zipfile.ZipFile(body_model_path()) as task:
+        pruned = task.read(BODY.landmarks[0])
+    whole = pruned[4096:]
+    names = ("landmarks", "presence", "segmentation", "heat maps", "world")
+    kept = [names[i] for i in BODY.landmarks_kept]
+    assert with_image_metadata(whole, 0.0, 255.0, kept, BODY.landmarks_kept) == pruned
+    rgb = cv2.resize(read_picture(samples / SIGNER)[0], (256, 256))
+    vision, mp = networks._mp.tasks.vision, networks._mp
+    outputs = []
+    for network in (with_image_metadata(whole, 0.0, 255.0, names), pruned):
+        options = vision.ImageEmbedderOptions(mp.tasks.BaseOptions(model_asset_buffer=network))
+        with vision.ImageEmbedder.create_from_options(options) as embedder:
+            found = embedder.embed(mp.Image(image_format=mp.ImageFormat.SRGB, data=rgb)).embeddings
+        outputs.append({output.head_name: output.embedding for output in found})
+    assert (list(outputs[0]), list(outputs[1])) == (list(names), kept)
+    for name in kept:
+        np.testing.assert_array_equal(outputs[1][name], outputs[0][name])
+
+
+def test_where_a_person_stands_turns_its_world_points_alone(networks, samples):
+    rgb = cv2.resize(read_picture(samples / SIGNER)[0], (200, 150))
+    camera = Intrinsics(900.0, 900.0, 450.0, 450.0)
+    axis, shift = np.array([[95.0, 140.0], [95.0, 40.0]]), np.array([420.0, 300.0])
+    seen = []
+    for x, y in ((200, 200), (620, 500)):
+        place = np.array([x, y])
+        body = networks.predict(on_canvas(rgb, x, y), axis + place, camera)
+        ray = camera.rays(axis[0] + place)
+        seen.append((body, turn_from_axis(ray / np.linalg.norm(ray))))
+    (one, turn), (other, other_turn) = seen
+    assert one.presence > 0.9
+    np.testing.assert_allclose(other.keypoints, one.keypoints + shift, atol=0.01)
+    np.testing.assert_allclose(other.world @ other_turn, one.world @ turn, atol=1e-4)
+    assert np.abs(other.world - one.world).max() > 0.05
+
+
+@pytest.mark.parametrize(("name", "people", "held"), [(PAINTED, 1, 2), (SIGNER, 1, 2), (TWO, 2, 3)])
+def test_the_hands_of_a_photo_have_their_bodies(networks, samples, name, people, held):
+    hands = hands_in(samples / name)
+    media = open_media(str(samples / name))
+    camera = Intrinsics.assumed(media.width, media.height)
+    bodies = find_bodies(media, [1], hands[:, None], camera, CaptureOptions())
+    assert len(bodies) == people
+    wrists = np.concatenate([body.keypoints[0, [*WRISTS.values()]] for body in bodies])
+    off = np.linalg.norm(hands[:, None, 0] - wrists, axis=-1).min(axis=1) / np.ptp(hands, axis=1).max(axis=1)
+    assert (off < 0.5).sum() == held
+    assert all(body.score[0] > 0.6 for body in bodies)
+
+
+def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks, samples, tmp_path):
+    """A painted woman, then somebody else, over three chunks; no hand is in the frames in between."""
+    path, size, cut = tmp_path / "clip.avi", (300, 300), 130
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, size)
+    hands = np.full((2, 210, 21, 2), np.nan)
+    for name, frames in ((PAINTED, range(cut)), (SIGNER, range(cut, 210))):
+        rgb, found = read_picture(samples / name)[0], hands_in(samples / name)[:2]
+        factor = 280.0 / max(rgb.shape[:2])
+        small = cv2.resize(rgb, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        for frame in frames:
+            x = 5 + round(5 * np.sin(frame / 10.0))
+            writer.write(on_canvas(small, x, 5, *size)[..., ::-1].copy())
+            if not 100 <= frame < 110:
+                hands[:, frame] = found * factor + [x, 5]
+    writer.release()
+    tracks = []
+    for threads in (1, 3):
+        media, options = open_media(str(path)), CaptureOptions(processes=threads)
+        tracks.append(find_bodies(media, range(1, 211), hands, Intrinsics.assumed(*size), options))
+    assert [len(each) for each in tracks] == [1, 1]
+    ((one,), (other,)) = tracks
+    for name in ("keypoints", "visibility", "world", "score", "present"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert not one.present[101:109].any()
+    assert one.present[:100].mean() > 0.9
+    wrists = one.keypoints[:, [*WRISTS.values()]]
+    off = np.linalg.norm(hands[:, :, None, 0] - wrists, axis=-1).min(axis=2) / np.ptp(hands, axis=2).max(-1)
+    assert np.nanmedian(off) < 0.4
+    # Nothing is interpolated between the two people.
+    for shot in (slice(110, cut), slice(cut, 210)):
+        shoulders = one.keypoints[shot, 11:13]
+        assert np.nanmax(np.abs(shoulders - np.nanmedian(shoulders, axis=0))) < 25.0
+    assert np.isfinite(one.score).sum() <= 210 / FOLLOWING.detection_interval * 4
