@@ -80,4 +80,4 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
             row.operator("manient.live_keep", text="", icon="CHECKMARK").index = index
             row.operator("manient.live_throw_away", text="", icon="TRASH").index = index
             if take.trouble:
-                sentence(self.layout, context, take.trouble, "INFO")
+                sentence(self.layout, context, capitalised(take.trouble), "INFO")

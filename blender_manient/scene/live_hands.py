@@ -21,10 +21,12 @@ from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import NUM_JOINTS, Side
 from handfit_core.slices import run_to_completion
 
+from ..common.blender_versions import action_slot
 from ..common.block_reference import BlockReference
 from ..common.wording import named_after
 from ..rigs.captured_hand import CapturedHandRig, build_rig
 from ..rigs.character import CharacterBones
+from .actions import use_action
 from .characters import hand_map_of
 from .editable import check_unlayered
 from .keys import animating, computing_keys, set_pose
@@ -188,6 +190,24 @@ def remove_collection(collection: bpy.types.Collection | None) -> None:
     bpy.data.batch_remove([collection, *objects])
     for blocks in (data, hung):  # what hung on the first has no user only now
         bpy.data.batch_remove([block for block in blocks if block is not None and not block.users])
+
+
+def remove_action(armature: bpy.types.Object, action: bpy.types.Action) -> None:
+    """Remove an action of a character that `onto_character.applying` has made; what it put on top of the NLA
+    to do so is the present action again."""
+    data = armature.animation_data
+    if data is None:
+        return bpy.data.actions.remove(action)
+    is_present = data.action == action
+    for track in [t for t in data.nla_tracks if [strip.action for strip in t.strips] == [action]]:
+        data.nla_tracks.remove(track)
+    bpy.data.actions.remove(action)
+    top = data.nla_tracks[-1] if is_present and len(data.nla_tracks) else None
+    if top is not None and len(top.strips) == 1 and top.name == top.strips[0].action.name:
+        strip = top.strips[0]
+        use_action(data, strip.action, action_slot(strip))
+        data.nla_tracks.remove(top)
+    return None
 
 
 def remove_leftovers() -> None:

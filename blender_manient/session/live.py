@@ -43,6 +43,7 @@ from ..scene.live_hands import (
     LiveHand,
     OpenHand,
     build_preview,
+    remove_action,
     remove_collection,
     remove_leftovers,
 )
@@ -154,7 +155,10 @@ class LiveTake:
                 motion = yield from map_yields(reading_motion(hand), lambda: 0.5)
                 onto.setdefault(target[0], []).append((target[1], motion))
         for character, moved in onto.items():
-            yield from self._keying(character, moved)
+            try:
+                yield from self._keying(character, moved)
+            except HandfitError as error:  # the hands themselves are there
+                self.trouble = str(error)
 
     def _keying(
         self, character: BlockReference, moved: Sequence[tuple[Side, Motion]]
@@ -192,9 +196,10 @@ class LiveTake:
         scene, built = self.scene.find(), self._built.find() if self._built is not None else None
         if scene is not None and built is not None:
             captures.remove(scene, built)
-        for action in self._actions.values():
-            if (there := action.find()) is not None:
-                bpy.data.actions.remove(there)
+        for character, action in self._actions.items():
+            armature, there = character.find(), action.find()
+            if armature is not None and there is not None:
+                remove_action(armature, there)
         takes.remove(self)
         for path in (self.path, self.take_path):
             try:

@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 import pytest
 
+from blender_manient.common.blender_versions import assign_action
 from blender_manient.operators import live as operators
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.store import captured_hands, hand_of
@@ -75,12 +76,12 @@ def content():
     return [sorted(b.name for b in kind) for kind in blocks], poses
 
 
-def record(session, seconds=1.2):
+def record(session, seconds=1.2, *, by_stop=False):
     """Record for a while; returns the take, which waits to be captured."""
     session.toggle_recording()
     end = time.monotonic() + seconds
     until(session, lambda: time.monotonic() > end)
-    session.toggle_recording()
+    session.stop() if by_stop else session.toggle_recording()
     until(session, lambda: session.recorded)
     (take,) = session.recorded
     operators.queue_recorded(bpy.context, session)
@@ -106,14 +107,16 @@ def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
 
 @pytest.mark.parametrize("onto", ["open hand", "character"])
 def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
+    before = bpy.data.actions.new("body")
     if onto == "character":
         settings.right.character = character
+        assign_action(character, before)
     bpy.context.scene.frame_set(11)
     session = operators.start(bpy.context)
     seen(session)
-    take = record(session)
+    take = record(session, by_stop=onto == "open hand")
     assert not take.trouble
-    preview = bpy.data.actions[0]
+    (preview,) = set(bpy.data.actions) - {before}
     ended(session)
     (job,) = jobs.run()
     assert job.state == "done", job.message
@@ -127,7 +130,7 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     assert keyed == 11
     assert take.path.exists()
     assert take.take_path.exists()
-    own = {hand.armature.animation_data.action.name}
+    own = {before.name, hand.armature.animation_data.action.name}
     if onto == "character":
         assert character.animation_data.action == preview
         bones = {c.data_path.split('"')[1] for c in action_curves(preview)}
@@ -137,7 +140,10 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     take.throw_away()
     assert not take.path.exists()
     assert not take.take_path.exists()
-    assert not bpy.data.actions
+    assert bpy.data.actions[:] == [before]
+    if onto == "character":
+        assert character.animation_data.action == before
+        assert not character.animation_data.nla_tracks
     assert live.takes == []
 
 
