@@ -41,12 +41,19 @@ def add_live_command(commands: Any) -> argparse.ArgumentParser:
     )
     live.add_argument("--seconds", type=float, metavar="S", help="how long (default: until Ctrl+C)")
     live.add_argument("--online", action="store_true", help="addresses of other machines may be opened")
-    live.add_argument("--size", default="640x480", metavar="WIDTHxHEIGHT", help="that a camera is asked for")
-    live.add_argument("--rate", type=float, default=30.0, metavar="FPS", help="that a camera is asked for")
     live.add_argument(
-        "--min-cutoff", type=float, metavar="HZ", help="smoothing of still hands: lower is smoother, and lags"
+        "--size", default="640x480", metavar="WIDTHxHEIGHT", help="of a camera (default: 640x480)"
     )
-    live.add_argument("--beta", type=float, metavar="B", help="how fast smoothing gives way to motion")
+    live.add_argument("--rate", type=float, default=30.0, metavar="FPS", help="of a camera (default: 30)")
+    live.add_argument(
+        "--min-cutoff",
+        type=float,
+        metavar="HZ",
+        help="smoothing of still hands: lower is smoother, and lags (default: 2)",
+    )
+    live.add_argument(
+        "--beta", type=float, metavar="B", help="how fast smoothing gives way to motion (default: 1)"
+    )
     live.add_argument("--preview", type=path_of, metavar="PICTURE.jpg", help="keep the newest picture, drawn")
     live.add_argument("--mirror", action="store_true", help="mirror the preview, and nothing else")
     live.add_argument(

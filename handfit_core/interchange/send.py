@@ -1,4 +1,4 @@
-"""Hands to programs that speak the VMC protocol, as they move: of a take (the command `send`), or live.
+"""Hands to programs that speak the VMC protocol, as they move: of a take (`send`), or live (`live --vmc`).
 
 Nothing else of the core opens a socket, and the add-on's zip does not have this file (SECURITY.md).
 
