@@ -57,6 +57,8 @@ PICTURE_WIDTH = 320
 """pixels of the small picture"""
 _ENDING_SECONDS = 3.0
 """seconds that the worker gets to end by itself, a recording's last frames included"""
+_SAID_SECONDS = 6.0
+"""seconds for which a sentence is shown while poses come"""
 _REFUSED_SECONDS = 2.0
 """seconds without a recorded frame after which the worker cannot record"""
 _MEASURED = 60
@@ -258,6 +260,7 @@ class LiveSession:
         self._recording_since = 0.0
         self.recorded: list[LiveTake] = []
         """Recordings that are over and wait for `take_recorded`"""
+        self._said = 0.0
         self.message = "Starting"
         """What is to be known, a sentence; empty: nothing"""
         self.error: HandfitError | None = None
@@ -305,7 +308,7 @@ class LiveSession:
     def calibrate(self) -> None:
         """Have the worker look at an open hand for a second."""
         self.worker.tell(self._request, "live-calibrate")
-        self.message = "Hold your open hand still, its palm to the camera"
+        self._say("hold your open hand still, its palm to the camera")
 
     def snapshot(self) -> None:
         """Key what is shown now at the scene's frame: on the characters that follow, else on the active
@@ -387,10 +390,13 @@ class LiveSession:
         """Leave the scene as it was before until the next pose comes."""
         self._take_away()
 
+    def _say(self, sentence: str) -> None:
+        self.message, self._said = capitalised(sentence), time.monotonic()
+
     def _take_in(self, event: Event) -> None:
         kind = event["event"]
         if kind == "warning":
-            self.message = capitalised(str(event["message"]))
+            self._say(str(event["message"]))
         elif kind == "calibrated":
             self._calibrated(event["hands"])
         elif kind == "recorded":
@@ -407,7 +413,8 @@ class LiveSession:
             self._close()
 
     def _show(self, event: Event) -> None:
-        self.message = "" if not self._sequence else self.message
+        if not self._sequence or time.monotonic() - self._said > _SAID_SECONDS:
+            self.message = ""
         self._sequence, self.fps, self.dropped = event["sequence"], event["fps"], event["dropped"]
         for told in event["hands"]:
             side, motion = told["side"], _motion(told)
@@ -438,7 +445,7 @@ class LiveSession:
             raise OptionError(f"the character {target[0].name!r} was deleted")
         made = CharacterHand(armature, target[1], str(self.options.model), motion)
         if made.left_alone:
-            self.message = capitalised(made.left_alone[0])
+            self._say(made.left_alone[0])
         return made
 
     def _begin_recording(self) -> None:
@@ -472,7 +479,7 @@ class LiveSession:
         self._play(False)
         take.frames, take.seconds = event["frames"], event["seconds"]
         if not take.frames:
-            self.message = "Nothing was recorded: no picture came meanwhile"
+            self._say("nothing was recorded: no picture came meanwhile")
             return
         takes.append(take)
         self.recorded.append(take)
@@ -482,7 +489,7 @@ class LiveSession:
         if hands:
             length = float(np.mean([hand["hand_length"] for hand in hands]))
             self.options = replace(self.options, hand_length=length)
-            self.message = f"Your hand is {100.0 * length:.1f} cm long"
+            self._say(f"your hand is {100.0 * length:.1f} cm long")
             self._take_away()  # the next pose makes hands of the shape
 
     def _take_away(self) -> None:

@@ -11,11 +11,13 @@ import pytest
 
 from blender_manient.common.blender_versions import assign_action
 from blender_manient.operators import live as operators
+from blender_manient.panels.live import MANIENT_PT_live
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, live
 from handfit_core.errors import HandfitError
 from tests.capturing import needs_capture
+from tests.drawn import drawn
 
 from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves
@@ -174,6 +176,33 @@ def test_a_source_that_cannot_be_opened_is_a_sentence(settings, source, word, mo
     assert isinstance(session.error, HandfitError)
     assert word in str(session.error)
     assert not session.worker.alive
+
+
+def test_an_address_that_does_not_answer_is_a_sentence_until_stop(settings):
+    settings.source = "http://127.0.0.1:9/video"
+    session = operators.start(bpy.context)
+    until(session, lambda: "does not answer" in session.message)
+    assert session.message in drawn(MANIENT_PT_live).said
+    ended(session)
+
+
+def test_the_panel_tells_how_it_goes(settings):
+    assert "manient.live" in drawn(MANIENT_PT_live).rows
+    session = operators.start(bpy.context)
+    seen(session)
+    page = drawn(MANIENT_PT_live)
+    assert {"source", "folder"} <= set(page.grey)
+    assert "manient.live_stop" in page.rows
+    assert {"Record", "manient.live_snapshot"} <= set(page.rows) - set(page.grey)
+    assert "fps" in page.said
+    assert "Right: seen" in page.said
+    session.toggle_recording()
+    assert "Stop Recording" in drawn(MANIENT_PT_live).rows
+    session.toggle_recording()
+    ended(session)
+    settings.left.use = settings.right.use = False
+    with pytest.raises(HandfitError, match="which hand"):
+        operators.start(bpy.context)
 
 
 def test_a_file_that_is_saved_meanwhile_holds_no_live_hand(settings, tmp_path):
