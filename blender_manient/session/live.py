@@ -365,7 +365,7 @@ class LiveSession:
                 newest = event
             else:
                 self._take_in(event)
-        if self._ending_until is None:
+        if self._ending_until is None and not self.over:
             try:
                 if newest is not None and newest["sequence"] > self._sequence:
                     self._show(newest)
