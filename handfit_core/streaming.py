@@ -72,7 +72,7 @@ class LiveSettings:
     calibration_seconds: float = 1.0
     calibration_frames: int = 10
     """Of a hand in that time, at least"""
-    open_bend: float = 0.5
+    open_bend: float = 0.4
     """radians; mean bend of a finger's joint, thumb left out, up to which a hand is an open one"""
     speed_cutoff: float = 1.0
     """Hz, of the low-pass filter of speeds in the One-Euro filter"""
@@ -332,11 +332,11 @@ class _SideFit:
         self._see_shape(seen)
         betas, orient, pose, _ = fitter.chain.parameters(state)
         turns = rotvec_to_rotmat(np.concatenate([orient, pose.reshape(15, 3)]))
-        if calibrating:
+        # The third of each finger's joints' angles is its bend; the thumb comes first.
+        bend = float(np.abs(state.angles[0, 1:, 2::3]).mean())
+        if calibrating and bend <= LIVE.open_bend:
             self._observed.append(seen)
             self._poses.append(turns[1:])
-        else:
-            self._observed, self._poses = [], []
         turns, wrist = self._filter.step(seconds, turns, state.wrist[0])
         self.last = LiveHand(
             self.side,
@@ -395,12 +395,10 @@ class _SideFit:
     def calibrated(self) -> Calibration | None:
         """Take over what the frames of a calibration have told; None where they show no open hand."""
         observed, poses, self._observed, self._poses = self._observed, self._poses, [], []
-        if len(observed) < LIVE.calibration_frames or self._state is None:
+        if len(observed) < LIVE.calibration_frames:
             return None
-        # The third of each finger's joints' angles is its bend; the thumb comes first.
-        if float(np.abs(self._state.angles[0, 1:, 2::3]).mean()) > LIVE.open_bend:
-            return None
-        betas = self._take_shape(observed)
+        # A pose that is held is seen with the same errors in all frames, so that one tells as much as all.
+        betas = self._take_shape([observed[len(observed) // 2]])
         self._rest = poses[-1] @ rotvec_to_rotmat(np.mean([_way(poses[-1], each) for each in poses], axis=0))
         pose = rotmat_to_rotvec(self._rest).reshape(45)
         return Calibration(self.side, betas, flat_hand_length(self._fitter.model, betas), pose)

@@ -7,6 +7,7 @@ never lags behind.
 from __future__ import annotations
 
 import contextlib
+import io
 import ipaddress
 import math
 import os
@@ -25,6 +26,7 @@ import numpy as np
 from handfit_core.errors import InputError, OptionError, OutputError
 from handfit_core.files import shown
 from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
+from handfit_core.media.headers import read_picture_header
 from handfit_core.media.opening import open_media
 from handfit_core.media.recording import ClipWriter
 from handfit_core.media.source import Frame
@@ -208,11 +210,7 @@ class LiveReader:
 
     def _put(self, rgb: np.ndarray) -> None:
         now = time.perf_counter()
-        if rgb.shape[0] * rgb.shape[1] > CAMERA.max_pixels:
-            raise InputError(
-                f"{self._source}: gives pictures of {rgb.shape[1]}x{rgb.shape[0]} pixels, which are too "
-                "large to follow hands in as they come; choose a smaller size"
-            )
+        _check_size(self._source, *rgb.shape[1::-1])
         with self._changed:
             self.received += 1
             self.dropped += self._newest is not None
@@ -281,6 +279,8 @@ def _opened(
     opened."""
     # OpenCV reads it when it loads; its own value is 10 seconds.
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", f"{math.ceil(CAMERA.answer_seconds)}")
+    # Or OpenCV on macOS, which asks for permission on the main thread alone, opens nothing; the system asks.
+    os.environ.setdefault("OPENCV_AVFOUNDATION_SKIP_AUTH", "1")
     import cv2
 
     if source.camera is not None:
@@ -290,6 +290,10 @@ def _opened(
     try:
         while capture.isOpened() and not stop.is_set():
             found, bgr = capture.read()
+            if found and bgr is not None and len(bgr) == 1:
+                bgr = _decoded(cv2, bgr, source)
+                if bgr is None:
+                    continue
             if not found or bgr is None:
                 return
             yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
@@ -309,10 +313,31 @@ def _opened_camera(cv2: Any, number: int, size: tuple[int, int], fps: float) -> 
     return capture
 
 
+def _decoded(cv2: Any, jpeg: np.ndarray, source: LiveSource) -> np.ndarray | None:
+    """The picture (H, W, 3) uint8 BGR of an encoded JPEG (1, N); None for a damaged one. Raises
+    InputError for one that claims too many pixels."""
+    data = jpeg.reshape(-1)
+    header = read_picture_header(io.BytesIO(data.tobytes()))
+    if header is None:
+        return None
+    _check_size(source, header.width, header.height)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+
+
+def _check_size(source: LiveSource, width: int, height: int) -> None:
+    """Raise InputError for pictures that are too large."""
+    if width * height > CAMERA.max_pixels:
+        raise InputError(
+            f"{source}: gives pictures of {width}x{height} pixels, which are too large to follow hands in as "
+            "they come; choose a smaller size"
+        )
+
+
 def _opened_address(cv2: Any, address: str) -> Any:
+    over_http = address.startswith("http")
     # Over HTTP nothing but MJPEG is read: FFmpeg would follow a playlist to other addresses.
-    over_http = {"input_format": "mpjpeg"} if address.startswith("http") else {"rtsp_transport": "tcp"}
-    options = {**over_http, "fflags": "nobuffer"}
+    special = {"input_format": "mpjpeg"} if over_http else {"rtsp_transport": "tcp"}
+    options = {**special, "fflags": "nobuffer"}
     name, milliseconds = "OPENCV_FFMPEG_CAPTURE_OPTIONS", round(1000.0 * CAMERA.answer_seconds)
     before = os.environ.get(name)
     os.environ[name] = "|".join(f"{key};{value}" for key, value in options.items())
@@ -321,6 +346,9 @@ def _opened_address(cv2: Any, address: str) -> Any:
             *(cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, milliseconds, cv2.CAP_PROP_READ_TIMEOUT_MSEC, milliseconds),
             *(cv2.CAP_PROP_N_THREADS, 1),  # several would each hold a picture back
         ]
+        if over_http:
+            # Pictures as they come, since OpenCV 4.11 decodes one of another size wrongly.
+            limits += [cv2.CAP_PROP_FORMAT, -1]
         return cv2.VideoCapture(address, cv2.CAP_FFMPEG, limits)
     finally:
         if before is None:

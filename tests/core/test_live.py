@@ -139,6 +139,23 @@ def test_lost_hand_is_held_then_rests(frames):
     np.testing.assert_array_equal(poses[-1].transl, poses[0].transl)
 
 
+@pytest.mark.parametrize(("row", "is_open"), [(0, True), (14, False)])
+def test_open_hand_calibrates(frames, take, row, is_open):
+    """It has a hand's length, and its own pose is the one at rest; a fist tells nothing."""
+    grey = np.full_like(frames[0].rgb, 128)
+    pictures = [frames[row].rgb] * 34 + [grey] * 40
+    with HandFollower(LiveOptions()) as follower:
+        follower.calibrate()
+        poses = [follower.follow(Frame(i + 1, i / 30, rgb)) for i, rgb in enumerate(pictures)]
+        (found,) = follower.calibrations
+    assert len(found) == is_open
+    for calibration in found:
+        assert calibration.side == take.hands[0].side
+        assert 0.16 < calibration.hand_length < 0.21  # that of the picture is 0.187 m
+        np.testing.assert_allclose(poses[-1].hands[0].hand_pose, calibration.hand_pose, atol=1e-6)
+        np.testing.assert_array_equal(poses[-1].hands[0].betas, calibration.betas)
+
+
 @pytest.mark.parametrize(("shift", "begins"), [(0, True), (250, False)])
 def test_hand_begins_only_well_inside(frames, shift, begins):
     outside = [replace(f, rgb=np.roll(f.rgb, shift, axis=1)) for f in frames[:6]]
@@ -286,6 +303,21 @@ def test_address_that_stalls_is_told_of_and_tried_again(station, monkeypatch):
         station.silent = False
         waited(lambda: reader.received > 30)  # more than one connection has
         waited(lambda: "sends no pictures any more" in reader.problem)
+
+
+def test_pictures_of_an_address_may_change_their_size(station, frames):
+    import cv2
+
+    small, tiny = cv2.resize(frames[0].rgb, (320, 240)), np.zeros((16, 16, 3), np.uint8)
+    station.pictures, station.silent = [frames[0].rgb, small, tiny] * 8, False
+    shapes = set()
+    with LiveReader(LiveSource(address=station.address)) as reader:
+        while len(shapes) < 3:
+            frame = reader.newest(PATIENCE)
+            assert frame is not None
+            shapes.add(frame.rgb.shape)
+            if frame.rgb.shape == small.shape:
+                assert np.abs(frame.rgb.astype(int) - small).mean() < 20.0
 
 
 def test_playlists_are_not_followed(tmp_path, monkeypatch):
