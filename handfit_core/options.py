@@ -19,7 +19,9 @@ from typing import Any, Final, Literal, get_args
 from handfit_core.detect.detector import DETECTORS, Quality, Region
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lenses import NUMBERS, lens_numbers, lens_of_numbers, saved_lens
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, HandChoice, Side
@@ -28,8 +30,6 @@ from handfit_core.take import TAKE_LIMITS
 from handfit_core.values import shortly
 
 HandMean = Literal["auto", "flat", "mean"]
-Lens = tuple[float, float, float]
-
 
 FARTHEST: Final = 1e6
 """pixels; no region lies farther out, or is larger"""
@@ -214,9 +214,16 @@ def _camera(given: Any) -> Intrinsics:
     )
 
 
-def _lens(given: Any) -> tuple[float, ...]:
+def _lens(given: Any) -> Lens | tuple[float, ...]:
+    if isinstance(given, Lens):
+        return given
+    if isinstance(given, Mapping):
+        return lens_of_numbers(given)
+    if isinstance(given, str) and not NUMBERS.fullmatch(given):
+        return saved_lens(given).lens
     what = (
-        "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and heights"
+        "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and "
+        "heights; or the name of a measured lens"
     )
     return _numbers(given, what, count=3)
 
@@ -355,12 +362,12 @@ class CaptureOptions:
         "FX,FY,CX,CY",
         by_default="by the photo's EXIF, or one with a 53 degree view",
     )
-    lens: Lens | None = _option(
+    lens: Lens | tuple[float, float, float] | None = _option(
         None,
         _lens,
-        "the camera where the picture's size is not known: focal length in picture widths, principal point "
-        "in widths and heights",
-        "F,X,Y",
+        "the name of a lens that was measured with the command lens; or the camera where the picture's size "
+        "is not known: focal length in picture widths, principal point in widths and heights",
+        "NAME|F,X,Y",
         by_default="as --intrinsics",
     )
     max_megapixels: float | None = _option(
@@ -468,6 +475,8 @@ def _plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, Intrinsics):
         return list(vars(value).values())
+    if isinstance(value, Lens):
+        return lens_numbers(value)
     if isinstance(value, Region):
         return [part for part in vars(value).values() if part is not None]
     return [_plain(each) for each in value] if isinstance(value, tuple) else value

@@ -8,8 +8,10 @@ import bpy
 
 from handfit_core.detect.detector import Region
 from handfit_core.errors import InputError, OptionError
+from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lenses import saved_lens
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.events import WorkerError
 
@@ -195,11 +197,12 @@ def new_job(
             else settings.solver or CaptureOptions.solver,
             model=model_of(settings),
             threshold=settings.threshold,
+            arms=settings.arms and target == "NEW" and source.kind != "data" and not bare,
             smoothing=settings.smoothing,
             plain_detection=settings.preset == "DRAFT",
             quality="standard" if settings.preset == "PAPER" else settings.preset.lower(),
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
-            lens=_lens(settings, scene),
+            lens=lens_of(settings, scene),
             max_megapixels=preferences.get(context).max_megapixels or None,
             keypoints=_keypoints(settings, source),
             picture_size=_picture_size(settings, source),
@@ -269,7 +272,12 @@ def model_of(settings) -> str | None:
     return str(Path(bpy.path.abspath(path)).expanduser())
 
 
-def _lens(settings, scene: bpy.types.Scene) -> tuple[float, float, float] | None:
+def lens_of(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, float] | None:
+    """The lens that the settings name, as options do; None: it is looked for. Raises HandfitError."""
+    if settings.camera == "LENS":
+        if not settings.measured_lens:
+            raise OptionError("choose the measured lens, or measure one, or choose another camera setting")
+        return saved_lens(settings.measured_lens).lens
     if settings.camera == "FOCAL":
         return settings.focal_length / 36.0, 0.5, 0.5
     if settings.camera == "ACTIVE":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import bpy
 
@@ -15,7 +16,7 @@ from ..common.block_reference import BlockReference
 from ..scene.timing import frame_rate
 from ..session import jobs, live, shared_worker
 from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
-from .capture import model_of
+from .capture import lens_of, model_of
 from .modes.view import FrontView, first_viewport
 
 _REDRAW_EVERY = 6
@@ -172,7 +173,7 @@ def start(context: bpy.types.Context) -> live.LiveSession:
         hands="both" if len(sides) == 2 else sides[0],
         model=model_of(settings),
         threshold=settings.threshold,
-        smoothing=settings.smoothing,
+        lens=None if settings.camera == "ACTIVE" else lens_of(settings, context.scene),
         hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
     )
     width, height = re.findall(r"\d+", wanted.size)
@@ -184,12 +185,19 @@ def start(context: bpy.types.Context) -> live.LiveSession:
 
 def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> None:
     """Have what was recorded captured in full, behind what is queued already."""
+    settings = context.scene.manient
     for take in session.recorded:
         scene = take.scene.find()
+        options = replace(
+            session.options,
+            quality="standard" if settings.preset == "PAPER" else settings.preset.lower(),
+            smoothing=settings.smoothing,
+            arms=settings.arms,
+        )
         take.job = jobs.Job(
             name=take.path.name,
             files=(str(take.path),),
-            options=session.options,
+            options=options,
             building=jobs.Building(
                 scene=take.scene,
                 frame=take.frame,

@@ -155,7 +155,9 @@ class Job:
             return "Stopping, keeping frames"
         if not self.stage:
             return "Starting"
-        text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
+        text = {"detect": "Finding hands", "fit": "Fitting", "arms": "Finding arms"}.get(
+            self.stage, self.stage
+        )
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def speed_text(self) -> str:
@@ -317,6 +319,8 @@ def _follow(job: Job) -> bool:
 
 def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
+    if stage == "detect" and job.stage in ("fit", "arms"):  # the pictures are read again
+        stage = "arms"
     if stage != job.stage:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
@@ -324,7 +328,10 @@ def _on_progress(job: Job, event: dict[str, Any]) -> None:
     # Detection takes nearly all of a capture's time, except with slow solvers.
     solver = SOLVERS.built_in().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85
-    job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
+    part = share * part if stage == "detect" else share + (0.9 - share) * part
+    if job.options.arms:
+        part = 0.9 - 0.3 * (1.0 - done / total if total else 1.0) if stage == "arms" else part * 2.0 / 3.0
+    job.fraction = part
 
 
 def _build(job: Job) -> bool:

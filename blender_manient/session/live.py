@@ -375,7 +375,7 @@ class LiveSession:
             except (HandfitError, ReferenceError) as error:
                 self.error = error if isinstance(error, HandfitError) else OptionError(str(error))
                 self.stop()
-        elif not self.over and time.monotonic() > self._ending_until:
+        if self._ending_until is not None and not self.over and time.monotonic() > self._ending_until:
             self._close()
         return bool(events)
 
