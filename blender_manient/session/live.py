@@ -238,7 +238,7 @@ class LiveSession:
         for side in followed:
             kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
-        size, online = list(what.size), bool(getattr(bpy.app, "online_access", True))
+        size, online = list(what.size), bpy.app.online_access
         live = {"online": online, "size": size, "fps": what.fps}
         self._request = self.worker.submit(
             "live",
@@ -426,6 +426,8 @@ class LiveSession:
             self._newest[side], self._states[side] = motion, told["state"]
         self._latencies = [*self._latencies[1 - _MEASURED :], 1000.0 * (time.perf_counter() - event["time"])]
         if self._recording is not None and event["recorded"] is not None:
+            if not self._recording.poses:
+                self._recording.frame = _frame_at(event["time"])
             self._recording.poses.append((event["time"], dict(self._newest)))
             self._recording.seconds = event["time"] - self._recording.poses[0][0]
         elif self._recording is not None and time.monotonic() - self._recording_since > _REFUSED_SECONDS:
@@ -582,6 +584,14 @@ class _Pictures:
 
 
 pictures = _Pictures()
+
+
+def _frame_at(moment: float) -> float:
+    """The scene frame that was shown at a moment of `time.perf_counter` that is hardly over."""
+    scene, windows = bpy.context.scene, bpy.context.window_manager.windows
+    plays = any(window.screen.is_animation_playing for window in windows)
+    late = (time.perf_counter() - moment) * frame_rate(scene) if plays else 0.0
+    return float(round(scene.frame_current - late))
 
 
 def _motion(told: dict[str, Any]) -> HandMotion:
