@@ -162,6 +162,8 @@ class LivePose:
     hands: tuple[LiveHand, ...]
     rgb: np.ndarray
     """(H, W, 3) uint8, the picture"""
+    intrinsics: Intrinsics
+    """Of the camera that the hands are seen by"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -462,7 +464,7 @@ class HandFollower:
             found = (hand.calibrated() for hand in self._hands.values())
             self.calibrations.append(tuple(each for each in found if each is not None))
         hands = tuple(hand.last for hand in self._hands.values() if hand.last is not None)
-        return LivePose(frame.number, seconds, hands, rgb)
+        return LivePose(frame.number, seconds, hands, rgb, self._intrinsics)
 
     @staticmethod
     def _sided(tracks: list[_Track], rows: Detections) -> dict[Side, int]:

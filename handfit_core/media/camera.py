@@ -137,6 +137,7 @@ class LiveReader:
         self._stop = threading.Event()
         self._newest: Frame | None = None
         self._writer: ClipWriter | None = None
+        self._writing = threading.Lock()
         self._error: Exception | None = None
         self._ended = False
         self.received = 0
@@ -168,8 +169,8 @@ class LiveReader:
 
     @property
     def ended(self) -> bool:
-        """Whether no frame will come any more, and the last one was taken."""
-        return self._ended and self._newest is None
+        """Whether no frame will come any more, and the last one was taken; an error, `newest` tells."""
+        return self._ended and self._newest is None and self._error is None
 
     @property
     def recording(self) -> ClipWriter | None:
@@ -180,15 +181,14 @@ class LiveReader:
         """Write every frame that comes from now on to a file. Raises OutputError."""
         writer = ClipWriter(path, self._fps)
         self.stop_recording()
-        with self._changed:
-            self._writer = writer
+        self._writer = writer
 
     def stop_recording(self) -> ClipWriter | None:
         """Close the file; returns what was written to it, None where nothing was."""
-        with self._changed:
+        with self._writing:
             writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.close()
+            if writer is not None:
+                writer.close()
         return writer
 
     def _read(self) -> None:
@@ -216,12 +216,12 @@ class LiveReader:
             self.dropped += self._newest is not None
             self._newest = Frame(self.received, now, rgb)
             self._changed.notify_all()
-            writer = self._writer
-        if writer is not None:
-            try:
-                writer.write(rgb, now)
-            except OutputError as error:
-                self.problem = str(error)
+        with self._writing:
+            if self._writer is not None:
+                try:
+                    self._writer.write(rgb, now)
+                except OutputError as error:
+                    self.problem = str(error)
 
 
 def _pictures(

@@ -67,6 +67,8 @@ def follow(
                 dropped=reader.dropped,
                 recorded=None if writer is None else writer.frames,
                 hands=[_hand(each) for each in pose.hands],
+                intrinsics=list(vars(pose.intrinsics).values()),
+                size=list(pose.rgb.shape[1::-1]),
                 picture=shown,
             )
         writer = run.stop_recording()

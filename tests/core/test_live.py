@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -30,9 +31,9 @@ from handfit_core.media.recording import ClipWriter
 from handfit_core.media.source import Frame
 from handfit_core.options import CaptureOptions
 from handfit_core.retiming import evenly_timed
-from handfit_core.streaming import LIVE, HandFilter, HandFollower, LiveOptions, LivePose, OneEuro
+from handfit_core.streaming import LIVE, HandFilter, HandFollower, Live, LiveOptions, LivePose, OneEuro
 from handfit_core.worker.client import Worker
-from scripts.measure_live import stamp_of, stamped
+from scripts.measure_live import pictures, stamp_of, stamped
 from tests.conftest import ROOT
 
 PATTERN = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
@@ -170,9 +171,16 @@ def test_other_hand_is_not_taken_for_the_wanted_one(frames, take):
     assert [pose for pose in followed(frames, options) if pose.hands] == []
 
 
-def test_size_may_change_on_the_way(frames):
-    import cv2
+def test_two_hands_are_told_apart():
+    """The picture beside its mirror image."""
+    shown = [cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB) for bgr in pictures(PATTERN, 2)]
+    last = followed([Frame(i + 1, i / 24, rgb) for i, rgb in enumerate(shown)])[-1]
+    assert [(hand.side, hand.state) for hand in last.hands] == [("left", "seen"), ("right", "seen")]
+    left, right = (hand.keypoints.mean(axis=0) for hand in last.hands)
+    assert left[0] + right[0] == pytest.approx(640, abs=8)
 
+
+def test_size_may_change_on_the_way(frames):
     smaller = [replace(f, rgb=cv2.resize(f.rgb, (320, 240))) for f in frames[12:]]
     assert followed([*frames[:12], *smaller])[-1].hands[0].state == "seen"
 
@@ -269,8 +277,6 @@ class Station:
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self) -> None:
-        import cv2
-
         with contextlib.suppress(OSError):
             while True:
                 client = self.server.accept()[0]
@@ -306,8 +312,6 @@ def test_address_that_stalls_is_told_of_and_tried_again(station, monkeypatch):
 
 
 def test_pictures_of_an_address_may_change_their_size(station, frames):
-    import cv2
-
     small, tiny = cv2.resize(frames[0].rgb, (320, 240)), np.zeros((16, 16, 3), np.uint8)
     station.pictures, station.silent = [frames[0].rgb, small, tiny] * 8, False
     shapes = set()
@@ -391,8 +395,6 @@ def test_recorded_take_is_even_in_time(tmp_path, frames, take):
 
 def test_recorded_clip_is_captured_as_the_file(tmp_path):
     """What a live run records gives the take that a capture of that file gives."""
-    from handfit_core.streaming import Live
-
     path = tmp_path / "live.mkv"
     with Live(CLIP) as run:
         run.record(path)
@@ -474,6 +476,7 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
         (3,),
     ]
     assert unpack(pose["picture"]).shape == (120, 160, 3)
+    assert (pose["size"], pose["intrinsics"]) == ([640, 480], [640.0, 640.0, 320.0, 240.0])
     worker.tell(request, "live-record", output=None)
     recorded = until(worker, request, "recorded")
     worker.cancel(request)
@@ -579,8 +582,6 @@ def test_command_records_and_captures(tmp_path):
 
 
 def test_stamps_survive_jpeg():
-    import cv2
-
     bgr = stamped(np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8), 12345.6789)
     again = cv2.imdecode(cv2.imencode(".jpg", bgr)[1], cv2.IMREAD_COLOR)
     assert stamp_of(again) == pytest.approx(12345.6789, abs=2e-4)
