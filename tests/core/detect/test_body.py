@@ -162,3 +162,11 @@ def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(net
         elbow, other = (camera.project(each.arm.elbow[0]) for each in (hand, of[hand.side]) if each.arm)
         elbows.append(np.linalg.norm(elbow - other))
     assert np.mean(elbows) < 15.0  # and 23 without
+
+
+@pytest.mark.usefixtures("networks")
+def test_a_capture_with_arms_has_the_side_that_the_body_names(samples):
+    """A man from behind, who holds up his left hand."""
+    photo = str(samples / "many_hands" / "mpii_051423444.jpg")
+    sides = [[hand.side for hand in capture(photo, arms=arms).hands] for arms in (False, True)]
+    assert sides == [["right"], ["left"]]
