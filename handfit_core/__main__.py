@@ -23,7 +23,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any, TextIO
 
-from handfit_core.errors import HandfitError
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.files import path_of, printable
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
@@ -89,6 +89,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_output(command, "the take to write")
     add_options(command)
+    text = "where to write the cameras of two views, too, in aniposelib's TOML layout"
+    command.add_argument("--write-cameras", type=path_of, metavar="RIG.toml", help=text)
 
     arms = commands.add_parser("arms", help="find the arms of a take's hands in its pictures")
     arms.set_defaults(handler=_arms)
@@ -155,7 +157,10 @@ def _worker(args: argparse.Namespace) -> int:
 
 def _capture(args: argparse.Namespace) -> int:
     source, options = _source(args.input), CaptureOptions.of_arguments(args)
-    args.reporter.done(capture_to_file(source, args.output, options, _progress(args)))
+    if args.write_cameras is not None and options.view is None:
+        raise OptionError("--write-cameras writes the cameras of two views: give the second one with --view")
+    report = capture_to_file(source, args.output, options, _progress(args), cameras_to=args.write_cameras)
+    args.reporter.done(report)
     return 0
 
 
@@ -276,6 +281,8 @@ class _TextOutput:
             or f"{summary['frames']} frames looked at"
         )
         self._line(f"{summary['output']}: {hands} ({summary['seconds']:.1f} s)")
+        if "views" in summary:
+            self._line(f"two views: {summary['views']['text']}")
 
     def evaluated(self, summary: dict[str, Any], table: str) -> None:
         print(table, flush=True)

@@ -31,6 +31,9 @@ from handfit_core.values import shortly
 
 HandMean = Literal["auto", "flat", "mean"]
 
+VIEW_OPTIONS: Final = ("view", "view_lens", "cameras", "offset", "baseline")
+"""What is told of a second view"""
+
 FARTHEST: Final = 1e6
 """pixels; no region lies farther out, or is larger"""
 
@@ -370,6 +373,42 @@ class CaptureOptions:
         "NAME|F,X,Y",
         by_default="as --intrinsics",
     )
+    view: str | None = _option(
+        None,
+        _path,
+        "a second clip of the same hands, filmed at the same time from another place by a camera that stood "
+        "still",
+        "PATH",
+        by_default="none",
+    )
+    view_lens: Lens | tuple[float, float, float] | None = _option(
+        None, _lens, "the second clip's lens, as --lens", "NAME|F,X,Y", by_default="what the file tells"
+    )
+    cameras: str | None = _option(
+        None,
+        _path,
+        "where both cameras stood, and their lenses: a calibration in aniposelib's TOML layout",
+        "RIG.toml",
+        by_default="found from the hands",
+    )
+    offset: float | None = _option(
+        None,
+        _number,
+        "seconds from the start of the first view to that of the second one, below 0 where that came first",
+        "SECONDS",
+        least=-86400.0,
+        most=86400.0,
+        by_default="found from the fingers",
+    )
+    baseline: float | None = _option(
+        None,
+        _number,
+        "distance between both cameras in metres, which tells the hand's size",
+        "M",
+        least=0.05,
+        most=20.0,
+        by_default="told by the hand's size",
+    )
     max_megapixels: float | None = _option(
         None,
         _positive,
@@ -432,6 +471,11 @@ class CaptureOptions:
             object.__setattr__(self, name, option.read(getattr(self, name)))
         if self.lens is not None and self.intrinsics is not None:
             raise OptionError("give the camera either as intrinsics or as a lens, not both")
+        told = [name for name in VIEW_OPTIONS if name != "view" and getattr(self, name) is not None]
+        if told and self.view is None:
+            raise OptionError(f"{told[0]} tells of a second view, and there is none: give it with --view")
+        if self.cameras is not None and self.baseline is not None:
+            raise OptionError("a calibration tells the distance between the cameras: leave the baseline out")
         if self.keypoints is not None and self.regions:
             raise OptionError(
                 "give either regions, in which a hand is looked for, or keypoints that another program has "

@@ -15,22 +15,25 @@ import numpy as np
 from handfit_core.detect.body import BodyTrack
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.landmark_model import body_model_path
-from handfit_core.errors import Cancelled, OptionError
-from handfit_core.files import check_writable
+from handfit_core.errors import Cancelled, NoHandFoundError, OptionError
+from handfit_core.files import check_writable, shown
+from handfit_core.fit.views.rig_file import read_rig, write_rig
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 from handfit_core.fitting import fit_hands
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
+from handfit_core.joining import Clip, joined
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media, Source
 from handfit_core.media.videos import Video
-from handfit_core.options import CaptureOptions
+from handfit_core.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.retiming import evenly_timed
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import HandTrack, Take
+from handfit_core.views import Verdict
 
 log = logging.getLogger("handfit")
 
@@ -85,6 +88,15 @@ def capture(
         raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
     check_options(options)
+    if options.view is not None:
+        return _capture_both(source, options, report, stop)
+    return _captured(source, options, report, stop).take
+
+
+def _captured(
+    source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Clip:
+    """One view."""
     origin = open_source(source, options)
     media, recording = origin.media, origin.recording
     found = origin.find(lambda done: report(Progress("detect", done, max(media.expected_frames, done))), stop)
@@ -110,9 +122,58 @@ def capture(
 
         take = with_arms(take, bodies)
     times = media.recorded_times() if isinstance(media, Video) else None
-    if times is None or found.numbers[-1] > len(times):
-        return take
-    return evenly_timed(take, times[np.asarray(found.numbers) - 1])
+    if times is not None and found.numbers[-1] <= len(times):
+        take = evenly_timed(take, times[np.asarray(found.numbers) - 1])
+    return Clip(take, lens_known=origin.known is not None)
+
+
+def _capture_both(
+    source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
+) -> Take:
+    """Two views of the same hands, one after the other, made one take."""
+    assert options.view is not None
+    _check_views(source, options.view)
+    if options.solver != CaptureOptions.solver:
+        raise OptionError(f"two views are fitted by the solver {CaptureOptions.solver}, not {options.solver}")
+    first = replace(options, **dict.fromkeys(VIEW_OPTIONS), arms=False)
+    # What is told of the first clip's pictures does not hold for the second one's.
+    second = replace(
+        first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=options.view_lens
+    )
+    rig = None
+    if options.cameras is not None:
+        clips = [opened(given, each)[0] for given, each in ((source, first), (options.view, second))]
+        names, sizes = [clip.source.name for clip in clips], [(clip.width, clip.height) for clip in clips]
+        rig = read_rig(options.cameras, names, sizes)
+        first = replace(first, intrinsics=None, lens=rig.lenses[0])
+        second = replace(second, lens=rig.lenses[1])
+    views: list[Clip] = []
+    missing: list[NoHandFoundError] = []
+    for given, each in ((source, first), (options.view, second)):
+        try:
+            views.append(_captured(given, each, report, stop))
+        except NoHandFoundError as error:
+            missing.append(error)
+    if not views:
+        raise missing[0]
+    if missing:
+        what = Verdict("failed", f"{missing[0]}. The other view was used alone.")
+        take = replace(views[0].take, verdict=what)
+    else:
+        take = joined(views[0], views[1], options, rig)
+    if options.arms and not stop():
+        take = add_arms(take, report, stop, max_megapixels=options.max_megapixels)
+    return take
+
+
+def _check_views(first: MediaInput, second: str) -> None:
+    """Raise OptionError where both views are the same file."""
+    given = [first] if isinstance(first, str | os.PathLike) else list(first)
+    if any(Path(each).expanduser().resolve() == Path(second).expanduser().resolve() for each in given):
+        raise OptionError(
+            f"{shown(second)} is given as both views: give the clip of another camera that filmed the same "
+            "hands"
+        )
 
 
 def add_arms(
@@ -199,16 +260,22 @@ def capture_to_file(
     *,
     compact: bool = False,
     bare: bool = False,
+    cameras_to: str | os.PathLike[str] | None = None,
 ) -> dict[str, Any]:
     """Capture and write the take (`compact` as in `Take.save`), or `bare_take`'s; returns a report of it, fit
-    for JSON.
+    for JSON. `cameras_to`: where the cameras of two views are written, too.
 
     Raises what `capture` raises, and OutputError: before the capture, if it can be known then.
     """
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
-    return _saved(take, output, compact, started)
+    report = _saved(take, output, compact, started)
+    if cameras_to is not None and take.cameras is not None:
+        write_rig(cameras_to, take)
+    elif cameras_to is not None:
+        log.warning("%s was not written: the cameras were not found", shown(cameras_to))
+    return report
 
 
 def add_arms_to_file(
@@ -232,18 +299,21 @@ def add_arms_to_file(
 
 def _saved(take: Take, output: str | os.PathLike[str], compact: bool, started: float) -> dict[str, Any]:
     """Write a take, on which work began at that time of `perf_counter`; the report of it."""
+    told = {} if take.verdict is None else {"views": vars(take.verdict)}
     return {
         "output": str(take.save(output, compact=compact)),
         "frames": len(take.frame_numbers),
         "seconds": round(time.perf_counter() - started, 3),
         "hands": hand_summaries(take),
+        **told,
     }
 
 
 def _named(source: MediaInput, options: CaptureOptions) -> list[str | os.PathLike[str]]:
     """The files that a capture reads, before it is known which are videos and which patterns."""
     given = [source] if isinstance(source, str | os.PathLike) else list(source)
-    return [*given, *(each for each in (options.keypoints, options.model) if each)]
+    named = (options.keypoints, options.model, options.view, options.cameras)
+    return [*given, *(each for each in named if each)]
 
 
 def _read_part(source: Source, count: int) -> Source:

@@ -82,6 +82,11 @@ class HandSource(Protocol):
         ...
 
     @property
+    def known(self) -> Intrinsics | None:
+        """The camera; None: the file does not tell, and nobody else."""
+        ...
+
+    @property
     def recording(self) -> Recording | None:
         """What another program has found; None: hands are detected in the pictures."""
         ...

@@ -30,7 +30,8 @@ from handfit_core.media.source import SOURCE_KINDS, Source
 from handfit_core.npz import NotNpz, NpzArchive, names_of
 from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, can_touch
 from handfit_core.slices import run_to_completion
-from handfit_core.values import LARGEST_WHOLE, number, path, shortly, text, whole
+from handfit_core.values import LARGEST_WHOLE, number, one_of, path, shortly, text, whole
+from handfit_core.views import AGREEMENTS, Cameras, SeenHand, Verdict, View
 
 FORMAT_NAME = "handfit-take"
 FORMAT_VERSION = 1
@@ -102,6 +103,8 @@ class HandTrack(HandMotion):
     """The arm that it hangs on; None: there is none, or nobody looked"""
     no_arm: str = ""
     """Why no arm was found, a sentence; empty: there is one, or nobody looked"""
+    seen_by: tuple[SeenHand | None, ...] = ()
+    """What each further view of the take saw of it; None: nothing"""
 
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
@@ -109,6 +112,8 @@ class HandTrack(HandMotion):
         check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
         if self.arm is not None:
             check_arrays(self.arm, TakeError, f"the {self.side} arm's ", T=count)
+        for seen in filter(None, self.seen_by):
+            check_arrays(seen, TakeError, f"the {self.side} hand in a further view: ")
         judged = self.right_side
         if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
@@ -201,6 +206,10 @@ class Take:
     hands: tuple[HandTrack, ...]
     program: str = ""
     """The program that found the hands, as people call it; empty: a detector of this one"""
+    cameras: Cameras | None = None
+    """Where several views of the hands were filmed from; None: there is one view"""
+    verdict: Verdict | None = None
+    """Whether the views that were given belong together; None: one was given"""
 
     def __post_init__(self) -> None:
         numbers = np.asarray(self.frame_numbers)
@@ -226,6 +235,8 @@ class Take:
             raise TakeError(f"a take holds at most {TAKE_LIMITS.max_hands} hands, not {len(self.hands)}")
         for track in self.hands:
             track.check(count)
+        if self.cameras is not None:
+            check_arrays(self.cameras, TakeError, "cameras: ", V=1 + len(self.cameras.views))
 
     def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
         """Write the take as `.npz`, whole or not at all, and never over what it was made from; `compact` as
@@ -246,11 +257,7 @@ class Take:
         header = {
             "format": FORMAT_NAME,
             "version": FORMAT_VERSION,
-            "source": {
-                "kind": self.source.kind,
-                "files": list(self.source.files),
-                "orientation": self.source.orientation,
-            },
+            "source": _plain_source(self.source),
             "fps": self.fps,
             "width": self.width,
             "height": self.height,
@@ -262,6 +269,16 @@ class Take:
         }
         if self.program:
             header["program"] = self.program
+        if self.verdict is not None:
+            header["verdict"] = vars(self.verdict)
+        if self.cameras is not None:
+            header["views"] = [
+                {
+                    "source": _plain_source(view.source),
+                    **{name: getattr(view, name) for name in ("fps", "width", "height", "mirrored")},
+                }
+                for view in self.cameras.views
+            ]
         asked = [i for i, track in enumerate(self.hands) if track.arm is not None or track.no_arm]
         if asked:
             header["arms"] = {str(i): self.hands[i].no_arm for i in asked}
@@ -270,10 +287,17 @@ class Take:
             "frame_numbers": np.asarray(self.frame_numbers, dtype=np.int64),
         }
         floats = np.float32 if compact else np.float64
+        if self.cameras is not None:
+            arrays |= kept_arrays(self.cameras, "cameras/", floats)
+            for v, view in enumerate(self.cameras.views, start=1):
+                arrays[f"cameras/view{v}_frame_numbers"] = np.asarray(view.frame_numbers, dtype=np.int64)
         for i, track in enumerate(self.hands):
             arrays |= kept_arrays(track, f"hand{i}_", floats)
             if track.arm is not None:
                 arrays |= kept_arrays(track.arm, f"arms/hand{i}_", floats)
+            for v, seen in enumerate(track.seen_by, start=1):
+                if seen is not None:
+                    arrays |= kept_arrays(seen, f"cameras/view{v}_hand{i}_", floats)
         np.savez_compressed(stream, **arrays)
 
     @classmethod
@@ -318,14 +342,16 @@ class Take:
         try:
             fields = _of_header(header)
             hands = []
-            no_arms = fields.pop("arms")
+            no_arms, views = fields.pop("arms"), fields.pop("views")
+            fields["cameras"] = yield from _reading_cameras(archive, views)
             for i, side in enumerate(fields.pop("sides")):
                 arrays = yield from reading_arrays(HandTrack, archive, f"hand{i}_")
                 arm, why = None, no_arms.get(str(i))
                 if why == "":
                     of_arm = yield from reading_arrays(ArmMotion, archive, f"arms/hand{i}_")
                     arm = ArmMotion(**of_arm)
-                hands.append(HandTrack(side=side, **arrays, arm=arm, no_arm=why or ""))
+                seen_by = yield from _reading_seen(archive, i, len(views))
+                hands.append(HandTrack(side=side, **arrays, arm=arm, no_arm=why or "", seen_by=seen_by))
             return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
         except KeyError as error:
             raise TakeError(
@@ -334,6 +360,31 @@ class Take:
         except (NotNpz, ValueError, OptionError, TakeError) as error:
             reason = f"it {error}" if isinstance(error, NotNpz) else error
             raise TakeError(f"{where}: the take file is damaged ({reason}); capture it again") from error
+
+
+def _reading_cameras(
+    archive: NpzArchive, views: list[dict[str, Any]]
+) -> Generator[None, None, Cameras | None]:
+    if not views:
+        return None
+    arrays = yield from reading_arrays(Cameras, archive, "cameras/")
+    named = (archive.array(f"cameras/view{v}_frame_numbers", "iu") for v in range(1, 1 + len(views)))
+    further = (View(frame_numbers=numbers, **view) for numbers, view in zip(named, views, strict=True))
+    return Cameras(**arrays, views=tuple(further))
+
+
+def _reading_seen(
+    archive: NpzArchive, hand: int, views: int
+) -> Generator[None, None, tuple[SeenHand | None, ...]]:
+    found: list[SeenHand | None] = []
+    for v in range(1, 1 + views):
+        prefix = f"cameras/view{v}_hand{hand}_"
+        if f"{prefix}detected" not in archive:
+            found.append(None)
+            continue
+        arrays = yield from reading_arrays(SeenHand, archive, prefix)
+        found.append(SeenHand(**arrays))
+    return tuple(found)
 
 
 def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | None) -> Take:
@@ -356,7 +407,14 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
     if source.kind == "sequence" and len(source.files) == len(numbers):
         source = replace(source, files=tuple(source.files[row] for row in rows))
     kept = [hand for hand in kept if any(hand is each for each in surest)]
-    return replace(take, source=source, frame_numbers=numbers[rows], hands=tuple(kept))
+    cameras = take.cameras
+    if cameras is not None:
+        # Offsets count from the first frame, which may be another one now.
+        later = np.where(
+            np.arange(len(cameras.time_offset)) > 0, (numbers[rows[0]] - numbers[0]) / take.fps, 0.0
+        )
+        cameras = replace(cameras, time_offset=cameras.time_offset - later)
+    return replace(take, source=source, frame_numbers=numbers[rows], hands=tuple(kept), cameras=cameras)
 
 
 def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
@@ -369,23 +427,50 @@ def _at_rows(of: HandTrack | ArmMotion, rows: np.ndarray) -> dict[str, np.ndarra
     return {name: np.asarray(array)[rows] for name, array in arrays_of(of, "T").items()}
 
 
+def _plain_source(source: Source) -> dict[str, Any]:
+    return {"kind": source.kind, "files": list(source.files), "orientation": source.orientation}
+
+
+def _source_of(source: Mapping[str, Any]) -> Source:
+    if source.get("kind") not in SOURCE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
+    return Source(
+        kind=source["kind"],
+        files=tuple(path("files", file) for file in _list("files", source.get("files"))),
+        orientation=whole("orientation", source.get("orientation", 1), 1, 8),
+    )
+
+
+def _view_of(view: Any) -> dict[str, Any]:
+    """A `View` without its frame numbers."""
+    if not isinstance(view, dict):
+        raise ValueError(f"views must be objects, not {shortly(view)}")
+    return {
+        "source": _source_of(_object(view, "source")),
+        "fps": number("fps", view.get("fps")),
+        "width": whole("width", view.get("width"), 1, TAKE_LIMITS.max_side),
+        "height": whole("height", view.get("height"), 1, TAKE_LIMITS.max_side),
+        "mirrored": view.get("mirrored") is True,
+    }
+
+
+def _verdict_of(verdict: Mapping[str, Any]) -> Verdict:
+    return Verdict(
+        one_of(*AGREEMENTS)("agreement", verdict.get("agreement")), text("text", verdict.get("text"), 2000)
+    )
+
+
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
     source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
     arms = _object(header, "arms") if "arms" in header else {}
-    files, sides = (_list(name, of.get(name)) for of, name in ((source, "files"), (header, "sides")))
-    if source.get("kind") not in SOURCE_KINDS:
-        raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
+    sides, views = _list("sides", header.get("sides")), _list("views", header.get("views", []))
     if len(sides) > TAKE_LIMITS.max_hands or not all(side in SIDES for side in sides):
         raise ValueError(f"sides must be at most {TAKE_LIMITS.max_hands}, each left or right")
     if set(camera) != {"fx", "fy", "cx", "cy"}:
         raise ValueError("intrinsics must be fx, fy, cx and cy")
     return {
-        "source": Source(
-            kind=source["kind"],
-            files=tuple(path("files", file) for file in files),
-            orientation=whole("orientation", source.get("orientation", 1), 1, 8),
-        ),
+        "source": _source_of(source),
         "fps": number("fps", header.get("fps")),
         "width": whole("width", header.get("width")),
         "height": whole("height", header.get("height")),
@@ -397,6 +482,8 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
             side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES
         },
         "sides": sides,
+        "views": [_view_of(view) for view in views],
+        "verdict": _verdict_of(_object(header, "verdict")) if "verdict" in header else None,
         "arms": {hand: text("arms", why, 200) for hand, why in arms.items()},
     }
 

@@ -67,7 +67,10 @@ def _evaluate(args: argparse.Namespace) -> int:
     from handfit_core.evaluate.report import write_report
     from handfit_core.evaluate.report.tables import main_table
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
+    from handfit_core.evaluate.views import KIND, is_two_cameras
 
+    if args.kind == KIND or (args.kind is None and is_two_cameras(args.dataset)):
+        return _evaluate_views(args)
     options = EvaluationOptions(
         methods=tuple(name for word in args.solvers for name in word.split(",") if name),
         protocol=args.protocol,
@@ -110,4 +113,24 @@ def _evaluate(args: argparse.Namespace) -> int:
         },
         main_table(evaluation).markdown(),
     )
+    return 0
+
+
+def _evaluate_views(args: argparse.Namespace) -> int:
+    """Clips of two cameras, whose pairs are joined as captures do it."""
+    from handfit_core.evaluate.views import evaluate_views, views_table
+
+    folder = args.output or Path("out", "evaluation", f"{args.dataset.resolve().name}-views")
+    path = folder / "views.csv"
+    check_writable(path)
+    report = args.reporter
+
+    def progress(stage, done: int, total: int) -> None:
+        if args.progress != "none":
+            report.progress(Progress(stage, done, total))
+
+    rows = evaluate_views(args.dataset, CaptureOptions.of_arguments(args), args.camera, progress)
+    folder.mkdir(parents=True, exist_ok=True)
+    rows.to_csv(path, index=False)
+    report.evaluated({"output": str(path), "problems": {}, "pairs": len(rows)}, views_table(rows))
     return 0

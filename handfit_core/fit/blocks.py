@@ -15,13 +15,13 @@ import numpy as np
 
 from handfit_core.batch import Batch, Index
 from handfit_core.fit.settings import SOLVER
-from handfit_core.hand_model.chain import BETAS
+from handfit_core.hand_model.chain import BETAS, HAND_SIZE
 
 
 @dataclass(frozen=True, eq=False)
 class Blocks(Batch):
     """Gauss-Newton systems of B problems, H x = -g, with g = J^T r as their last column; n variables of the
-    hand itself, 17 or, with a given shape, 7."""
+    hand itself, 17 or, with a given shape, 7, and those of cameras, which are common to all."""
 
     hand: np.ndarray
     """(B, n, n + 1)"""
@@ -99,9 +99,10 @@ def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
 
 
 def _with_one_shape(system: np.ndarray) -> np.ndarray:
-    """(B, n) solutions of systems (B, n, n + 1) whose betas are common to all."""
+    """(B, n) solutions of systems (B, n, n + 1) whose betas are common to all, and what follows a hand's own
+    variables."""
     batch, n, _ = system.shape
-    common = np.arange(n)[BETAS]
+    common = np.r_[BETAS, HAND_SIZE:n]
     own = np.setdiff1d(np.arange(n), common)
     rest = np.append(common, n)
     right = system[:, own][:, :, rest]

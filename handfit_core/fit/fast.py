@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -26,7 +26,7 @@ from handfit_core.fit.levenberg import solve
 from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held, MotionPrior, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
-from handfit_core.fit.settings import MOTION, SOLVER
+from handfit_core.fit.settings import MOTION, SOLVER, TERMS, VIEWS
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
@@ -43,6 +43,7 @@ from handfit_core.fit.terms import (
     distance,
     near_pose,
     reprojection,
+    second_view,
 )
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import LANDMARKS_FILE
@@ -69,11 +70,13 @@ class FastFitter:
         self.model = model
         self.chain = Chain(model, landmarks or detector_landmarks())
         with np.load(LANDMARKS_FILE, allow_pickle=False) as arrays:
-            prior = PosePrior(arrays["pose_mean"], arrays["pose_covariance"], model.side)
+            mean, covariance = arrays["pose_mean"], arrays["pose_covariance"]
+        prior = PosePrior(mean, covariance, model.side)
+        self._firm_prior = PosePrior(mean, covariance * (TERMS.pose_weight / VIEWS.pose_weight), model.side)
         self._relaxed = prior.mean
-        limits = Limits(model.side, model.name)
-        self.angle_bounds = limits.angle_bounds
-        self._terms: tuple[Term, ...] = (reprojection, depth, limits, prior, coupling)
+        self._limits = Limits(model.side, model.name)
+        self.angle_bounds = self._limits.angle_bounds
+        self._terms: tuple[Term, ...] = (reprojection, depth, self._limits, prior, coupling)
         self.surface = surface_of(model)
         self._interpenetration = Interpenetration(self.surface)
         self._ordinal_depth, self._contact = OrdinalDepth(self.surface), Contact(self.surface)
@@ -110,6 +113,8 @@ class FastFitter:
         shape must be given, and the start roughly right: a finger on the wrong side would be held there.
         """
         terms = (*self._terms, *self._coupling_terms(seen)) if solid else self._terms
+        if seen.second is not None:
+            terms = (*terms, second_view)
         if seen.kept is not None:
             terms = (*terms, near_pose, distance)
         if shape != "given":
@@ -117,6 +122,12 @@ class FastFitter:
             terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
         angle_bounds = self.angle_bounds if seen.kept is None else None
         return Problem(self.chain, seen, terms, shape, held, angle_bounds=angle_bounds)
+
+    def camera_terms(self, count: int) -> tuple[Term, ...]:
+        """The terms of `count` frames, but for the pictures', while cameras are looked for."""
+        weight = 1.0 / min(count, SOLVER.shape_evidence)
+        terms = (depth, self._limits, self._firm_prior, coupling)
+        return (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
 
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Solve independent frames in batches. `max_iterations`: None for `SOLVER`'s."""
@@ -196,18 +207,43 @@ def fit_track(
 
     Gaps up to `max_gap_seconds` are filled. `should_stop` is asked after every `chunk_frames` frames;
     those that were not reached are NaN. `hand_length`: see `FastFitter`."""
-    hands, found, count = track.detections, track.detections.frame, track.frame_count
     fitter = fitter_of(model, hand_length, track.landmarks)
-    seen = fitter.observe(hands, intrinsics)
+    seen = fitter.observe(track.detections, intrinsics)
+    return fit_observed(smoothing, fitter, track, seen, on_frame, should_stop)
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """What is known of a clip's hand before it is fitted."""
+
+    state: State
+    """N hands, roughly right, of the true shape"""
+    judged: Observation
+    """What its expected error is told from, as the doubt's weights know it"""
+    error_factor: np.ndarray
+    """(N,) of the expected error"""
+
+
+def fit_observed(
+    smoothing: float,
+    fitter: FastFitter,
+    track: Track,
+    seen: Observation,
+    on_frame: OnFrame = lambda: None,
+    should_stop: ShouldStop = never,
+    guess: Guess | None = None,
+) -> HandMotion:
+    """As `fit_track`, to what is observed (N) of the track's detections."""
+    hands, found, count = track.detections, track.detections.frame, track.frame_count
     # A track's side is voted for by all of its frames.
-    side_logit = side_logits(hands, model.side).mean()
+    side_logit = side_logits(hands, fitter.model.side).mean()
     error_factor = crop_spread_factor(hands)
     cuts = detect_cuts(seen.pixels) | missing_between(found, track.holes)
     if len(found) == 1:
         seen, solution = fitter.solve_pictures(seen)
         frames, state = found, solution.state
     else:
-        solution = _clip(fitter, seen, should_stop)
+        solution = _clip(fitter, seen, should_stop, guess)
         found = found[: len(solution)]
         cuts = cuts[: len(found) - 1]
         times = Times.between(found, cuts, track.fps)
@@ -217,15 +253,18 @@ def fit_track(
         on_frame()
     rows = np.flatnonzero(np.isin(frames, found))
     features = np.empty((len(rows), 5, 6))
+    judged = seen if guess is None else guess.judged
     for chunk in slices(len(rows)):
         points = fitter.chain.points(state.select(rows[chunk]))
-        features[chunk] = evidence(seen.select(chunk), points, np.full(len(points), side_logit))
+        features[chunk] = evidence(judged.select(chunk), points, np.full(len(points), side_logit))
     error_factor = error_factor[: len(found)] * lifted_thumb_factor(seen)
+    if guess is not None:
+        error_factor = error_factor * guess.error_factor[: len(found)]
     del seen, solution
     expected = temporal_mean(expected_error(features, error_factor), Times.between(found, cuts, track.fps))
     betas, orient, pose, transl = fitter.chain.parameters(state)
     return HandMotion(
-        side=model.side,
+        side=fitter.model.side,
         betas=betas[0],
         global_orient=scatter(orient, frames, count),
         hand_pose=scatter(pose, frames, count),
@@ -235,16 +274,21 @@ def fit_track(
     )
 
 
-def _clip(fitter: FastFitter, seen: Observation, should_stop: ShouldStop) -> Solution:
+def _clip(
+    fitter: FastFitter, seen: Observation, should_stop: ShouldStop, guess: Guess | None = None
+) -> Solution:
     """Fit every frame by itself, all with one shape; fewer when stopped."""
     count = len(seen)
-    chosen = np.linspace(0, count - 1, min(SOLVER.shape_frames, count)).round().astype(int)
-    betas = fitter.solve_shape(seen.select(np.unique(chosen)))
+    betas = None
+    if guess is None:
+        chosen = np.linspace(0, count - 1, min(SOLVER.shape_frames, count)).round().astype(int)
+        betas = fitter.solve_shape(seen.select(np.unique(chosen)))
 
     def chunks() -> Iterator[Solution]:
         for rows in slices(count, SOLVER.chunk_frames):
             chunk = seen.select(rows)
-            yield fitter.solve_each(fitter.problem(chunk), fitter.start(chunk, betas))
+            start = fitter.start(chunk, betas) if guess is None else guess.state.select(rows)
+            yield fitter.solve_each(fitter.problem(chunk), start)
             if should_stop():
                 return
 
@@ -293,7 +337,9 @@ def smooth_track(
             segment_seen = seen.select(slice(rows[0], rows[-1] + 1) if known.all() else nearest)
             segment_seen = replace(segment_seen, depth_sigma=MOTION.depth_factor * segment_seen.depth_sigma)
             problem = fitter.problem(segment_seen, held=here, solid=True)
-            if segment_seen.kept is None and segment_seen.depth_zero is None and len(segment) > 2:
+            # A second view sees the distance.
+            unknown = segment_seen.kept is None and segment_seen.depth_zero is None
+            if unknown and segment_seen.second is None and len(segment) > 2:
                 certain = known & False if here is None else here.joints[:, 0]
                 distance_factor = wrist_distance_factors(guess, known, certain, fps, smoothing)
                 guess = replace(

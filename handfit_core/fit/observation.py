@@ -56,6 +56,30 @@ class SelfContact(Batch):
     """(B, P) confidence that the pairs of tips of `fit.self_contact.PINCH_BONES` touch, 0..1"""
 
 
+@dataclass(frozen=True, eq=False)
+class SecondView(Batch):
+    """B hands as a second camera sees them, whose place is known: x_2 = rotation x + translation. Pixels and
+    metres."""
+
+    rotation: np.ndarray
+    """(B, 3, 3)"""
+    translation: np.ndarray
+    """(B, 3)"""
+    pixels: np.ndarray
+    """(B, 21, 2)"""
+    pixel_sigma: np.ndarray
+    """(B, 21, 2); infinite where it saw nothing"""
+    focal: np.ndarray
+    """(B, 2)"""
+    centre: np.ndarray
+    """(B, 2)"""
+
+    @property
+    def saw(self) -> np.ndarray:
+        """(B,) bool: hands that it saw."""
+        return np.asarray(np.isfinite(self.pixel_sigma).any(axis=(1, 2)))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Observation(Landmarked):
     """Landmarks of B pictures of one model's hand, seen through a camera. Pixels, camera frame; depth is in
@@ -73,6 +97,8 @@ class Observation(Landmarked):
     """Poses that the hands are to stay near; None: there are none"""
     self_contact: SelfContact | None = None
     """Which parts cross and touch; None: not looked for"""
+    second: SecondView | None = None
+    """What a second camera saw; None: there is none"""
     touches: np.ndarray | None = None
     """(B, 21) the keypoint that each one is to touch, 0 being the palm; NaN, or None: none"""
 

@@ -12,8 +12,8 @@ from handfit_core.batch import Batch
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
-from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, Group, PairRows
-from handfit_core.hand_model.chain import FIXED_SHAPE, Chain, State
+from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows
+from handfit_core.hand_model.chain import FIXED_SHAPE, HAND_SIZE, Chain, State
 from handfit_core.skeleton import JOINTS_BY_FINGER
 
 SharedShape = Literal["given", "each", "one"]
@@ -105,7 +105,10 @@ class Problem(Batch):
             weighted, of_term = rows.weighted()
             columns[rows.of].append(weighted)
             cost += of_term
-        whole = self.chain.jacobian(posed, np.concatenate(columns[POINTS], axis=2), shape=free)
+        # Columns of variables that only some terms know, such as cameras, are zero in the others.
+        extra = max(rows.shape[-1] for rows in columns[POINTS]) - SIZES[POINTS][1] - 1
+        points = [_widened(rows, SIZES[POINTS][1] + extra) for rows in columns[POINTS]]
+        whole = self.chain.jacobian(posed, np.concatenate(points, axis=2), shape=free)
         batch, _, count, size = whole.shape
         of_hand = whole.reshape(batch, 21 * count, size)[..., 9:]
         hand = of_hand[..., :-1].swapaxes(1, 2) @ of_hand
@@ -117,7 +120,7 @@ class Problem(Batch):
             finger[..., :9] += squared[..., :9]
             finger[..., -1] += squared[..., 9]
         if columns[HAND]:
-            rows = np.concatenate(columns[HAND], axis=2)[:, 0]
+            rows = np.concatenate([_widened(r, HAND_SIZE + extra) for r in columns[HAND]], axis=2)[:, 0]
             # Columns of a hand's rows whose shape is given, with the residual
             rows = rows if free else rows[..., np.append(FIXED_SHAPE, -1)]
             hand += rows[..., :-1].swapaxes(1, 2) @ rows
@@ -141,6 +144,15 @@ class Problem(Batch):
         of_hand = np.zeros((batch, n), dtype=bool)
         of_hand[:, :3], of_hand[:, n - 4 : n - 1] = held[:, :3], held[:, 48:]
         return blocks.with_fixed(of_hand, held[:, 3:48].reshape(-1, 5, 9))
+
+
+def _widened(rows: np.ndarray, size: int) -> np.ndarray:
+    """Columns (..., n + 1) with zeros before the residual, so that derivatives by `size` variables result."""
+    missing = size + 1 - rows.shape[-1]
+    if missing == 0:
+        return rows
+    zeros = np.zeros((*rows.shape[:-1], missing))
+    return np.concatenate([rows[..., :-1], zeros, rows[..., -1:]], axis=-1)
 
 
 def _paired(pairs: list[PairRows], batch: int) -> np.ndarray:

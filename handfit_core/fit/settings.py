@@ -141,3 +141,91 @@ class TermSettings:
 
 
 TERMS: Final = TermSettings()
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """How two cameras that film the same hands are found."""
+
+    pixel_sigma: float = 0.024
+    """Least expected error of a landmark in parts of the hand's size in that view: points that the detector
+    is surer of than usual weigh no more, which is worse with two views"""
+    depth_factor: float = 10.0
+    """Factor of the depth's expected errors while cameras are found: depth only breaks ties there"""
+    pose_weight: float = 0.3
+    """In place of `TERMS.pose_weight` while cameras are found"""
+    focal_of_assumed: float = 0.72
+    """Where a search for the focal length starts, in parts of the one that a single view assumes: wide
+    webcams have 0.5 to 0.7 of the picture's longer side, phones 0.7 to 0.8"""
+    focal_sigma: float = 0.35
+    """Expected error of the logarithm of a focal length of which nothing is known"""
+    known_focal_sigma: float = 0.02
+    """Expected error of the logarithm of a focal length that the file or a person tells"""
+    evidence: float = 10.0
+    """Frames that count as one piece of evidence against what is expected of cameras: errors last"""
+    offset_sigma: float = 1.0
+    """frames of the slower view, about the offset that a search starts from"""
+    told_offset_sigma: float = 0.3
+    """frames of the slower view, about an offset that a person has given"""
+    start_frames: int = 30
+    """Common frames on which starts are compared"""
+    frames: int = 60
+    """Common frames, evenly spread, that cameras are found from"""
+    start_iterations: int = 12
+    iterations: int = 40
+    longest_step: float = 0.5
+    """radians that a step turns a finger's joint, at most"""
+    tolerance: float = 1e-4
+    """Relative decrease of the cost at which the search for cameras stops"""
+    least_overlap: float = 0.4
+    """Of the shorter view, that an offset leaves in common"""
+    peaks: int = 3
+    """Offsets that are tried"""
+    peaks_apart: float = 8.0
+    """frames of the slower view between them"""
+    weak_score: float = 0.15
+    """Agreement of fingers' courses below which the offset is not believed, and more starts are tried"""
+    most_starts: int = 16
+    """Starts that are tried in place of weak peaks"""
+    seen_within: float = 0.75
+    """frames from a detection of the second view within which it counts"""
+    least_frames: int = 20
+    """Common frames without which nothing is tried"""
+    enough_frames: int = 40
+    """Common frames below which the result is doubtful"""
+    good_residual: float = 1.8
+    """Root mean square of residuals of both views, in sigmas, up to which views agree"""
+    doubtful_residual: float = 2.1
+    """Likewise, beyond which they do not"""
+    worst_residual: float = 4.0
+    """sigmas; larger residuals count as this one when agreement is judged"""
+    least_hand_frames: int = 8
+    """Detections that a view's hand needs, to be looked for in the other"""
+    most_dropped: float = 0.6
+    """Share of such frames beyond which the views do not belong together"""
+    same_place: float = 3.0
+    """degrees between the lines of sight below which both views are one"""
+    halves_apart: float = 18.0
+    """degrees between the cameras that both halves of the frames give, beyond which a camera may have been
+    moved"""
+    most_halves_apart: float = 40.0
+    """degrees between the cameras that both halves of the frames give, beyond which both are wrong"""
+    different_hand: float = 4.5
+    """Root mean square of a frame's residuals, in sigmas, beyond which the views show different hands"""
+    many_dropped: float = 0.1
+    """Share of common frames with different hands that is worth a word"""
+    least_apart: float = 15.0
+    """degrees between the lines of sight below which depth is hardly seen"""
+    both_factor: float = 0.75
+    """Factor of the expected error where both views see the hand and agree as usual: rendered clips err by
+    6.4 mm there, and by 8.7 in one view"""
+    usual_residual: float = 0.85
+    """Median root mean square of a frame's residuals, in sigmas"""
+    residual_power: float = 0.25
+    """Power of that residual with which the expected error grows: their rank correlation with the true error
+    is best so"""
+    fit_depth_factor: float = 6.0
+    """Factor of the depth's expected errors in the final fit to both views"""
+
+
+VIEWS: Final = ViewSettings()

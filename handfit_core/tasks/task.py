@@ -159,8 +159,8 @@ def _files_named(options: CaptureOptions) -> list[Path]:
     found = [*files_of_model(Path(options.model).expanduser())] if options.model else []
     found += [Path(options.landmark_model or os.environ.get(TASK.variable) or "").expanduser()]
     named = [path for path in found if is_file(path)]
-    if options.keypoints and Path(options.keypoints).expanduser().exists():
-        named.append(Path(options.keypoints).expanduser())
+    told = (options.keypoints, options.view, options.cameras)
+    named += [path for path in (Path(each).expanduser() for each in told if each) if path.exists()]
     return named
 
 

@@ -14,7 +14,7 @@ from handfit_core.errors import OptionError
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.lenses import MeasuredLens, save_lens
-from handfit_core.options import OPTIONS, CaptureOptions, Option, add_options
+from handfit_core.options import OPTIONS, VIEW_OPTIONS, CaptureOptions, Option, add_options
 from tests.conftest import ROOT
 
 GIVEN: dict[str, tuple[Any, str, Any]] = {
@@ -40,6 +40,11 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "hand_length": (0.2, "200", 0.2),
     "intrinsics": ([1, 2, 3, 4], "1,2,3,4", Intrinsics(1.0, 2.0, 3.0, 4.0)),
     "lens": ([1, 0.5, 0.25], "1,0.5,.25", (1.0, 0.5, 0.25)),
+    "view": ("b.mp4", "b.mp4", "b.mp4"),
+    "view_lens": ([1, 0.5, 0.25], "1,0.5,.25", (1.0, 0.5, 0.25)),
+    "cameras": ("rig.toml", "rig.toml", "rig.toml"),
+    "offset": (-0.5, "-0.5", -0.5),
+    "baseline": (0.8, "0.8", 0.8),
     "max_megapixels": (300, "300", 300.0),
     "keypoints": ("k.json", "k.json", "k.json"),
     "reader": ("openpose", "openpose", "openpose"),
@@ -61,9 +66,11 @@ def told(*words: str) -> CaptureOptions:
 @pytest.mark.parametrize("name", OPTIONS)
 def test_a_message_and_the_command_line_mean_the_same(name):
     value, text, expected = GIVEN[name]
-    of_message = CaptureOptions.of_message({name: value})
+    view = {"view": "b.mp4"} if name in VIEW_OPTIONS else {}
+    of_message = CaptureOptions.of_message({name: value} | view)
     assert getattr(of_message, name) == expected
-    assert told(f"{OPTIONS[name].flag}={text}" if text else OPTIONS[name].flag) == of_message
+    words = [f"{OPTIONS[each].flag}={given}" for each, given in view.items() if each != name]
+    assert told(*words, f"{OPTIONS[name].flag}={text}" if text else OPTIONS[name].flag) == of_message
     assert CaptureOptions.of_message(json.loads(json.dumps(of_message.to_message()))) == of_message
 
 
@@ -79,7 +86,7 @@ def test_the_library_and_the_command_line_have_every_option():
         capture("a.jpg", hands="three")
     (subcommands,) = [a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)]
     parsers = {parser.prog.split()[-1]: parser for parser in _all_parsers(subcommands)}
-    own = {"-h", "--help", "-o", "--output", "--progress", "--debug"}
+    own = {"-h", "--help", "-o", "--output", "--progress", "--debug", "--write-cameras"}
     assert set(parsers["capture"]._option_string_actions) - own == {o.flag for o in OPTIONS.values()}
     text = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
     assert [option.flag for option in OPTIONS.values() if f"`{option.flag}" not in text] == []
@@ -100,6 +107,8 @@ def test_choices_are_looked_up_when_help_is_shown_and_not_before():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
+        ({"offset": 0.5}, "offset tells of a second view, and there is none: give it with --view"),
+        ({"view": "b.mp4", "cameras": "r.toml", "baseline": 1}, "leave the baseline out"),
         ({"speed": 3}, "no option 'speed' of a capture; choose from frames, "),
         ([1], "options must be an object, not a list of 1"),
         ({"threshold": "high"}, "'threshold' must be a number; got 'high'"),

@@ -16,6 +16,7 @@ from handfit_core.fit.terms.ordinal_depth import OrdinalDepth
 from handfit_core.fit.terms.pose_prior import PosePrior
 from handfit_core.fit.terms.reprojection import reprojection
 from handfit_core.fit.terms.rows import PairRows, Rows, Term
+from handfit_core.fit.terms.second_view import second_view
 from handfit_core.fit.terms.shape import Shape
 
 __all__ = [
@@ -33,4 +34,5 @@ __all__ = [
     "distance",
     "near_pose",
     "reprojection",
+    "second_view",
 ]

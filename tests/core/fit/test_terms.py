@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from handfit_core.fit.observation import Observation
+from handfit_core.fit.observation import Observation, SecondView
 from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms import (
     Limits,
@@ -22,6 +22,7 @@ from handfit_core.fit.terms import (
     distance,
     near_pose,
     reprojection,
+    second_view,
 )
 from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
 from handfit_core.fit.terms.motion import inverse_right_jacobian, place_acceleration, rotation_acceleration
@@ -41,6 +42,7 @@ RATES = random(10, seed=5) * 0.01
 
 TERMS_OF_FITS: list[Term] = [
     reprojection,
+    second_view,
     depth,
     Limits("right"),
     PosePrior(MEAN, COVARIANCE),
@@ -74,7 +76,11 @@ def hands(batch: int = 3) -> tuple[Posed, Observation]:
     state.angles[0, [3, 4], BEND] = 2.0, -0.2  # beyond 90 degrees the spread's range stays
     other = make_state(batch, CHAIN, seed=1)
     seen = replace(observe(CHAIN.points(other), noise=5.0), kept=kept_near(other))
-    return CHAIN.pose(state), seen
+    turns = rotvec_to_rotmat(np.tile([0.1, 0.8, -0.2], (batch, 1)))
+    there = observe(CHAIN.points(other) @ turns.swapaxes(1, 2) + [0.3, 0.0, 0.4])
+    shift = np.tile([0.3, 0.0, 0.4], (batch, 1))
+    second = SecondView(turns, shift, there.pixels, there.pixel_sigma, there.focal, there.centre)
+    return CHAIN.pose(state), replace(seen, second=second)
 
 
 def with_angles(angles: np.ndarray) -> tuple[Posed, Observation]:

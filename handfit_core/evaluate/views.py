@@ -1,0 +1,195 @@
+"""How well two cameras are found from the hands that they film, and what that gains.
+
+A folder, or each of its folders, has `gt.json`: a list of clips, each an object with `clip`, `side`, `fps`,
+`offset` (seconds from the first view's start to the second one's), `K_a`, `K_b` (3, 3), `R` (3, 3), `t` (3,)
+(x_b = R x_a + t, metres) and `joints3d` (T, 21, 3) in the first camera's frame. The clip's views lie beside
+it as CLIP_a.mp4 and CLIP_b.mp4.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from handfit_core.errors import DatasetError
+from handfit_core.evaluate import CameraChoice
+from handfit_core.evaluate.metrics import (
+    camera_distances,
+    root_aligned_distances,
+    similarity_aligned_distances,
+)
+from handfit_core.fit.views.rig_file import Rig
+from handfit_core.fit.views.verdict import rotation_between
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from handfit_core.joining import Clip, joined
+from handfit_core.media.opening import open_media
+from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import capture
+from handfit_core.take import Take
+
+KIND: Final = "two-cameras"
+TRUTH: Final = "gt.json"
+_ALIGNMENTS: Final = {
+    "PA-MPJPE": similarity_aligned_distances,
+    "root-aligned": root_aligned_distances,
+    "place": camera_distances,
+}
+_COLUMNS: Final = (
+    *(f"{prefix}{name}" for name in _ALIGNMENTS for prefix in ("one view ", "")),
+    *("offset", "rotation", "direction", "seconds"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedClip:
+    """Two views of one clip, each captured by itself, and the truth."""
+
+    name: str
+    group: str
+    truth: dict[str, Any]
+    first: Take
+    second: Take
+
+
+def is_two_cameras(folder: Path) -> bool:
+    """Whether a folder has clips of two cameras, or folders that have."""
+    return bool(_truths(folder))
+
+
+def _truths(folder: Path) -> list[Path]:
+    return [path for path in sorted([*folder.glob(TRUTH), *folder.glob(f"*/{TRUTH}")]) if path.is_file()]
+
+
+def evaluate_views(
+    folder: Path,
+    options: CaptureOptions,
+    camera: CameraChoice,
+    progress: Callable[[str, int, int], None],
+) -> pd.DataFrame:
+    """A row for each pair of clips, those that do not belong together among them (`belongs` is False there).
+
+    `camera` "labelled" tells both cameras' lenses and places. Raises DatasetError, and what captures raise.
+    """
+    clips = list(_captured(folder, options, camera, progress))
+    pairs = [(clip, clip) for clip in clips]
+    # Each first view with two strangers
+    pairs += [
+        (clip, clips[(i + k) % len(clips)]) for k in (1, 2) if len(clips) > k for i, clip in enumerate(clips)
+    ]
+    rows = []
+    for done, (first, second) in enumerate(pairs, start=1):
+        rig = _rig(first) if camera == "labelled" and first is second else None
+        started = time.process_time()
+        take = joined(Clip(first.first), Clip(second.second), options, rig)
+        rows.append(_row(first, second, take, time.process_time() - started))
+        progress("score", done, len(pairs))
+    return pd.DataFrame(rows)
+
+
+def _captured(
+    folder: Path, options: CaptureOptions, camera: CameraChoice, progress: Callable[[str, int, int], None]
+) -> Iterator[FilmedClip]:
+    truths = [(path, truth) for path in _truths(folder) for truth in _read(path)]
+    if not truths:
+        raise DatasetError(f"{folder}: there is no {TRUTH} with clips of two cameras")
+    for done, (path, truth) in enumerate(truths, start=1):
+        takes = []
+        for view in "ab":
+            file = path.parent / f"{truth['clip']}_{view}.mp4"
+            size = open_media(file)
+            lens = _lens(truth, view, size.width, size.height) if camera == "labelled" else None
+            takes.append(capture(file, replace(options, lens=lens)))
+        yield FilmedClip(f"{path.parent.name}/{truth['clip']}", path.parent.name, truth, *takes)
+        progress("detect", done, len(truths))
+
+
+def _read(path: Path) -> list[dict[str, Any]]:
+    try:
+        clips = json.loads(path.read_text(encoding="utf-8"))
+        if all({"clip", "side", "offset", "R", "t", "joints3d"} <= set(clip) for clip in clips):
+            return clips
+    except (OSError, ValueError, TypeError) as error:
+        raise DatasetError(f"{path}: cannot be read ({error})") from error
+    raise DatasetError(f"{path}: a clip lacks clip, side, offset, R, t or joints3d")
+
+
+def _lens(truth: dict[str, Any], view: str, width: int, height: int) -> Lens:
+    matrix = np.array(truth[f"K_{view}"], dtype=np.float64)
+    k1, k2, p1, p2, k3 = truth.get(f"dist_{view}") or [0.0] * 5
+    camera = Intrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+    return Lens(camera, (k1, k2, p1, p2, k3), width, height)
+
+
+def _rig(clip: FilmedClip) -> Rig:
+    lenses = (
+        _lens(clip.truth, view, take.width, take.height)
+        for view, take in zip("ab", (clip.first, clip.second), strict=True)
+    )
+    return Rig((next(lenses), next(lenses)), np.array(clip.truth["R"]), np.array(clip.truth["t"]))
+
+
+def _row(first: FilmedClip, second: FilmedClip, take: Take, seconds: float) -> dict[str, Any]:
+    assert take.verdict is not None
+    row = {
+        "clip": first.name,
+        "second": second.name,
+        "group": first.group,
+        "belongs": first is second,
+        "verdict": take.verdict.agreement,
+        "seconds": seconds,
+        "text": take.verdict.text,
+    }
+    if first is not second:
+        return row
+    truth, joints = first.truth, np.array(first.truth["joints3d"])
+    row |= {f"one view {name}": error for name, error in _errors(first.first, truth["side"], joints).items()}
+    cameras = take.cameras
+    if cameras is None:
+        return row
+    row |= _errors(take, truth["side"], joints)
+    true = np.array(truth["t"])
+    way = cameras.translation[1]
+    cosine = way @ true / np.linalg.norm(way) / np.linalg.norm(true)
+    return row | {
+        "offset": abs(float(cameras.time_offset[1]) - truth["offset"]) * take.fps,
+        "rotation": rotation_between(cameras.rotation[1], np.array(truth["R"])),
+        "direction": float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
+    }
+
+
+def _errors(take: Take, side: str, truth: np.ndarray) -> dict[str, float]:
+    """Mean distances in mm over the frames in which the take has a hand of that side."""
+    hands = [hand for hand in take.hands if hand.side == side]
+    if not hands:
+        return {}
+    there = np.flatnonzero(hands[0].present)
+    points, true = hands[0].joints_3d[there], truth[np.asarray(take.frame_numbers)[there] - 1]
+    return {name: 1000.0 * float(np.nanmean(of(points, true))) for name, of in _ALIGNMENTS.items()}
+
+
+def views_table(rows: pd.DataFrame) -> str:
+    """The rows' means and largest values as Markdown: lengths in mm, offsets in frames, angles in degrees,
+    the time of a processor beyond both captures in seconds."""
+    own, strangers = rows[rows["belongs"]], rows[~rows["belongs"]]
+    heads = [name for name in _COLUMNS if name in own]
+    lines = [f"| | clips | refused | {' | '.join(heads)} |", "|---" * (len(heads) + 3) + "|"]
+    for name, group in [*own.groupby("group"), ("all", own)]:
+        shown = [f"{group[head].mean():.2f} ({group[head].max():.2f})" for head in heads]
+        refused = int((group["verdict"] == "failed").sum())
+        lines.append(f"| {name} | {len(group)} | {refused} | {' | '.join(shown)} |")
+    if len(strangers):
+        counts = {verdict: int((strangers["verdict"] == verdict).sum()) for verdict in ("good", "doubtful")}
+        lines.append("")
+        lines.append(
+            f"Of {len(strangers)} pairs that do not belong together {counts['good']} were taken for good and "
+            f"{counts['doubtful']} for doubtful."
+        )
+    return "\n".join(lines)

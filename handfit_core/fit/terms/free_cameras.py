@@ -1,0 +1,111 @@
+"""Residuals of hands seen by two cameras of which nothing is certain, with derivatives by the cameras."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handfit_core.batch import Batch
+from handfit_core.fit.observation import Observation
+from handfit_core.fit.settings import TERMS, VIEWS
+from handfit_core.fit.terms.rows import HAND, POINTS, Rows
+from handfit_core.geometry.rotations import rotvec_to_rotmat, skew
+from handfit_core.hand_model.chain import HAND_SIZE, Posed, State
+
+CAMERA_SIZE = 9
+"""The second camera's turn (3) and place (3), both logarithms of focal lengths, the offset in time"""
+TURN, SHIFT, FOCAL, OFFSET = slice(0, 3), slice(3, 6), slice(6, 8), 8
+
+
+@dataclass(frozen=True, eq=False)
+class FilmedState(State):
+    """B hands, and the cameras that film them, the same in all rows: x_2 = rotation x_1 + translation."""
+
+    rotation: np.ndarray
+    """(B, 3, 3)"""
+    translation: np.ndarray
+    """(B, 3) metres"""
+    log_focal: np.ndarray
+    """(B, 2) of pixels, first and second camera"""
+    offset: np.ndarray
+    """(B,) seconds from the first view's start to the second one's"""
+
+    def moved(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> FilmedState:
+        """The state after increments of the hand's variables and the cameras' (B, 26), and of the angles."""
+        hand, cameras = of_hand[:, :HAND_SIZE], of_hand[:, HAND_SIZE:]
+        return FilmedState(
+            **vars(State.moved(self, hand, of_fingers)),
+            rotation=rotvec_to_rotmat(cameras[:, TURN]) @ self.rotation,
+            translation=self.translation + cameras[:, SHIFT],
+            log_focal=self.log_focal + cameras[:, FOCAL],
+            offset=self.offset + cameras[:, OFFSET],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPrior:
+    """Four rows for each hand: both logarithms of focal lengths and the offset, against what is expected."""
+
+    log_focal: np.ndarray
+    """(2,)"""
+    focal_sigma: np.ndarray
+    """(2,)"""
+    offset: float
+    """seconds"""
+    offset_sigma: float
+
+    def __call__(self, posed: Posed, seen: Observation) -> Rows:  # noqa: ARG002 (a term)
+        """The rows of B posed hands, each of which has its share of the evidence."""
+        state = posed.state
+        assert isinstance(state, FilmedState)
+        weight = 1.0 / np.sqrt(VIEWS.evidence)
+        sigma = np.append(self.focal_sigma, self.offset_sigma) / weight
+        columns = np.zeros((len(state), 1, 3, HAND_SIZE + CAMERA_SIZE + 1))
+        columns[:, 0, [0, 1, 2], HAND_SIZE + np.array([6, 7, 8])] = 1.0 / sigma
+        of = np.concatenate([state.log_focal - self.log_focal, state.offset[:, None] - self.offset], axis=1)
+        columns[:, 0, :, -1] = of / sigma
+        return Rows(HAND, columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Filmed(Batch):
+    """What one camera sees of B hands."""
+
+    pixels: np.ndarray
+    """(B, 21, 2)"""
+    speed: np.ndarray | None
+    """(B, 21, 2) pixels per second; None: the moment of the first view is certain"""
+    centre: np.ndarray
+    """(2,) pixels"""
+    sigma: np.ndarray
+    """(B, 21, 2) pixels; infinite where it saw nothing"""
+
+
+def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
+    """Two rows for each point in that camera (0 or 1), u = f x / z + c, of `Filmed` at the state's offset."""
+    state = posed.state
+    assert isinstance(state, FilmedState)
+    points, turn = posed.points, np.eye(3)[None]
+    if camera == 1:
+        turn = state.rotation
+        points = points @ turn.swapaxes(1, 2) + state.translation[:, None]
+    inverse = 1.0 / np.maximum(points[..., 2:], TERMS.nearest)
+    slope = points[..., :2] * inverse
+    focal = np.exp(state.log_focal[:, camera])[:, None, None] / filmed.sigma
+    by_point = np.zeros((*slope.shape, 3))
+    by_point[..., [0, 1], [0, 1]] = focal * inverse
+    by_point[..., 2] = -slope * focal * inverse
+    columns = np.zeros((*slope.shape, 4 + CAMERA_SIZE + 1))
+    columns[..., :3] = by_point @ turn[:, None]
+    at = columns[..., 4:]
+    at[..., 6 + camera] = slope * focal
+    if camera == 1:
+        at[..., TURN] = -by_point @ skew(points - state.translation[:, None])
+        at[..., SHIFT] = by_point
+        assert filmed.speed is not None
+        # The picture that belongs to a moment is an earlier one where the offset is greater.
+        at[..., OFFSET] = filmed.speed / filmed.sigma
+    off = (filmed.centre - filmed.pixels) / filmed.sigma
+    at[..., CAMERA_SIZE] = slope * focal + off
+    return Rows(POINTS, columns, np.zeros(slope.shape[:2], dtype=bool))

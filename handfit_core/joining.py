@@ -1,0 +1,451 @@
+"""Two takes of the same hands, filmed by two cameras, made one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.batch import slices
+from handfit_core.detect.keypoints import Detections, Track
+from handfit_core.fit.fast import FastFitter, Guess, fit_observed, fitter_of
+from handfit_core.fit.observation import Observation, SecondView
+from handfit_core.fit.settings import VIEWS
+from handfit_core.fit.terms import reprojection, second_view
+from handfit_core.fit.views.cameras import Adjusted, HandPair, Known, adjust
+from handfit_core.fit.views.courses import OffsetScore, offset_scores
+from handfit_core.fit.views.hands import ViewedHand
+from handfit_core.fit.views.rig_file import Rig
+from handfit_core.fit.views.verdict import Evidence, degrees_apart, rotation_between, verdict_of
+from handfit_core.fit_quality import error_is_known, mean_expected_error
+from handfit_core.fitting import hand_track
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.chain import State
+from handfit_core.hand_model.length import flat_hand_length
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import SIDES, Side
+from handfit_core.take import HandTrack, Take
+from handfit_core.views import Cameras, SeenHand, Verdict, View
+
+HAND_LENGTHS: Final = (0.06, 0.28)
+"""metres, between which a measured distance of the cameras may make a hand"""
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One view: its take, and whether the file or a person has told the focal length."""
+
+    take: Take
+    lens_known: bool = False
+
+    @property
+    def times(self) -> np.ndarray:
+        """(T,) seconds after its first frame."""
+        numbers = np.asarray(self.take.frame_numbers)
+        return (numbers - numbers[0]) / self.take.fps
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """One way to pair the hands of two views, and what came of it."""
+
+    second: Clip
+    mirrored: bool
+    hands: list[tuple[int, int]]
+    """Indices in both takes, of each pair"""
+    pairs: list[HandPair]
+    known: Known
+    found: Adjusted
+    score: float
+    """of the offset; NaN where it was given"""
+    dropped: float = 0.0
+
+
+def joined(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None = None) -> Take:
+    """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
+    do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
+    lenses both were captured."""
+    tried: list[_Tried] = []
+    for other, mirrored in _readings(first, second, options):
+        attempt = _tried(first, other, options, rig, mirrored=mirrored)
+        if attempt is not None:
+            tried.append(attempt)
+            if attempt.found.residual <= VIEWS.good_residual:
+                break
+    if not tried:
+        what = Verdict(
+            "failed", "No hand is seen in both views at the same time. The better view was used alone."
+        )
+        return replace(_better(first.take, second.take), verdict=what)
+    best = min(tried, key=lambda each: each.found.cost)
+    if rig is None and options.baseline is not None:
+        best = _scaled(best, options)
+    verdict = _verdict(best, first, options)
+    if verdict.agreement == "failed":
+        return replace(_better(first.take, second.take), verdict=verdict)
+    return _fitted(best, first, options, verdict)
+
+
+def _readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tuple[Clip, bool]]:
+    """The second view as it is, and turned back where it may be mirrored."""
+    sides = [{hand.side for hand in clip.take.hands} for clip in (first, second)]
+    if sides[0] & sides[1]:
+        yield second, False
+    turned = _turned_back(second, options)
+    if sides[0] & {hand.side for hand in turned.take.hands}:
+        yield turned, True
+    if len(second.take.hands) == 1 and not sides[0] & sides[1]:
+        yield _refitted(second, options, lambda hand: _as_side(hand, first.take.hands[0].side)), False
+
+
+def _turned_back(clip: Clip, options: CaptureOptions) -> Clip:
+    take = clip.take
+    camera = replace(take.intrinsics, cx=take.width - take.intrinsics.cx)
+    mirror = np.array([-1.0, 1.0, 1.0])
+
+    def mirrored(hand: HandTrack) -> tuple[Side, Detections]:
+        found = hand.detections()
+        there = np.array([take.width, 0.0, 0.0])
+        older = found.keypoints_2020
+        return SIDES[1 - SIDES.index(hand.side)], replace(
+            found,
+            side=1 - found.side,
+            keypoints=found.keypoints * mirror + there,
+            world=found.world * mirror,
+            keypoints_2020=None if older is None else older * mirror + there,
+        )
+
+    return _refitted(replace(clip, take=replace(take, intrinsics=camera)), options, mirrored)
+
+
+def _as_side(hand: HandTrack, side: Side) -> tuple[Side, Detections]:
+    return side, hand.detections()
+
+
+def _refitted(
+    clip: Clip, options: CaptureOptions, read: Callable[[HandTrack], tuple[Side, Detections]]
+) -> Clip:
+    """The view with its hands fitted anew, to what `read` makes of their detections."""
+    take, hands = clip.take, []
+    for hand in take.hands:
+        side, found = read(hand)
+        model, track = load_model(options.model, side), _track(take, hand, side, found)
+        fitter = fitter_of(model, options.hand_length)
+        fit = fit_observed(options.smoothing, fitter, track, fitter.observe(found, take.intrinsics))
+        hands.append(hand_track(model, track, fit, take.intrinsics))
+    return replace(clip, take=replace(take, hands=tuple(hands)))
+
+
+def _track(take: Take, hand: HandTrack, side: Side, found: Detections) -> Track:
+    steps = np.diff(take.frame_numbers)
+    usual = float(np.median(steps)) if len(steps) else 1.0
+    return Track(
+        side,
+        found,
+        len(take.frame_numbers),
+        take.fps / usual,
+        tuple(np.flatnonzero(steps > usual).tolist()),
+        calibrated=error_is_known(hand),
+    )
+
+
+def _tried(
+    first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None, *, mirrored: bool
+) -> _Tried | None:
+    """The cameras of hands that are paired by their sides; None where nothing is in common."""
+    hands: list[tuple[int, int]] = []
+    pairs: list[HandPair] = []
+    for side in SIDES:
+        at = _surest(first.take, side), _surest(second.take, side)
+        if at[0] is None or at[1] is None:
+            continue
+        fitter = fitter_of(load_model(options.model, side), options.hand_length)
+        pair = HandPair(fitter, _viewed(fitter, first, at[0]), _viewed(fitter, second, at[1]))
+        if min(len(pair.first), len(pair.second)) >= VIEWS.least_hand_frames:
+            hands.append((at[0], at[1]))
+            pairs.append(pair)
+    if not pairs:
+        return None
+    known = _known(first, second, options, rig)
+    starts = _starts(pairs, options)
+    found = []
+    for start in starts:
+        adjusted = adjust(
+            pairs,
+            start.offset,
+            known,
+            frames=VIEWS.start_frames if len(starts) > 1 else VIEWS.frames,
+        )
+        if adjusted is not None and _common(pairs, adjusted.offset) >= min(
+            VIEWS.least_frames, 0.5 * _common(pairs, start.offset)
+        ):
+            found.append((adjusted, start.score))
+    if not found:
+        return None
+    adjusted, score = min(found, key=lambda each: each[0].cost)
+    if len(starts) > 1:
+        adjusted = adjust(pairs, adjusted.offset, known, adjusted) or adjusted
+    tried = _Tried(second, mirrored, hands, pairs, known, adjusted, score)
+    return _without_others(tried)
+
+
+def _viewed(fitter: FastFitter, clip: Clip, hand: int) -> ViewedHand:
+    take = clip.take
+    return ViewedHand.of(fitter, take.hands[hand], clip.times, take.fps, take.intrinsics)
+
+
+def _surest(take: Take, side: Side) -> int | None:
+    """The index of the take's hand of that side that was seen best."""
+    of_side = [i for i, hand in enumerate(take.hands) if hand.side == side and hand.refinable]
+    return max(of_side, key=lambda i: float(np.nansum(take.hands[i].score)), default=None)
+
+
+def _known(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None) -> Known:
+    offset_sigma = None if options.offset is None else VIEWS.told_offset_sigma
+    if rig is not None:
+        focal = tuple(lens.intrinsics.fx for lens in rig.lenses)
+        return Known(focal, (0.0, 0.0), rig.rotation, rig.translation, offset_sigma)  # type: ignore[arg-type]
+    focal, sigma = [], []
+    for clip in (first, second):
+        camera = clip.take.intrinsics
+        focal.append(camera.fx if clip.lens_known else camera.fx * VIEWS.focal_of_assumed)
+        sigma.append(VIEWS.known_focal_sigma if clip.lens_known else VIEWS.focal_sigma)
+    return Known(tuple(focal), tuple(sigma), offset_sigma=offset_sigma)
+
+
+def _starts(pairs: list[HandPair], options: CaptureOptions) -> list[OffsetScore]:
+    if options.offset is not None:
+        return [OffsetScore(options.offset, np.nan)]
+    found = offset_scores(pairs)
+    if found and found[0].score >= VIEWS.weak_score:
+        return found
+    # Fingers that hardly move tell no offset: any that leaves enough in common may be the one.
+    rate = min(pairs[0].first.fps, pairs[0].second.fps)
+    ends = max(pair.first.times[-1] for pair in pairs), max(pair.second.times[-1] for pair in pairs)
+    shorter = min(ends)
+    least, most = -ends[1] + VIEWS.least_overlap * shorter, ends[0] - VIEWS.least_overlap * shorter
+    count = int(np.clip((most - least) * rate / VIEWS.peaks_apart, 1, VIEWS.most_starts))
+    grid = np.linspace(least, most, count + 2)[1:-1]
+    return [*found, *(OffsetScore(float(offset), 0.0) for offset in grid)]
+
+
+def _common(pairs: list[HandPair], offset: float) -> int:
+    """Frames of the slower view in which both have a hand."""
+    slower = min(1.0, pairs[0].second.fps / pairs[0].first.fps)
+    return round(max(len(pair.common(offset)) for pair in pairs) * slower)
+
+
+def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
+    """One pair's hand in all frames of the first view, as both cameras see it, and roughly its poses."""
+    first, second, found = tried.pairs[at].first, tried.pairs[at].second, tried.found
+    count, times = len(first), first.times - found.offset
+    cameras = _cameras(tried)
+    plain, saw = first.observed(cameras[0]), second.seen_at(times)[:, None]
+    pixels, _ = second.at(times)
+    seen = replace(
+        plain,
+        pixel_sigma=np.where(saw[..., None], first.sigmas, plain.pixel_sigma),
+        depth_sigma=plain.depth_sigma * np.where(saw, VIEWS.fit_depth_factor, 1.0),
+        second=SecondView(
+            np.broadcast_to(found.rotation, (count, 3, 3)),
+            np.broadcast_to(found.translation, (count, 3)),
+            pixels,
+            second.sigmas_at(times),
+            np.broadcast_to((cameras[1].fx, cameras[1].fy), (count, 2)),
+            np.broadcast_to(second.centre, (count, 2)),
+        ),
+    )
+    start = first.placed(found.focal[0])
+    return seen, replace(start, betas=np.broadcast_to(found.betas, start.betas.shape))
+
+
+def _posed_by_both(tried: _Tried, at: int) -> tuple[Observation, State, np.ndarray]:
+    """What `_seen_by_both` gives, with the poses solved frame by frame, and the root mean squares (N,) of
+    both views' residuals, in sigmas."""
+    seen, start = _seen_by_both(tried, at)
+    fitter = tried.pairs[at].fitter
+    state = fitter.solve_each(fitter.problem(seen), start).state
+    residual = np.empty(len(state))
+    for rows in slices(len(state)):
+        posed, here = fitter.chain.pose(state.select(rows)), seen.select(rows)
+        squares = [np.square(term(posed, here).residual).sum(axis=2) for term in (reprojection, second_view)]
+        residual[rows] = np.sqrt(np.concatenate(squares, axis=1).mean(axis=1))
+    return seen, state, residual
+
+
+def _cameras(tried: _Tried) -> list[Intrinsics]:
+    found = []
+    pair = tried.pairs[0]
+    for hand, focal in zip((pair.first, pair.second), tried.found.focal, strict=True):
+        camera = hand.intrinsics
+        found.append(replace(camera, fx=float(focal), fy=float(focal) * camera.fy / camera.fx))
+    return found
+
+
+def _without_others(tried: _Tried) -> _Tried:
+    """The cameras without frames in which the views show different hands."""
+    pairs, dropped, total = [], 0, 0
+    for at, pair in enumerate(tried.pairs):
+        seen, _, residual = _posed_by_both(tried, at)
+        assert seen.second is not None
+        second, saw = pair.second, seen.second.saw
+        other = saw & (residual > VIEWS.different_hand)
+        total, dropped = total + int(saw.sum()), dropped + int(other.sum())
+        times = pair.first.times[other] - tried.found.offset
+        near = np.abs(second.times[:, None] - times).min(axis=1, initial=np.inf) * second.fps
+        left = near > VIEWS.seen_within
+        enough = left.sum() >= VIEWS.least_hand_frames
+        pairs.append(replace(pair, second=second.select(left)) if enough else pair)
+    share = dropped / max(total, 1)
+    if not 0.0 < share < VIEWS.most_dropped:
+        return tried
+    again = adjust(pairs, tried.found.offset, tried.known, tried.found)
+    return tried if again is None else replace(tried, pairs=pairs, found=again, dropped=share)
+
+
+def _scaled(tried: _Tried, options: CaptureOptions) -> _Tried:
+    """Cameras and hands of the size that a measured distance between the cameras tells."""
+    assert options.baseline is not None
+    factor = options.baseline / max(float(np.linalg.norm(tried.found.translation)), 1e-6)
+    length = flat_hand_length(tried.pairs[0].fitter.model, tried.found.betas) * factor
+    length = float(np.clip(length, *HAND_LENGTHS))
+    pairs = [replace(pair, fitter=fitter_of(pair.fitter.model, length)) for pair in tried.pairs]
+    start = replace(tried.found, translation=tried.found.translation * factor)
+    again = adjust(pairs, tried.found.offset, tried.known, start)
+    if again is None:
+        return tried
+    exact = options.baseline / max(float(np.linalg.norm(again.translation)), 1e-6)
+    found = replace(again, translation=again.translation * exact)
+    return replace(tried, pairs=pairs, found=found)
+
+
+def _verdict(tried: _Tried, first: Clip, options: CaptureOptions) -> Verdict:
+    found = tried.found
+    return verdict_of(
+        Evidence(
+            offset_frames=found.offset * first.take.fps,
+            error=max(found.error),
+            residual=found.residual,
+            common=_common(tried.pairs, found.offset),
+            apart=degrees_apart(found.rotation, found.translation, found.state.wrist),
+            halves=_halves(tried) if tried.known.rotation is None else np.nan,
+            score=np.nan if options.offset is not None else tried.score,
+            dropped=tried.dropped,
+            cameras_known=tried.known.rotation is not None,
+        )
+    )
+
+
+def _halves(tried: _Tried) -> float:
+    """degrees between the cameras that both halves of the common frames give; NaN where one is too short."""
+    found = []
+    for half in (0, 1):
+        pairs = []
+        for pair in tried.pairs:
+            rows = pair.common(tried.found.offset)
+            middle = len(rows) // 2
+            pairs.append(pair.at(rows[middle:] if half else rows[:middle]))
+        if min(len(pair.first) for pair in pairs) < VIEWS.least_hand_frames:
+            return np.nan
+        alone = adjust(
+            pairs,
+            tried.found.offset,
+            tried.known,
+            tried.found,
+            frames=VIEWS.start_frames,
+            iterations=VIEWS.start_iterations,
+        )
+        if alone is None:
+            return np.nan
+        found.append(alone.rotation)
+    return rotation_between(*found)
+
+
+def _better(first: Take, second: Take) -> Take:
+    """The take whose hands are likelier right."""
+    errors = [[mean_expected_error(hand) for hand in take.hands] for take in (first, second)]
+    known = [[error for error in each if error is not None] for each in errors]
+    if not all(known):
+        return first
+    return second if np.mean(known[1]) < np.mean(known[0]) else first
+
+
+def _fitted(tried: _Tried, first: Clip, options: CaptureOptions, verdict: Verdict) -> Take:
+    """The first view's take with its paired hands fitted to both views."""
+    take, other, found = first.take, tried.second.take, tried.found
+    cameras, hands = _cameras(tried), []
+    for i, hand in enumerate(take.hands):
+        at = next((k for k, (mine, _) in enumerate(tried.hands) if mine == i), None)
+        if at is None:
+            hands.append(_alone(hand, take, cameras[0], options))
+            continue
+        fit, used = _fit(take, hand, at, tried, options)
+        track = _track(take, hand, hand.side, _kept(hand, tried.pairs[at].first.rows))
+        whole = hand_track(tried.pairs[at].fitter.model, track, fit, cameras[0])
+        hands.append(replace(whole, seen_by=(_seen(other.hands[tried.hands[at][1]], used),)))
+    view = View(
+        other.source, other.fps, other.width, other.height, np.asarray(other.frame_numbers), tried.mirrored
+    )
+    return replace(
+        take,
+        intrinsics=cameras[0],
+        hands=tuple(hands),
+        cameras=Cameras(
+            np.stack([np.eye(3), found.rotation]),
+            np.stack([np.zeros(3), found.translation]),
+            np.array([list(vars(camera).values()) for camera in cameras]),
+            np.array([0.0, found.offset]),
+            (view,),
+        ),
+        verdict=verdict,
+    )
+
+
+def _kept(hand: HandTrack, rows: np.ndarray) -> Detections:
+    found = hand.detections()
+    return found.select(np.isin(found.frame, rows))
+
+
+def _alone(hand: HandTrack, take: Take, camera: Intrinsics, options: CaptureOptions) -> HandTrack:
+    """A hand that the first view alone has, seen through the camera that was found."""
+    if not hand.refinable:
+        return replace(hand, seen_by=(None,))
+    model = load_model(options.model, hand.side)
+    fitter = fitter_of(model, options.hand_length)
+    track = _track(take, hand, hand.side, hand.detections())
+    fit = fit_observed(options.smoothing, fitter, track, fitter.observe(track.detections, camera))
+    return replace(hand_track(model, track, fit, camera), seen_by=(None,))
+
+
+def _fit(
+    take: Take, hand: HandTrack, at: int, tried: _Tried, options: CaptureOptions
+) -> tuple[HandMotion, np.ndarray]:
+    """The hand fitted to both views, and the second view's rows (K,) that counted."""
+    first, second = tried.pairs[at].first, tried.pairs[at].second
+    seen, state, residual = _posed_by_both(tried, at)
+    assert seen.second is not None
+    agreement = VIEWS.both_factor * (residual / VIEWS.usual_residual) ** VIEWS.residual_power
+    track = _track(take, hand, hand.side, _kept(hand, first.rows))
+    error_factor = np.where(seen.second.saw, agreement, 1.0)
+    guess = Guess(state, first.observed(_cameras(tried)[0]), error_factor)
+    fit = fit_observed(options.smoothing, tried.pairs[at].fitter, track, seen, guess=guess)
+    times = (first.times - tried.found.offset)[seen.second.saw]
+    return fit, second.rows[np.unique(second.nearest(times))]
+
+
+def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:
+    assert hand.keypoints_depth is not None
+    assert hand.world_landmarks is not None
+    return SeenHand(
+        hand.keypoints_2d,
+        np.asarray(hand.detected),
+        np.isin(np.arange(len(hand.detected)), used),
+        hand.score,
+        hand.keypoints_depth,
+        hand.world_landmarks,
+        hand.keypoints_2020,
+    )

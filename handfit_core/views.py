@@ -1,0 +1,74 @@
+"""Several cameras that filmed the same hands: where they stood, what the further ones saw, and how well that
+fits together. Light to import."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from handfit_core.arrays import array, array_dataclass
+from handfit_core.media.source import Source
+from handfit_core.skeleton import NUM_KEYPOINTS
+
+Agreement = Literal["good", "doubtful", "failed"]
+AGREEMENTS: Final[tuple[Agreement, ...]] = get_args(Agreement)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether views belong together, in words for an artist."""
+
+    agreement: Agreement
+    """`doubtful` views are used, of `failed` ones the better view alone"""
+    text: str
+    """One or a few sentences"""
+
+
+@array_dataclass
+class SeenHand:
+    """What a further view saw of a hand in its S frames; NaN where it was not detected."""
+
+    keypoints_2d: np.ndarray = array("S", NUM_KEYPOINTS, 2, finite="detected")
+    """pixels of that view"""
+    detected: np.ndarray = array("S", kind="b")
+    used: np.ndarray = array("S", kind="b")
+    """Detections that the fit took notice of: others lie outside the first view, or follow another hand"""
+    score: np.ndarray = array("S", finite="detected")
+    keypoints_depth: np.ndarray = array("S", NUM_KEYPOINTS, finite="detected")
+    """pixels, as in the take's own arrays"""
+    world_landmarks: np.ndarray = array("S", NUM_KEYPOINTS, 3, finite="detected")
+    """metres about the hand's centre, axes as that camera's"""
+    keypoints_2020: np.ndarray | None = array("S", NUM_KEYPOINTS, 3, default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A further view: its clip."""
+
+    source: Source
+    fps: float
+    width: int
+    """pixels, of the upright picture"""
+    height: int
+    frame_numbers: np.ndarray
+    """(S,) int, increasing, as in a take of that clip"""
+    mirrored: bool = False
+    """Whether the clip shows the world mirrored, as selfie cameras do; pixels and camera are of the picture
+    turned back"""
+
+
+@array_dataclass
+class Cameras:
+    """The cameras of V views, the take's own first. Metres, pixels, seconds."""
+
+    rotation: np.ndarray = array("V", 3, 3, finite="all")
+    translation: np.ndarray = array("V", 3, finite="all")
+    """x_v = rotation_v x_0 + translation_v"""
+    intrinsics: np.ndarray = array("V", 4, finite="all")
+    """fx, fy, cx, cy"""
+    time_offset: np.ndarray = array("V", finite="all")
+    """seconds from the take's first frame to the first one of the view"""
+    views: tuple[View, ...] = field(default=())
+    """The V - 1 further ones"""
