@@ -21,7 +21,7 @@ from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
-from ..session import jobs, shared_worker, source_info
+from ..session import jobs, live, shared_worker, source_info
 from .base import LINKED_SCENE, InternalOperator, ModalOperator
 
 
@@ -68,7 +68,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
 
     def follow(self, context, event):
         """Tick the queue; Esc stops everything."""
-        if event.type == "ESC" and event.value == "PRESS":
+        if event.type == "ESC" and event.value == "PRESS" and live.running() is None:  # which Esc ends first
             jobs.cancel_all()
         elif event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -195,14 +195,14 @@ def new_job(
             solver=settings.experiment
             if settings.preset == "PAPER"
             else settings.solver or CaptureOptions.solver,
-            model=_model(settings),
+            model=model_of(settings),
             threshold=settings.threshold,
             arms=settings.arms and target == "NEW" and source.kind != "data" and not bare,
             smoothing=settings.smoothing,
             plain_detection=settings.preset == "DRAFT",
             quality="standard" if settings.preset == "PAPER" else settings.preset.lower(),
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
-            lens=_lens(settings, scene),
+            lens=lens_of(settings, scene),
             max_megapixels=preferences.get(context).max_megapixels or None,
             keypoints=_keypoints(settings, source),
             picture_size=_picture_size(settings, source),
@@ -262,7 +262,8 @@ def _picture_size(settings, source: source_info.SourceFiles) -> tuple[int, int] 
     return (width, height) if width else None
 
 
-def _model(settings) -> str | None:
+def model_of(settings) -> str | None:
+    """The hand model that the settings name, as options do. Raises InputError."""
     if settings.model == "OPEN":
         return OPEN_HAND
     path = settings.model_path or preferences.get().mano_folder
@@ -271,7 +272,8 @@ def _model(settings) -> str | None:
     return str(Path(bpy.path.abspath(path)).expanduser())
 
 
-def _lens(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, float] | None:
+def lens_of(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, float] | None:
+    """The lens that the settings name, as options do; None: it is looked for. Raises HandfitError."""
     if settings.camera == "LENS":
         if not settings.measured_lens:
             raise OptionError("choose the measured lens, or measure one, or choose another camera setting")

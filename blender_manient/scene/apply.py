@@ -15,6 +15,7 @@ import numpy as np
 
 from handfit_core.errors import HandModelError, OptionError
 from handfit_core.hand_model.files import kept_model
+from handfit_core.hand_model.motion import HandMotion
 from handfit_core.retiming import sampled
 from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take, at_rows
@@ -105,6 +106,13 @@ def apply_hand(
             keys.rotation_keyed[:] = moved.rotation_keyed.any(axis=0)
             keys.location_keyed[:] = moved.location_keyed.any()
     return _apply(hand, keys.turned(other.rig.rest, hand.rig.rest), mode, wrist)
+
+
+def apply_pose(obj: bpy.types.Object, motion: HandMotion, frame: float) -> None:
+    """Key the fingers of a motion of one frame on the captured hand `obj` at the scene's `frame`. Raises
+    OptionError and HandModelError."""
+    hand = _checked(obj, "POSE")
+    _apply(hand, PoseKeys.everywhere(np.array([frame]), *hand.to_bones(motion)), "POSE", wrist=False)
 
 
 def _in_scene(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import traceback
 import uuid
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -28,7 +28,7 @@ from handfit_core.take import Take
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted, without_name
 from ..scene.apply import apply_track, track_for
-from ..scene.build import BuildOptions, building
+from ..scene.build import BuildOptions, BuiltTake, building
 from ..scene.captures import comes_in_front
 from ..scene.controls import add_controls
 from ..scene.matching import Choice, Footage, clear_view, matches, scene_sentence
@@ -78,6 +78,10 @@ class Job:
     """the button of the panel that queued the job"""
     then_add_hand: bool = False
     """Whether Add Hand begins in the job's picture afterwards"""
+    output: Path | None = None
+    """Where its take is kept; None: in a folder that goes when Blender ends"""
+    then: Callable[[BuiltTake], Generator[float, None, None]] | None = None
+    """What is done with new hands before they are an undo step, in slices"""
     hands_to_choose: int = 0
     """the number of hands found, where there were too many to build without asking; else 0"""
     state: State = "waiting"
@@ -278,7 +282,7 @@ def run() -> list[Job]:
 
 
 def _start(job: Job) -> None:
-    job._take_path = temporary_take(job.name)
+    job._take_path = job.output or temporary_take(job.name)
     job._request = shared_worker.worker().submit(
         "capture",
         input=list(job.files),
@@ -395,6 +399,8 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         hand.armature.manient.smoothing = job.options.smoothing
     for hand in filter(None, (hand_of(h.armature) for h in built.hands if plan.controls)):
         add_controls(hand)
+    if job.then is not None:
+        yield from map_yields(job.then(built), lambda: 1.0)
     _pack_cached_pictures(take)
     warnings += built.warnings
     if not job.bare:

@@ -20,6 +20,7 @@ from bpy.props import (
 )
 
 from handfit_core.errors import HandfitError
+from handfit_core.media.camera_names import cameras
 from handfit_core.media.lenses import saved_lenses
 from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
@@ -94,6 +95,71 @@ def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[
     if math.isfinite(option.most):
         shown |= {"min": option.least * units, "max": option.most * units}
     return shown
+
+
+def _is_character(_group: Any, obj: bpy.types.Object) -> bool:
+    return obj.type == "ARMATURE" and not obj.manient.is_hand
+
+
+class ManientLiveHand(bpy.types.PropertyGroup):
+    """One of the person's hands before a live source."""
+
+    use: BoolProperty(name="Follow", description="Follow this hand of the person", default=True)  # type: ignore
+    character: PointerProperty(  # type: ignore
+        name="Moves",
+        description="The character whose hand it moves; empty: an open hand that is made for it",
+        type=bpy.types.Object,
+        poll=_is_character,
+    )
+    other_side: BoolProperty(  # type: ignore
+        name="Other Hand", description="Move the character's other hand instead, mirrored", default=False
+    )
+
+
+class ManientLive(bpy.types.PropertyGroup):
+    """Scene.manient.live: the panel Live."""
+
+    source: StringProperty(  # type: ignore
+        name="Source",
+        description="A camera by number or name, the address of a network camera or phone, or file:CLIP to "
+        "play a clip",
+        default="0",
+        search=lambda _group, _context, typed: [
+            name for _, name in cameras() if typed.lower() in name.lower() or typed.isdecimal()
+        ],
+        search_options={"SUGGESTION"},
+    )
+    size: EnumProperty(  # type: ignore
+        name="Size",
+        description="What the camera is asked for; pictures of other sizes are followed, too",
+        items=tuple(
+            (size, size.replace("x", " × "), "Pixels") for size in ("640x480", "1280x720", "1920x1080")
+        ),
+        default="640x480",
+    )
+    fps: IntProperty(  # type: ignore
+        name="Rate", description="Frames per second that the camera is asked for", default=30, min=1, max=240
+    )
+    mirror: BoolProperty(  # type: ignore
+        name="Mirror Picture",
+        description="Show the small picture as a mirror does; hands and recordings stay as they are",
+        default=True,
+    )
+    left: PointerProperty(type=ManientLiveHand)  # type: ignore
+    right: PointerProperty(type=ManientLiveHand)  # type: ignore
+    countdown: IntProperty(  # type: ignore
+        name="Countdown", description="Seconds from Record to the first frame", default=3, min=0, max=20
+    )
+    play: BoolProperty(  # type: ignore
+        name="Play Scene", description="Play the scene's animation while recording", default=False
+    )
+    folder: StringProperty(  # type: ignore
+        name="Folder",
+        description="Where recordings and their takes are written; of a .blend that was never saved: in a "
+        "folder of the add-on's",
+        subtype="DIR_PATH",
+        default="//live",
+    )
 
 
 class ManientSettings(bpy.types.PropertyGroup):
@@ -261,6 +327,8 @@ class ManientSettings(bpy.types.PropertyGroup):
         description="The capture that was chosen last (scene/captures.py)",
         options={"HIDDEN"},
     )
+
+    live: PointerProperty(type=ManientLive)  # type: ignore
 
     # Poses
     pose: EnumProperty(  # type: ignore
@@ -580,6 +648,9 @@ class ManientCapture(bpy.types.PropertyGroup):
     """Collection.manient of a built take."""
 
     is_capture: BoolProperty(default=False)  # type: ignore
+    is_live: BoolProperty(  # type: ignore
+        default=False, description="Whether it holds hands that follow a live source (scene/live_hands.py)"
+    )
     take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
     digest: StringProperty()  # type: ignore
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore

@@ -25,6 +25,7 @@ import numpy as np
 
 from handfit_core.errors import InputError, OptionError, OutputError
 from handfit_core.files import shown
+from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
 from handfit_core.media.headers import read_picture_header
 from handfit_core.media.opening import open_media
 from handfit_core.media.recording import ClipWriter
@@ -46,7 +47,6 @@ class CameraSettings:
 
 
 CAMERA: Final = CameraSettings()
-_NAMES: Final = Path("/sys/class/video4linux")
 _SCHEMES: Final = ("http", "https", "rtsp")
 
 Say = Callable[[str], None]
@@ -63,7 +63,7 @@ class LiveSource:
     file: str | None = None
 
     @classmethod
-    def parse(cls, text: str, *, online: bool = False, names: Path = _NAMES) -> Self:
+    def parse(cls, text: str, *, online: bool = False, names: Path = SYSTEM_CAMERAS) -> Self:
         """A camera by number or name, an address, or `file:CLIP`.
 
         `online`: addresses of other machines may be opened. `names`: where Linux lists its cameras. Raises
@@ -91,18 +91,6 @@ class LiveSource:
         if self.camera is not None:
             return f"camera {self.camera}"
         return shown(self.address or self.file or "")
-
-
-def cameras(names: Path = _NAMES) -> list[tuple[int, str]]:
-    """The numbers and names of the cameras that the system lists without opening one, which Linux alone
-    does."""
-    found = []
-    for folder in names.glob("video*"):
-        number = folder.name.removeprefix("video")
-        with contextlib.suppress(OSError, ValueError):
-            if int((folder / "index").read_text("ascii")) == 0:  # others have no pictures
-                found.append((int(number), (folder / "name").read_text("utf-8", "replace").strip()))
-    return sorted(found)
 
 
 def _checked(address: str, *, online: bool) -> str:

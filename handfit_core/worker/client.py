@@ -284,9 +284,12 @@ class Worker:
             otherwise = f"{message['message'].rstrip('.')} {self._advice.where}"
             said = self._import_message(_last_line(message["details"]), otherwise)
             message = {**message, "type": WorkerError.__name__, "message": said}
-        if kind == "live":  # only the newest pose is of use
-            old = message["id"]
-            self._events = [e for e in self._events if (e["event"], e["id"]) != ("live", old)]
+        if kind == "live":  # only the newest pose is of use, and the newest picture
+            same = [(e["event"], e["id"]) == ("live", message["id"]) for e in self._events]
+            pictures = [e["picture"] for e, is_same in zip(self._events, same, strict=True) if is_same]
+            if pictures and message["picture"] is None:
+                message = {**message, "picture": pictures[-1]}
+            self._events = [e for e, is_same in zip(self._events, same, strict=True) if not is_same]
         self._events.append(message)
 
     def _take_events(self, ids: tuple[int, ...]) -> list[Event]:

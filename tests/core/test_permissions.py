@@ -27,7 +27,7 @@ def uses_attribute(name: str) -> bool:
 
 def test_reasons_are_as_blender_wants_them():
     permissions = tomllib.loads((ROOT / "blender_manifest.toml").read_text(encoding="utf-8"))["permissions"]
-    assert set(permissions) == {"files", "clipboard"}
+    assert set(permissions) == {"files", "clipboard", "camera", "network"}
     for reason in permissions.values():
         assert 0 < len(reason) <= 64
         assert not reason.endswith(".")

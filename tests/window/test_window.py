@@ -56,6 +56,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "character.applied": lambda i: {"take": i.two_hands()},
     "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
+    "live.recorded": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
 }
 
 
@@ -74,12 +75,17 @@ def test_a_small_window_frames_all_of_the_picture(small_blender: BlenderWindow, 
     small_blender.play("addon.whole_picture", source=inputs.portrait)
 
 
+def test_a_rigify_character_follows_live(small_blender: BlenderWindow, inputs: Inputs):
+    small_blender.play("live.on_rigify", source=inputs.clip(VERY_LONG_CLIP))
+
+
 @pytest.mark.parametrize("scenario", ["capture.unhindered", "refine.follows_the_mouse"])
 def test_the_window_never_freezes(small_blender: BlenderWindow, inputs: Inputs, scenario: str):
     small_blender.play(scenario, source=inputs.clip(60))
 
 
-def test_quitting_while_capturing_leaves_no_process(make_window: MakeWindow, inputs: Inputs):
+@pytest.mark.parametrize("scenario", ["capture.left_running", "live.left_running"])
+def test_quitting_meanwhile_leaves_no_process(make_window: MakeWindow, inputs: Inputs, scenario: str):
     own = make_window((640, 480))
-    own.play("capture.left_running", source=inputs.clip(LONG_CLIP))
+    own.play(scenario, source=inputs.clip(VERY_LONG_CLIP))
     assert own.quit() == []

@@ -199,6 +199,30 @@ class CaptureView:
                 setattr(where, name, value)
 
 
+class FrontView:
+    """Turns a viewport to look along +Y, as the camera of new hands does, at hands an arm's length away; and
+    back to how it was."""
+
+    _DISTANCE, _AWAY = 0.9, 0.45
+    """metres: of the view, and of the hand from the camera"""
+
+    def __init__(self, viewport: Viewport, scene: bpy.types.Scene) -> None:
+        self._address, view = viewport.area.as_pointer(), viewport.view
+        kept = {name: getattr(view, name) for name in _OF_REGION}
+        self._before = {name: v if isinstance(v, float | str) else tuple(v) for name, v in kept.items()}
+        units = 1.0 / scene.unit_settings.scale_length
+        view.view_perspective = "PERSP"
+        view.view_rotation = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
+        view.view_location, view.view_distance = (0.0, self._AWAY * units, 0.0), self._DISTANCE * units
+
+    def leave(self, context: bpy.types.Context) -> None:
+        """Put the view back; nothing where the viewport is gone."""
+        viewport = viewport_at(context, self._address)
+        if viewport is not None:
+            for name, value in self._before.items():
+                setattr(viewport.view, name, value)
+
+
 def picture_matrix(viewport: Viewport, camera: bpy.types.Object, intrinsics: Intrinsics) -> np.ndarray:
     """The (3, 3) map from pixels of the picture to pixels of the viewport's region."""
     size = viewport.region.width, viewport.region.height

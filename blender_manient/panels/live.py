@@ -1,0 +1,83 @@
+"""Live: the camera, which hands move what, and the recorded takes."""
+
+from __future__ import annotations
+
+import bpy
+
+from handfit_core.skeleton import SIDES
+
+from ..common.section import Section, fitted, sentence, split
+from ..common.wording import capitalised
+from ..session import live
+from .steady import is_pressable
+
+_PICTURE = 10.0
+"""height of the small picture, in buttons"""
+
+
+class MANIENT_PT_live(Section, bpy.types.Panel):
+    bl_label = "Live"
+    bl_order = 3
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        layout, settings, session = self.layout, context.scene.manient.live, live.running()
+        column = split(layout.column())
+        column.enabled = session is None
+        column.prop(settings, "source")
+        column.prop(settings, "size")
+        column.prop(settings, "fps")
+        column.prop(settings, "mirror")
+        for side in SIDES:
+            self._hand(column, getattr(settings, side), side)
+        column.prop(settings, "countdown")
+        column.prop(settings, "play")
+        column.prop(settings, "folder")
+        row = layout.row(align=True)
+        row.scale_y = 1.5
+        row.enabled = is_pressable("live", "stop" if session else "start")
+        if session is None:
+            row.operator("manient.live", icon="RADIOBUT_ON")
+            if live.current is not None and live.current.error is not None:
+                sentence(layout, context, capitalised(str(live.current.error)), "ERROR", alert=True)
+            elif live.current is not None and live.current.message:
+                sentence(layout, context, live.current.message, "INFO")
+        else:
+            row.operator("manient.live_stop", icon="CANCEL")
+            self._running(context, session)
+        self._takes(context)
+
+    def _hand(self, layout, hand, side: str) -> None:
+        column = layout.column(heading=f"{side.capitalize()} Hand")
+        row = column.row(align=True)
+        row.prop(hand, "use", text="")
+        part = row.row(align=True)
+        part.enabled = hand.use
+        part.prop(hand, "character", text="")
+        if hand.character is not None:
+            part.prop(hand, "other_side", text="", icon="MOD_MIRROR")
+
+    def _running(self, context, session: live.LiveSession) -> None:
+        layout = self.layout
+        row = layout.row(align=True)
+        text = "Stop Recording" if session.is_recording else "Record"
+        row.operator("manient.live_record", text=text, icon="SNAP_FACE" if session.is_recording else "REC")
+        row.operator("manient.live_snapshot", icon="KEYTYPE_KEYFRAME_VEC")
+        layout.operator("manient.live_calibrate", icon="VIEW_PAN")
+        sentence(layout, context, session.status(), "REC" if session.is_recording else "TIME")
+        states = [f"{side}: {state}" for side, state in session.hand_states().items()]
+        if states:
+            sentence(layout, context, ", ".join(states).capitalize(), "VIEW_PAN")
+        if session.message:
+            sentence(layout, context, session.message, "INFO")
+        if live.pictures.icon:
+            layout.template_icon(live.pictures.icon, scale=_PICTURE)
+
+    def _takes(self, context) -> None:
+        for index, take in enumerate(live.takes):
+            row = self.layout.row(align=True)
+            row.label(text=fitted(context, take.text(), buttons=2), icon="FILE_MOVIE", translate=False)
+            row.operator("manient.live_keep", text="", icon="CHECKMARK").index = index
+            row.operator("manient.live_throw_away", text="", icon="TRASH").index = index
+            if take.trouble:
+                sentence(self.layout, context, capitalised(take.trouble), "INFO")

@@ -1,0 +1,642 @@
+"""Live: hands of the scene follow a camera, and what is recorded becomes takes.
+
+A worker of its own opens the source and follows the hands, so that captures go on beside it in the shared
+one. Poses are shown without keys. A recording gets keys at once from the poses that were shown, its
+*preview*, and is captured as any other clip; that takes the preview's place.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from handfit_core.arrays import unpack
+from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.hand_model.files import kept_model
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import SIDES, Side
+from handfit_core.slices import map_yields, run_to_completion
+from handfit_core.worker.events import Event, as_error
+
+from ..common import preferences
+from ..common.blender_versions import action_slot, channels
+from ..common.block_reference import BlockReference
+from ..common.wording import capitalised, counted
+from ..scene import captures
+from ..scene.actions import channels_of
+from ..scene.apply import apply_pose
+from ..scene.build import BuiltTake, ChangeWatch
+from ..scene.characters import hand_map_of
+from ..scene.hand_motion import record_written_keys
+from ..scene.live_hands import (
+    AsSource,
+    CharacterHand,
+    Followed,
+    LiveHand,
+    OpenHand,
+    build_preview,
+    remove_action,
+    remove_collection,
+    remove_leftovers,
+)
+from ..scene.onto_character import Motion, TransferOptions, applying, computing, reading_motion, writing
+from ..scene.store import hand_of
+from ..scene.timing import frame_rate
+from . import jobs, shared_worker
+from .cache import folder_path
+
+PICTURE_WIDTH = 320
+"""pixels of the small picture"""
+_ENDING_SECONDS = 3.0
+"""seconds that the worker gets to end by itself, a recording's last frames included"""
+_SAID_SECONDS = 6.0
+"""seconds for which a sentence is shown while poses come"""
+_REFUSED_SECONDS = 2.0
+"""seconds without a recorded frame after which the worker cannot record"""
+_MEASURED = 60
+"""events over which the latency is measured: two seconds"""
+
+
+@dataclass(eq=False)
+class LiveTake:
+    """A recording, and what came of it."""
+
+    number: int
+    path: Path
+    """The recorded frames"""
+    scene: BlockReference
+    frame: float
+    """The scene frame on which it begins"""
+    options: CaptureOptions
+    followed: Followed
+    frames: int = 0
+    seconds: float = 0.0
+    poses: list[tuple[float, dict[Side, HandMotion]]] = field(default_factory=list)
+    """Seconds, and the hands that were shown then"""
+    job: jobs.Job | None = None
+    trouble: str = ""
+    """Why there is no preview, a sentence"""
+    _previews: list[BlockReference] = field(default_factory=list)
+    _actions: dict[BlockReference, BlockReference] = field(default_factory=dict)
+    """By the character"""
+    _built: BlockReference | None = None
+
+    @property
+    def take_path(self) -> Path:
+        """Where its take is kept, beside the recording."""
+        return self.path.with_suffix(".take.npz")
+
+    def text(self) -> str:
+        """What it is, and how far."""
+        job = self.job
+        name = f"Take {self.number}: {self.seconds:.1f} s"
+        if job is None or job.state == "waiting":
+            return f"{name}, preview"
+        if job.running:
+            return f"{name}, preview  {100.0 * job.fraction:.0f} %"
+        return name if job.state == "done" else f"{name}, preview: {job.message}"
+
+    def motions(self, rate: float) -> tuple[np.ndarray, dict[Side, HandMotion]]:
+        """The scene frames (T,), and what the hands did that were shown, at `rate` frames per second."""
+        times = np.array([time for time, _ in self.poses])
+        frames = self.frame + np.arange(max(1, round(float(times[-1] - times[0]) * rate) + 1))
+        wanted = times[0] + (frames - self.frame) / rate
+        rows = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
+        found = {}
+        for side in SIDES:
+            there = [self.poses[row][1].get(side) for row in rows.tolist()]
+            first = next((hand for hand in there if hand is not None), None)
+            if first is not None:
+                gone = HandMotion(side, first.betas, *(np.full((1, n), np.nan) for n in (3, 45, 3)))
+                pose = zip(*((hand or gone).pose for hand in there), strict=True)
+                found[side] = HandMotion(side, first.betas, *(np.concatenate(parts) for parts in pose))
+        return frames, found
+
+    def show_preview(self) -> None:
+        """Key what was shown while it was recorded."""
+        scene = self.scene.find()
+        if not self.poses or scene is None:
+            self.trouble = "no hand was seen while it was recorded"
+            return
+        frames, motions = self.motions(frame_rate(scene))
+        self.poses.clear()
+        onto: dict[BlockReference, list[tuple[Side, Motion]]] = {}
+        model = str(self.options.model)
+        try:
+            for side, motion in motions.items():
+                target = self.followed[side]
+                if target is None:
+                    name = f"Take {self.number} preview"
+                    self._previews.append(build_preview(scene, name, model, motion, frames))
+                else:
+                    there = motion.present
+                    seen = motion.with_pose(*(rows[there] for rows in motion.pose))
+                    moved = AsSource(model, seen).motion(seen, frames[there])
+                    onto.setdefault(target[0], []).append((target[1], moved))
+            for character, moved in onto.items():
+                run_to_completion(self._keying(character, moved))
+        except HandfitError as error:
+            self.trouble = str(error)
+
+    def replacing(self, built: BuiltTake) -> Generator[float, None, None]:
+        """Put what was captured in place of the preview, in slices."""
+        self._built = BlockReference.of("collections", built.collection)
+        self._remove_previews()
+        onto: dict[BlockReference, list[tuple[Side, Motion]]] = {}
+        for one in built.hands:
+            target, hand = self.followed.get(one.side), hand_of(one.armature)
+            if target is not None and hand is not None:
+                motion = yield from map_yields(reading_motion(hand), lambda: 0.5)
+                onto.setdefault(target[0], []).append((target[1], motion))
+        for character, moved in onto.items():
+            try:
+                yield from self._keying(character, moved)
+            except HandfitError as error:  # the hands themselves are there
+                self.trouble = str(error)
+
+    def _keying(
+        self, character: BlockReference, moved: Sequence[tuple[Side, Motion]]
+    ) -> Generator[float, None, None]:
+        """Key the fingers of a character in this take's own action."""
+        armature = character.find()
+        if armature is None:
+            raise OptionError(f"the character {character.name!r} was deleted")
+        hands = [(hand_map_of(armature, side), motion) for side, motion in moved]
+        action = self._actions[character].find() if character in self._actions else None
+        if action is None:
+            yield from applying(armature, hands, TransferOptions())
+            self._actions[character] = BlockReference.of("actions", armature.animation_data.action)
+            return
+        keys = (yield from computing(armature, hands, TransferOptions())).keys
+        data = armature.animation_data
+        holder = channels_of(data) if data is not None and data.action == action else None
+        if holder is None:  # the artist has another one in use
+            holder = channels(action, getattr(action, "slots", [None])[0], make=True)
+        holder.fcurves.clear()
+        yield from writing(keys, holder)
+        for one in keys:
+            record_written_keys(armature, action, action_slot(data) if data is not None else None, one)
+
+    def _remove_previews(self) -> None:
+        for preview in self._previews:
+            remove_collection(preview.find())
+        self._previews.clear()
+
+    def throw_away(self) -> None:
+        """Remove what came of it, and its files. Raises OutputError where a file cannot be removed."""
+        while self.job is not None and not self.job.finished:
+            jobs.cancel(self.job)  # the second time without keeping what is finished
+        self._remove_previews()
+        scene, built = self.scene.find(), self._built.find() if self._built is not None else None
+        if scene is not None and built is not None:
+            captures.remove(scene, built)
+        for character, action in self._actions.items():
+            armature, there = character.find(), action.find()
+            if armature is not None and there is not None:
+                remove_action(armature, there)
+        takes.remove(self)
+        for path in (self.path, self.take_path):
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise OutputError(f"{path}: could not be removed ({error.strerror or error})") from error
+
+
+takes: list[LiveTake] = []
+"""Those that were neither kept nor thrown away yet, the oldest first"""
+
+
+@dataclass(frozen=True)
+class LiveInput:
+    """What is followed, and how."""
+
+    source: str
+    size: tuple[int, int]
+    fps: int
+    mirror: bool
+    countdown: float
+    play: bool
+
+
+class LiveSession:
+    """Hands that follow a source, from Start to Stop."""
+
+    def __init__(
+        self, scene: bpy.types.Scene, what: LiveInput, options: CaptureOptions, followed: Followed
+    ) -> None:
+        """Raises HandfitError. The source is opened in the worker."""
+        self.scene, self.what, self.options = BlockReference.of("scenes", scene), what, options
+        self.followed = followed
+        for side in followed:
+            kept_model(str(options.model), side)  # now, rather than when the first hand is seen
+        self.worker = shared_worker.new_worker()
+        size, online = list(what.size), bpy.app.online_access
+        live = {"online": online, "size": size, "fps": what.fps}
+        self._request = self.worker.submit(
+            "live",
+            source=what.source,
+            options=options.to_message(),
+            live=live,
+            picture=PICTURE_WIDTH,
+            mirror=what.mirror,
+        )
+        self._watch = ChangeWatch()
+        self._hands: dict[Side, LiveHand] = {}
+        self._newest: dict[Side, HandMotion] = {}
+        self._states: dict[Side, str] = {}
+        self._sequence = 0
+        self._latencies: list[float] = []
+        self._ending_until: float | None = None
+        self._record_at: float | None = None
+        self._recording: LiveTake | None = None
+        self._recording_since = 0.0
+        self.recorded: list[LiveTake] = []
+        """Recordings that are over and wait for `take_recorded`"""
+        self._said = 0.0
+        self.message = "Starting"
+        """What is to be known, a sentence; empty: nothing"""
+        self.error: HandfitError | None = None
+        """What has ended it"""
+        self.over = False
+        self.fps, self.dropped = 0.0, 0
+
+    # What the panel shows
+
+    @property
+    def is_recording(self) -> bool:
+        """Whether it records, or counts down to that."""
+        return self._recording is not None or self._record_at is not None
+
+    @property
+    def latency(self) -> float:
+        """Median ms from a frame's coming to its pose in the scene; 0 while unknown."""
+        return float(np.median(self._latencies)) if self._latencies else 0.0
+
+    def status(self) -> str:
+        """What it does now, and how fast."""
+        if self._record_at is not None:
+            return f"Recording in {max(1, int(np.ceil(self._record_at - time.monotonic())))}"
+        if self._recording is not None:
+            return f"Recording take {self._recording.number}: {self._recording.seconds:.1f} s"
+        if not self._sequence:
+            return "Starting"
+        return f"{self.fps:.0f} fps, {self.latency:.0f} ms, {counted(self.dropped, 'frame')} dropped"
+
+    def hand_states(self) -> dict[Side, str]:
+        """By the person's side: seen, held or resting."""
+        return self._states
+
+    # What the artist does
+
+    def toggle_recording(self) -> None:
+        """Begin a recording, after the countdown, or end it. Raises OutputError."""
+        if self._record_at is not None:
+            self._record_at = None
+        elif self._recording is not None:
+            self._end_recording()
+        elif self._ending_until is None:
+            self._record_at = time.monotonic() + self.what.countdown
+
+    def calibrate(self) -> None:
+        """Have the worker look at an open hand for a second."""
+        self.worker.tell(self._request, "live-calibrate")
+        self._say("hold your open hand still, its palm to the camera")
+
+    def snapshot(self) -> None:
+        """Key what is shown now at the scene's frame: on the characters that follow, else on the active
+        captured hand. Raises HandfitError."""
+        context = bpy.context
+        frame = float(context.scene.frame_current)
+        if not self._newest:
+            raise OptionError("no hand was seen yet: hold it before the camera")
+        for side, motion in self._newest.items():
+            target = self.followed[side]
+            if target is None:
+                active = context.active_object
+                hand = hand_of(active) if active is not None else None
+                if hand is None:
+                    raise OptionError(
+                        "select the captured hand that gets the pose, or choose a character in Live"
+                    )
+                if hand.side == side or len(self._newest) == 1:
+                    apply_pose(hand.armature, motion, frame)
+            elif (armature := target[0].find()) is not None:
+                moved = AsSource(str(self.options.model), motion).motion(motion, np.array([frame]))
+                hand_map = hand_map_of(armature, target[1])
+                run_to_completion(applying(armature, [(hand_map, moved)], TransferOptions(into="ACTION")))
+
+    def stop(self, why: str = "") -> None:
+        """End it: the scene is as before at once, the worker ends within the next steps."""
+        if self._ending_until is None:
+            self._record_at = None
+            if self._recording is not None:
+                self._end_recording()
+            self._take_away()
+            self.message = why
+            self._ending_until = time.monotonic() + _ENDING_SECONDS
+            self.worker.cancel(self._request)
+
+    def abandon(self) -> None:
+        """End it and its process now."""
+        self.over = True
+        self._take_away()
+        self.worker.stop()
+
+    # Every few milliseconds
+
+    def step(self) -> bool:
+        """Take in what the worker says, and show the newest pose. Returns whether anything changed."""
+        if self.over:
+            return False
+        if self._watch.changed:
+            self.stop("Live has ended, since the scene was undone or replaced")
+        events = self.worker.events(self._request)
+        newest = None
+        for event in events:
+            if event["event"] == "live":
+                newest = event
+            else:
+                self._take_in(event)
+        if self._ending_until is None and not self.over:
+            try:
+                if newest is not None and newest["sequence"] > self._sequence:
+                    self._show(newest)
+                if self._record_at is not None and time.monotonic() >= self._record_at:
+                    self._record_at = None
+                    self._begin_recording()
+            except (HandfitError, ReferenceError) as error:
+                self.error = error if isinstance(error, HandfitError) else OptionError(str(error))
+                self.stop()
+        if self._ending_until is not None and not self.over and time.monotonic() > self._ending_until:
+            self._close()
+        return bool(events)
+
+    def show_again(self) -> None:
+        """Put the hands back where they were shown last: a change of the frame shows keys."""
+        if self._ending_until is None and not self.over:
+            for side, hand in self._hands.items():
+                with contextlib.suppress(HandfitError):  # the next step says so
+                    hand.show(self._newest[side])
+
+    def hide(self) -> None:
+        """Leave the scene as it was before until the next pose comes."""
+        self._take_away()
+
+    def _say(self, sentence: str) -> None:
+        self.message, self._said = capitalised(sentence), time.monotonic()
+
+    def _take_in(self, event: Event) -> None:
+        kind = event["event"]
+        if kind == "warning":
+            self._say(str(event["message"]))
+        elif kind == "calibrated":
+            self._calibrated(event["hands"])
+        elif kind == "recorded":
+            self._recorded(event)
+        elif kind == "error":
+            if event["type"] != "Cancelled":
+                self.error = as_error(event)
+            self._close()
+        elif kind == "done":
+            if event["recording"] is not None:
+                self._recorded(event["recording"])
+            if self._ending_until is None:
+                self.message = "The source is over"
+            self._close()
+
+    def _show(self, event: Event) -> None:
+        if not self._sequence or time.monotonic() - self._said > _SAID_SECONDS:
+            self.message = ""
+        self._sequence, self.fps, self.dropped = event["sequence"], event["fps"], event["dropped"]
+        for told in event["hands"]:
+            side, motion = told["side"], _motion(told)
+            if side not in self._hands:
+                if told["state"] == "resting":
+                    continue  # none was seen yet
+                self._hands[side] = self._made(side, motion)
+            self._hands[side].show(motion)
+            self._newest[side], self._states[side] = motion, told["state"]
+        self._latencies = [*self._latencies[1 - _MEASURED :], 1000.0 * (time.perf_counter() - event["time"])]
+        if self._recording is not None and event["recorded"] is not None:
+            if not self._recording.poses:
+                self._recording.frame = _frame_at(event["time"])
+            self._recording.poses.append((event["time"], dict(self._newest)))
+            self._recording.seconds = event["time"] - self._recording.poses[0][0]
+        elif self._recording is not None and time.monotonic() - self._recording_since > _REFUSED_SECONDS:
+            self._recording = None  # a warning has said why
+            self._play(False)
+        if event["picture"] is not None:
+            pictures.show(unpack(event["picture"]))
+
+    def _made(self, side: Side, motion: HandMotion) -> LiveHand:
+        scene, target = self.scene.find(), self.followed[side]
+        if scene is None:
+            raise OptionError("the scene that Live was started in was deleted")
+        if target is None:
+            return OpenHand(scene, str(self.options.model), side, motion.betas)
+        armature = target[0].find()
+        if armature is None:
+            raise OptionError(f"the character {target[0].name!r} was deleted")
+        made = CharacterHand(armature, target[1], str(self.options.model), motion)
+        if made.left_alone:
+            self._say(made.left_alone[0])
+        return made
+
+    def _begin_recording(self) -> None:
+        folder = recordings_folder()
+        number = 1 + max([0, *(int(p.stem[5:]) for p in folder.glob("take-*.mkv") if p.stem[5:].isdecimal())])
+        take = LiveTake(
+            number,
+            folder / f"take-{number:03d}.mkv",
+            self.scene,
+            float(bpy.context.scene.frame_current),
+            self.options,
+            self.followed,
+        )
+        self.worker.tell(self._request, "live-record", output=str(take.path))
+        self._recording, self._recording_since = take, time.monotonic()
+        self._play(True)
+
+    def _end_recording(self) -> None:
+        self.worker.tell(self._request, "live-record", output=None)
+        self._play(False)
+
+    def _play(self, on: bool) -> None:
+        screen_now = bpy.context.screen
+        if self.what.play and screen_now is not None and screen_now.is_animation_playing != on:
+            bpy.ops.screen.animation_play()
+
+    def _recorded(self, event: Event) -> None:
+        take, self._recording = self._recording, None
+        if take is None:
+            return
+        self._play(False)
+        take.frames, take.seconds = event["frames"], event["seconds"]
+        if not take.frames:
+            self._say("nothing was recorded: no picture came meanwhile")
+            return
+        takes.append(take)
+        self.recorded.append(take)
+        take.show_preview()
+
+    def _calibrated(self, hands: Sequence[dict[str, Any]]) -> None:
+        if hands:
+            length = float(np.mean([hand["hand_length"] for hand in hands]))
+            self.options = replace(self.options, hand_length=length)
+            self._say(f"your hand is {100.0 * length:.1f} cm long")
+            self._take_away()  # the next pose makes hands of the shape
+
+    def _take_away(self) -> None:
+        for hand in self._hands.values():
+            hand.take_away()
+        self._hands.clear()
+
+    def _close(self) -> None:
+        """The worker has ended, or has to."""
+        self.over = True
+        self._take_away()
+        self.worker.stop()
+        take = self._recording
+        if take is not None and take.path.exists():  # frames that were written before it died can be read
+            self._recorded({"frames": max(1, len(take.poses)), "seconds": take.seconds})
+
+
+current: LiveSession | None = None
+"""What goes on"""
+
+
+def start(
+    scene: bpy.types.Scene, what: LiveInput, options: CaptureOptions, followed: Followed
+) -> LiveSession:
+    """Begin to follow a source. Raises HandfitError."""
+    global current
+    if current is not None and not current.over:
+        raise OptionError("Live runs already: stop it first")
+    current = LiveSession(scene, what, options, followed)
+    return current
+
+
+def running() -> LiveSession | None:
+    """The session that is neither over nor ending."""
+    return current if current is not None and not current.over else None
+
+
+def recordings_folder() -> Path:
+    """The folder of recordings and their takes, made if need be. Raises OutputError."""
+    path = planned_folder()
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: recordings cannot be written here ({error.strerror or error}); choose another folder"
+        ) from error
+    return path
+
+
+def planned_folder() -> Path:
+    """Where recordings will be written."""
+    folder = bpy.context.scene.manient.live.folder
+    if folder and (bpy.data.filepath or not folder.startswith("//")):
+        return Path(preferences.full_path(folder))
+    return folder_path().with_name("recordings")
+
+
+class _Pictures:
+    """The small picture, as an icon."""
+
+    def __init__(self) -> None:
+        self._all: Any = None
+
+    def show(self, rgb: np.ndarray) -> None:
+        """Show (H, W, 3) uint8."""
+        if self._all is None:
+            self._all = bpy.utils.previews.new()
+            self._all.new("live")
+        height, width = rgb.shape[:2]
+        side = max(height, width)
+        pixels = np.zeros((side, side, 4), dtype=np.uint8)  # icons are square
+        top = (side - height) // 2
+        left = (side - width) // 2
+        pixels[top : top + height, left : left + width, :3] = rgb
+        pixels[top : top + height, left : left + width, 3] = 255
+        preview = self._all["live"]
+        preview.image_size = (side, side)
+        preview.image_pixels.foreach_set(pixels[::-1].copy().view(np.int32).ravel())
+
+    @property
+    def icon(self) -> int:
+        """Its number; 0 where none has come."""
+        return 0 if self._all is None else self._all["live"].icon_id
+
+    def forget(self) -> None:
+        """Let go of it."""
+        if self._all is not None:
+            bpy.utils.previews.remove(self._all)
+            self._all = None
+
+
+pictures = _Pictures()
+
+
+def _frame_at(moment: float) -> float:
+    """The scene frame that was shown at a moment of `time.perf_counter` that is hardly over."""
+    scene, windows = bpy.context.scene, bpy.context.window_manager.windows
+    plays = any(window.screen.is_animation_playing for window in windows)
+    late = (time.perf_counter() - moment) * frame_rate(scene) if plays else 0.0
+    return float(round(scene.frame_current - late))
+
+
+def _motion(told: dict[str, Any]) -> HandMotion:
+    """A hand of an event, as a motion of one frame."""
+    betas, *pose = (unpack(told[name]) for name in ("betas", "global_orient", "hand_pose", "transl"))
+    return HandMotion(told["side"], betas, *(rows[None] for rows in pose))
+
+
+def _on_other_file(*_args) -> None:
+    if current is not None and not current.over:
+        current.abandon()
+    takes.clear()
+
+
+def _on_time_travel(*_args) -> None:
+    """Another file or an undo may hold hands that followed when it was made."""
+    if not bpy.app.timers.is_registered(_sweep):
+        bpy.app.timers.register(_sweep, first_interval=0.0)
+
+
+def _sweep() -> None:
+    if running() is None:
+        remove_leftovers()
+
+
+def _on_save(*_args) -> None:
+    if current is not None:
+        current.hide()
+
+
+def _on_frame(*_args) -> None:
+    if current is not None:
+        current.show_again()
+
+
+HANDLERS = {
+    "load_pre": _on_other_file,
+    **dict.fromkeys(("undo_post", "redo_post", "load_post"), _on_time_travel),
+    "save_pre": _on_save,
+    "frame_change_post": _on_frame,
+}
+TIMERS = (_sweep,)
+
+
+def unregister() -> None:
+    """End what goes on."""
+    _on_other_file()
+    pictures.forget()

@@ -1,0 +1,232 @@
+"""Live: hands follow a clip that plays as a camera would, without keys; what is recorded becomes takes."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from blender_manient.common.blender_versions import assign_action
+from blender_manient.operators import live as operators
+from blender_manient.panels.live import MANIENT_PT_live
+from blender_manient.scene.characters import keep_map
+from blender_manient.scene.store import captured_hands, hand_of
+from blender_manient.session import jobs, live
+from handfit_core.errors import HandfitError
+from tests.capturing import needs_capture
+from tests.drawn import drawn
+
+from .characters import build_armature, hand_specs, joint_name, map_of
+from .conftest import action_curves
+
+pytestmark = [pytest.mark.usefixtures("registered"), needs_capture]
+
+
+@pytest.fixture
+def settings(samples, tmp_path):
+    """The panel's settings, with a clip that shows a right hand as the camera."""
+    settings = bpy.context.scene.manient.live
+    settings.source = f"file:{samples / 'videos' / 'gestures_long.mp4'}"
+    settings.countdown, settings.folder = 0, str(tmp_path / "live")
+    settings.left.use = False
+    yield settings
+    if live.running() is not None:
+        live.running().abandon()
+
+
+@pytest.fixture
+def character():
+    """A character with a right hand."""
+    armature = build_armature(hand_specs("right", np.random.default_rng(3), bend=0.4), "Character")
+    keep_map(armature, map_of("right"))
+    return armature
+
+
+def until(session, condition, seconds=60.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, (session.message, session.error)
+        session.step()
+        time.sleep(0.005)
+
+
+def seen(session):
+    until(session, lambda: session.hand_states().get("right") == "seen" or session.over)
+    assert not session.over, session.error
+
+
+def ended(session):
+    session.stop()
+    until(session, lambda: session.over)
+    assert not session.worker.alive
+
+
+def content():
+    """Names of what is in the file, and every pose bone's channels."""
+    poses = {
+        (o.name, b.name): [
+            tuple(getattr(b, f"rotation_{kind}")) for kind in ("quaternion", "euler", "axis_angle")
+        ]
+        for o in bpy.data.objects
+        if o.pose is not None
+        for b in o.pose.bones
+    }
+    blocks = (bpy.data.objects, bpy.data.collections, bpy.data.meshes, bpy.data.materials, bpy.data.actions)
+    return [sorted(b.name for b in kind) for kind in blocks], poses
+
+
+def record(session, seconds=1.2, *, by_stop=False):
+    """Record for a while; returns the take, which waits to be captured."""
+    session.toggle_recording()
+    end = time.monotonic() + seconds
+    until(session, lambda: time.monotonic() > end)
+    session.stop() if by_stop else session.toggle_recording()
+    until(session, lambda: session.recorded)
+    (take,) = session.recorded
+    operators.queue_recorded(bpy.context, session)
+    return take
+
+
+@pytest.mark.parametrize("onto", ["open hand", "character"])
+def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
+    if onto == "character":
+        settings.right.character = character
+    bpy.context.view_layer.update()
+    before = content()
+    session = operators.start(bpy.context)
+    seen(session)
+    shown = content()
+    assert shown[1] != before[1]
+    assert bpy.data.actions[:] == []
+    bpy.context.scene.frame_set(5)
+    assert content()[1] == shown[1]
+    ended(session)
+    assert content() == before
+
+
+@pytest.mark.parametrize("onto", ["open hand", "character"])
+def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
+    before = bpy.data.actions.new("body")
+    if onto == "character":
+        settings.right.character = character
+        assign_action(character, before)
+    bpy.context.scene.frame_set(11)
+    session = operators.start(bpy.context)
+    seen(session)
+    take = record(session, by_stop=onto == "open hand")
+    assert not take.trouble
+    (preview,) = set(bpy.data.actions) - {before}
+    ended(session)
+    (job,) = jobs.run()
+    assert job.state == "done", job.message
+    hand = hand_of(captured_hands(bpy.context.scene)[0])
+    assert hand.side == "right"
+    keyed = min(
+        key.co[0]
+        for curve in action_curves(hand.armature.animation_data.action)
+        for key in curve.keyframe_points
+    )
+    assert keyed == 11
+    assert take.path.exists()
+    assert take.take_path.exists()
+    own = {before.name, hand.armature.animation_data.action.name}
+    if onto == "character":
+        assert character.animation_data.action == preview
+        bones = {c.data_path.split('"')[1] for c in action_curves(preview)}
+        assert bones <= {joint_name(j, "right") for j in range(1, 16)}
+        own |= {preview.name}
+    assert {a.name for a in bpy.data.actions} == own
+    take.throw_away()
+    assert not take.path.exists()
+    assert not take.take_path.exists()
+    assert bpy.data.actions[:] == [before]
+    if onto == "character":
+        assert character.animation_data.action == before
+        assert not character.animation_data.nla_tracks
+    assert live.takes == []
+
+
+def test_a_snapshot_keys_one_pose(settings, character):
+    settings.right.character = character
+    bpy.context.scene.frame_set(7)
+    session = operators.start(bpy.context)
+    seen(session)
+    session.snapshot()
+    frames = {k.co[0] for c in action_curves(character.animation_data.action) for k in c.keyframe_points}
+    assert frames == {7.0}
+    ended(session)
+
+
+@pytest.mark.parametrize(
+    ("source", "word"),
+    [
+        ("99", "camera 99"),
+        ("file:/nowhere.mp4", "nowhere"),
+        ("http://192.0.2.1/video", "Allow Online Access"),
+        ("no such camera", "no live source"),
+    ],
+)
+def test_a_source_that_cannot_be_opened_is_a_sentence(settings, source, word, monkeypatch):
+    settings.source = source
+    session = operators.start(bpy.context)
+    until(session, lambda: session.over)
+    assert isinstance(session.error, HandfitError)
+    assert word in str(session.error)
+    assert not session.worker.alive
+
+
+def test_an_address_that_does_not_answer_is_a_sentence_until_stop(settings):
+    settings.source = "http://127.0.0.1:9/video"
+    session = operators.start(bpy.context)
+    until(session, lambda: "does not answer" in session.message)
+    assert session.message in drawn(MANIENT_PT_live).said
+    ended(session)
+
+
+def test_the_panel_tells_how_it_goes(settings):
+    assert "manient.live" in drawn(MANIENT_PT_live).rows
+    session = operators.start(bpy.context)
+    seen(session)
+    page = drawn(MANIENT_PT_live)
+    assert {"source", "folder"} <= set(page.grey)
+    assert "manient.live_stop" in page.rows
+    assert {"Record", "manient.live_snapshot"} <= set(page.rows) - set(page.grey)
+    assert "fps" in page.said
+    assert "Right: seen" in page.said
+    session.toggle_recording()
+    assert "Stop Recording" in drawn(MANIENT_PT_live).rows
+    session.toggle_recording()
+    ended(session)
+    settings.left.use = settings.right.use = False
+    with pytest.raises(HandfitError, match="which hand"):
+        operators.start(bpy.context)
+
+
+def test_a_file_that_is_saved_meanwhile_holds_no_live_hand(settings, tmp_path):
+    session = operators.start(bpy.context)
+    seen(session)
+    path = str(tmp_path / "saved.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    seen(session)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert session.over
+    assert not session.worker.alive
+    assert not bpy.data.objects
+
+
+def test_a_killed_worker_keeps_what_was_recorded(settings):
+    session = operators.start(bpy.context)
+    seen(session)
+    session.toggle_recording()
+    until(session, lambda: session._recording is not None and len(session._recording.poses) > 10)
+    session.worker._child.kill()
+    until(session, lambda: session.over)
+    assert session.error is not None
+    (take,) = live.takes
+    assert Path(take.path).stat().st_size > 0
+    operators.queue_recorded(bpy.context, session)
+    (job,) = jobs.run()
+    assert job.state == "done", job.message
