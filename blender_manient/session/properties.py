@@ -523,6 +523,9 @@ class ManientCapture(bpy.types.PropertyGroup):
     take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
     digest: StringProperty()  # type: ignore
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore
+    view_camera: PointerProperty(  # type: ignore
+        type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
+    )
     rendered: BoolProperty(  # type: ignore
         default=True, description="Whether renders showed it before it was hidden (scene/captures.py)"
     )
