@@ -15,6 +15,7 @@ from collections.abc import Container, Iterable, Iterator
 import bpy
 
 from handfit_core.errors import TakeError
+from handfit_core.views import Verdict
 
 from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
@@ -63,11 +64,14 @@ def cameras_of(capture: bpy.types.Collection) -> list[bpy.types.Object]:
     return [c for c in (kept.camera, kept.view_camera) if c is not None and c.name in capture.objects]
 
 
+def other_camera(scene: bpy.types.Scene, capture: bpy.types.Collection) -> bpy.types.Object:
+    """The capture's camera that the scene does not look through; of two of them the first view's."""
+    return next(camera for camera in cameras_of(capture) if camera != scene.camera)
+
+
 def switch_view(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
-    """Have the scene look through the camera of the capture's other view; the picture's size follows as in
-    `show`."""
-    cameras = cameras_of(capture)
-    scene.camera = cameras[(cameras.index(scene.camera) + 1) % len(cameras) if scene.camera in cameras else 0]
+    """Have the scene look through the capture's other camera; the picture's size follows as in `show`."""
+    scene.camera = other_camera(scene, capture)
     _frame(scene, capture)
     follow_camera(scene)
 
@@ -157,6 +161,14 @@ def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
         _unlink(scene, capture)
     else:
         _delete(scene, capture)
+
+
+def verdict(capture: bpy.types.Collection) -> Verdict | None:
+    """Whether the views of a capture belong together; None where it has one, or its take is damaged."""
+    try:
+        return kept_take(capture).verdict
+    except TakeError:
+        return None
 
 
 def facts(capture: bpy.types.Collection) -> str:

@@ -95,6 +95,8 @@ class Job:
     """Whether it became the active capture, whose camera the scene looks through"""
     scene_message: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
+    views_message: str = ""
+    """That both views fit together, in a sentence; where they do not, a warning says so"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
@@ -104,6 +106,7 @@ class Job:
     _request: int = 0
     _stage_began: float = 0.0
     _stage_first: int = 0
+    _views_done: int = 0
     _take_path: Path | None = None
     _builder: Generator[float, None, Any] | None = None
     _stopping: bool = False
@@ -313,14 +316,18 @@ def _follow(job: Job) -> bool:
 
 def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
+    views = 1 if job.options.view is None else 2
     if stage != job.stage:
+        if stage == "detect" and job.stage:  # the first view is done
+            job._views_done = views - 1
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
     part = done / total if total else 0.0
     # Detection takes nearly all of a capture's time, except with slow solvers.
     solver = SOLVERS.built_in().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85
-    job.fraction = share * part if stage == "detect" else share + (0.9 - share) * part
+    own = share * part if stage == "detect" else share + (0.9 - share) * part
+    job.fraction = (0.9 * job._views_done + own) / views
 
 
 def _build(job: Job) -> bool:
@@ -360,7 +367,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         if target is not None and hand_of(target) is not None:
             yield 0.5
             apply_track(target, take, track_for(take, target.manient.side), plan.target, plan.frame)
-            return (target.name,), [], _summary(job, take)
+            return (target.name,), _verdict(job, take), _summary(job, take)
         warnings.append(f"the hand {plan.hand.name} is gone, so new hands were built")
     scene = plan.scene.find()
     while scene is not None and bpy.context.scene != scene:
@@ -390,11 +397,22 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         add_controls(hand)
     _pack_cached_pictures(take)
     warnings += built.warnings
+    warnings += _verdict(job, take)
     if not job.bare:
         job.scene_message = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if (job.matched or job.in_front) and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))
+
+
+def _verdict(job: Job, take: Take) -> list[str]:
+    """Note how well both views fit together; returns it where it is a warning."""
+    if take.verdict is None:
+        return []
+    if take.verdict.agreement != "good":
+        return [take.verdict.text]
+    job.views_message = take.verdict.text.rstrip(".")
+    return []
 
 
 def _captured(scene: bpy.types.Scene) -> list[str]:

@@ -115,6 +115,26 @@ class ManientSettings(bpy.types.PropertyGroup):
         min=0,
         max=(1 << 24) - 1,
     )
+    second_view: StringProperty(  # type: ignore
+        name="Second View",
+        description="A clip of the same hands that a second camera filmed at the same time from another place. "
+        "Both cameras must stand still",
+        subtype="FILE_PATH",
+        update=notifier("second_view"),
+    )
+    use_offset: BoolProperty(  # type: ignore
+        name="Offset", description="Tell how much later the second view begins; else it is found"
+    )
+    offset: FloatProperty(  # type: ignore
+        name="Offset", precision=3, step=1, **option_property("offset")
+    )
+    use_baseline: BoolProperty(  # type: ignore
+        name="Baseline",
+        description="Tell how far apart both cameras stood; else the hand's size tells it",
+    )
+    baseline: FloatProperty(  # type: ignore
+        name="Baseline", default=0.5, precision=3, **option_property("baseline")
+    )
     use_frames: BoolProperty(  # type: ignore
         name="Frame Range", description="Capture only some of the source's frames", default=False
     )
