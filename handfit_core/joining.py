@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import slices
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.fast import FastFitter, Guess, fit_observed, fitter_of
 from handfit_core.fit.observation import Observation, SecondView
@@ -255,13 +256,27 @@ def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
             np.broadcast_to(found.rotation, (count, 3, 3)),
             np.broadcast_to(found.translation, (count, 3)),
             pixels,
-            np.where(saw[..., None], second.sigmas[second.nearest(times)], np.inf),
+            second.sigmas_at(times),
             np.broadcast_to((cameras[1].fx, cameras[1].fy), (count, 2)),
             np.broadcast_to(second.centre, (count, 2)),
         ),
     )
     start = first.placed(found.focal[0])
     return seen, replace(start, betas=np.broadcast_to(found.betas, start.betas.shape))
+
+
+def _posed_by_both(tried: _Tried, at: int) -> tuple[Observation, State, np.ndarray]:
+    """What `_seen_by_both` gives, with the poses solved frame by frame, and the root mean squares (N,) of
+    both views' residuals, in sigmas."""
+    seen, start = _seen_by_both(tried, at)
+    fitter = tried.pairs[at].fitter
+    state = fitter.solve_each(fitter.problem(seen), start).state
+    residual = np.empty(len(state))
+    for rows in slices(len(state)):
+        posed, here = fitter.chain.pose(state.select(rows)), seen.select(rows)
+        squares = [np.square(term(posed, here).residual).sum(axis=2) for term in (reprojection, second_view)]
+        residual[rows] = np.sqrt(np.concatenate(squares, axis=1).mean(axis=1))
+    return seen, state, residual
 
 
 def _cameras(tried: _Tried) -> list[Intrinsics]:
@@ -277,14 +292,9 @@ def _without_others(tried: _Tried) -> _Tried:
     """The cameras without frames in which the views show different hands."""
     pairs, dropped, total = [], 0, 0
     for at, pair in enumerate(tried.pairs):
-        seen, start = _seen_by_both(tried, at)
-        fitter, second = pair.fitter, pair.second
-        state = fitter.solve_each(fitter.problem(seen), start).state
-        posed = fitter.chain.pose(state)
-        squares = [np.square(term(posed, seen).residual).sum(axis=2) for term in (reprojection, second_view)]
+        seen, _, residual = _posed_by_both(tried, at)
         assert seen.second is not None
-        saw = seen.second.saw
-        residual = np.sqrt(np.concatenate(squares, axis=1).mean(axis=1))
+        second, saw = pair.second, seen.second.saw
         other = saw & (residual > VIEWS.different_hand)
         total, dropped = total + int(saw.sum()), dropped + int(other.sum())
         times = pair.first.times[other] - tried.found.offset
@@ -418,10 +428,12 @@ def _fit(
 ) -> tuple[HandMotion, np.ndarray]:
     """The hand fitted to both views, and the second view's rows (K,) that counted."""
     first, second = tried.pairs[at].first, tried.pairs[at].second
-    seen, start = _seen_by_both(tried, at)
+    seen, state, residual = _posed_by_both(tried, at)
     assert seen.second is not None
+    agreement = VIEWS.both_factor * (residual / VIEWS.usual_residual) ** VIEWS.residual_power
     track = _track(take, hand, hand.side, _kept(hand, first.rows))
-    guess = Guess(start, first.observed(_cameras(tried)[0]), np.ones(len(first)))
+    error_factor = np.where(seen.second.saw, agreement, 1.0)
+    guess = Guess(state, first.observed(_cameras(tried)[0]), error_factor)
     fit = fit_observed(options.smoothing, tried.pairs[at].fitter, track, seen, guess=guess)
     times = (first.times - tried.found.offset)[seen.second.saw]
     return fit, second.rows[np.unique(second.nearest(times))]

@@ -205,7 +205,7 @@ class ViewSettings:
     """Share of such frames beyond which the views do not belong together"""
     same_place: float = 3.0
     """degrees between the lines of sight below which both views are one"""
-    halves_apart: float = 16.0
+    halves_apart: float = 18.0
     """degrees between the cameras that both halves of the frames give, beyond which a camera may have been
     moved"""
     most_halves_apart: float = 40.0
@@ -216,6 +216,14 @@ class ViewSettings:
     """Share of common frames with different hands that is worth a word"""
     least_apart: float = 15.0
     """degrees between the lines of sight below which depth is hardly seen"""
+    both_factor: float = 0.75
+    """Factor of the expected error where both views see the hand and agree as usual: rendered clips err by
+    6.4 mm there, and by 8.7 in one view"""
+    usual_residual: float = 0.85
+    """Median root mean square of a frame's residuals, in sigmas"""
+    residual_power: float = 0.25
+    """Power of that residual with which the expected error grows: their rank correlation with the true error
+    is best so"""
     fit_depth_factor: float = 6.0
     """Factor of the depth's expected errors in the final fit to both views"""
 

@@ -76,12 +76,10 @@ class Filmed(Batch):
     """(B, 21, 2)"""
     speed: np.ndarray | None
     """(B, 21, 2) pixels per second; None: the moment of the first view is certain"""
-    seen: np.ndarray
-    """(B,) bool"""
     centre: np.ndarray
     """(2,) pixels"""
-    sigma: float
-    """pixels"""
+    sigma: np.ndarray
+    """(B, 21, 2) pixels; infinite where it saw nothing"""
 
 
 def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
@@ -94,7 +92,7 @@ def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
         points = points @ turn.swapaxes(1, 2) + state.translation[:, None]
     inverse = 1.0 / np.maximum(points[..., 2:], TERMS.nearest)
     slope = points[..., :2] * inverse
-    focal = np.exp(state.log_focal[:, camera])[:, None, None] * filmed.seen[:, None, None] / filmed.sigma
+    focal = np.exp(state.log_focal[:, camera])[:, None, None] / filmed.sigma
     by_point = np.zeros((*slope.shape, 3))
     by_point[..., [0, 1], [0, 1]] = focal * inverse
     by_point[..., 2] = -slope * focal * inverse
@@ -107,7 +105,7 @@ def projected(posed: Posed, filmed: Filmed, camera: int) -> Rows:
         at[..., SHIFT] = by_point
         assert filmed.speed is not None
         # The picture that belongs to a moment is an earlier one where the offset is greater.
-        at[..., OFFSET] = filmed.speed * filmed.seen[:, None, None] / filmed.sigma
-    off = (filmed.centre - filmed.pixels) * filmed.seen[:, None, None] / filmed.sigma
+        at[..., OFFSET] = filmed.speed / filmed.sigma
+    off = (filmed.centre - filmed.pixels) / filmed.sigma
     at[..., CAMERA_SIZE] = slope * focal + off
     return Rows(POINTS, columns, np.zeros(slope.shape[:2], dtype=bool))

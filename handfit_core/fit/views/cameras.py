@@ -86,7 +86,7 @@ class Adjusted:
     cost: float
     """a frame"""
     residual: float
-    """Root mean square of both views' residuals, in sigmas"""
+    """Root mean square of both views' residuals, in `ViewedHand.sigma`"""
     error: tuple[float, float]
     """pixels: median distance of landmarks in each view"""
 
@@ -200,8 +200,7 @@ def _problem(pair: HandPair, known: Known, prior: CameraPrior, count: int) -> Pr
     first, second, fitter = pair.first, pair.second, pair.fitter
     seen = first.observed(Intrinsics(known.focal[0], known.focal[0], *first.centre))
     seen = replace(seen, depth_sigma=seen.depth_sigma * VIEWS.depth_factor)
-    always = np.ones(len(first), dtype=bool)
-    filmed = Filmed(first.seen.pixels, None, always, first.centre, first.sigma)
+    filmed = Filmed(first.seen.pixels, None, first.centre, first.sigmas)
 
     def in_first(posed: Posed, seen: Observation) -> Rows:  # noqa: ARG001 (a term)
         return projected(posed, filmed, 0)
@@ -209,8 +208,7 @@ def _problem(pair: HandPair, known: Known, prior: CameraPrior, count: int) -> Pr
     def in_second(posed: Posed, seen: Observation) -> Rows:  # noqa: ARG001 (a term)
         assert isinstance(posed.state, FilmedState)
         times = first.times - posed.state.offset
-        pixels, speed = second.at(times)
-        return projected(posed, Filmed(pixels, speed, second.seen_at(times), second.centre, second.sigma), 1)
+        return projected(posed, Filmed(*second.at(times), second.centre, second.sigmas_at(times)), 1)
 
     terms = (in_first, in_second, *fitter.camera_terms(count), prior)
     return Problem(fitter.chain, seen, terms, "one", angle_bounds=fitter.angle_bounds)
@@ -237,18 +235,23 @@ def _start(
 
 
 def _result(whole: _Together, solution: Solution, pairs: Sequence[HandPair]) -> Adjusted:
-    squares, pixels = [], ([], [])
-    for problem, part in zip(whole.parts, whole.split(solution.state), strict=True):
-        posed = problem.chain.pose(part)
-        for camera, term in enumerate(problem.terms[:2]):
-            rows = term(posed, problem.seen)
-            assert isinstance(rows, Rows)
-            length = np.linalg.norm(rows.residual, axis=2)[rows.jacobian.any(axis=(1, 2, 3))]
-            squares.append(np.minimum(length, VIEWS.worst_residual) ** 2)
-            pixels[camera].append(length)
-    errors = [float(np.median(np.concatenate(each))) for each in pixels]
     state = solution.state
     assert isinstance(state, FilmedState)
+    squares, pixels = [], ([], [])
+    for pair, problem, part in zip(pairs, whole.parts, whole.split(state), strict=True):
+        posed = problem.chain.pose(part)
+        sigmas = pair.first.sigmas, pair.second.sigmas_at(pair.first.times - state.offset[0])
+        # Agreement is judged with one expected error for all points, or doubted ones would fit anything.
+        for hand, term, sigma, of_view in zip(
+            (pair.first, pair.second), problem.terms[:2], sigmas, pixels, strict=True
+        ):
+            rows = term(posed, problem.seen)
+            assert isinstance(rows, Rows)
+            seen = np.isfinite(sigma).all(axis=(1, 2))
+            distance = np.linalg.norm(rows.residual[seen] * sigma[seen], axis=2)
+            squares.append(np.minimum(distance / hand.sigma, VIEWS.worst_residual).reshape(-1) ** 2)
+            of_view.append(distance.reshape(-1))
+    errors = [float(np.median(np.concatenate(each))) for each in pixels]
     return Adjusted(
         rotation=state.rotation[0],
         translation=state.translation[0],
@@ -258,5 +261,5 @@ def _result(whole: _Together, solution: Solution, pairs: Sequence[HandPair]) -> 
         state=state,
         cost=float(solution.cost.mean()),
         residual=float(np.sqrt(np.concatenate(squares).mean())),
-        error=(errors[0] * pairs[0].first.sigma, errors[1] * pairs[0].second.sigma),
+        error=(errors[0], errors[1]),
     )

@@ -128,3 +128,7 @@ class ViewedHand(Batch):
         doubts, such as hidden ones."""
         own = self.seen.pixel_sigma / np.median(self.seen.pixel_sigma)
         return self.sigma * np.maximum(own, 1.0)
+
+    def sigmas_at(self, times: np.ndarray) -> np.ndarray:
+        """(M, 21, 2) `sigmas` at times (M,), infinite where there is no detection near."""
+        return np.where(self.seen_at(times)[:, None, None], self.sigmas[self.nearest(times)], np.inf)

@@ -56,7 +56,12 @@ def _failures(e: Evidence) -> str:
             "would: film from two places, 40 to 90 degrees apart"
         )
     # Few frames, or those that are left where others disagree, may fit by chance.
-    chances = e.common < VIEWS.enough_frames, e.dropped > VIEWS.many_dropped, e.score < VIEWS.weak_score
+    chances = (
+        e.common < VIEWS.enough_frames,
+        e.dropped > VIEWS.many_dropped,
+        e.score < VIEWS.weak_score,
+        e.halves > VIEWS.halves_apart,
+    )
     most = VIEWS.good_residual if any(chances) else VIEWS.doubtful_residual
     if e.residual > most or e.halves > VIEWS.most_halves_apart or sum(chances) > 1:
         return (

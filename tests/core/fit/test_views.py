@@ -124,7 +124,7 @@ def test_derivatives_by_cameras():
 
     def rows(state: FilmedState, camera: int):
         there = pixels - camera * speed * (state.offset - OFFSET)[:, None, None]
-        view = Filmed(there, speed, np.ones(len(state), dtype=bool), np.array([320.0, 240.0]), 4.0)
+        view = Filmed(there, speed, np.array([320.0, 240.0]), np.full(there.shape, 4.0))
         return projected(chain.pose(state), view, camera)
 
     for camera in (0, 1):
