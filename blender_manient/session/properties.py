@@ -117,7 +117,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
     second_view: StringProperty(  # type: ignore
         name="Second View",
-        description="A clip of the same hands that a second camera filmed at the same time from another place. "
+        description="A clip of the same hands that a second camera filmed at the same time from elsewhere. "
         "Both cameras must stand still",
         subtype="FILE_PATH",
         update=notifier("second_view"),
