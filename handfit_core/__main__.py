@@ -1,6 +1,6 @@
 """The command line: `python -m handfit_core capture INPUT -o OUT.npz`, `arms TAKE`, `batch` for many inputs,
-`convert` and `info` for other programs' files, `model convert`, `model info`, `evaluate DATASET`; and
-`worker`, the process that Blender talks to."""
+`lens` for cameras, `convert` and `info` for other programs' files, `model convert`, `model info`,
+`evaluate DATASET`; and `worker`, the process that Blender talks to."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ from handfit_core.files import path_of, printable
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
+from handfit_core.media.commands import add_lens_command
 from handfit_core.options import CaptureOptions, add_options
 from handfit_core.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
 from handfit_core.tasks.arguments import check_command
@@ -106,6 +107,7 @@ def _parser() -> argparse.ArgumentParser:
 
     add_interchange_commands(commands)
     add_batch_command(commands)
+    add_lens_command(commands, _lens_progress)
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.interchange.send"):  # as with the next one
         from handfit_core.interchange.send import add_send_command
@@ -174,6 +176,10 @@ def _progress(args: argparse.Namespace) -> ProgressCallback | None:
     return None if args.progress == "none" else args.reporter.progress
 
 
+def _lens_progress(args: argparse.Namespace, done: int, total: int) -> None:
+    args.reporter.progress(Progress("lens", done, total))
+
+
 class _JsonOutput:
     """One JSON object a line on stdout; docs/batch.md lists the events."""
 
@@ -209,7 +215,12 @@ class _TextOutput:
     _WIDTH = 30
     _EVERY = 0.1
     _EVERY_IN_LOGS = 30.0
-    _VERBS = {"detect": "finding hands", "fit": "fitting      ", "score": "scoring      "}  # noqa: RUF012
+    _VERBS = {  # noqa: RUF012
+        "detect": "finding hands",
+        "fit": "fitting      ",
+        "score": "scoring      ",
+        "lens": "reading film ",
+    }
 
     def __init__(self) -> None:
         self._bar = sys.stderr.isatty()

@@ -9,10 +9,13 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.batch import scatter
 from handfit_core.detect.bodies import find_bodies
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
+from handfit_core.detect.body_sides import with_body_sides
 from handfit_core.errors import InputError
 from handfit_core.fit.arms import ARMS, ArmsSeen, fit_arms
+from handfit_core.fit.gaps import detect_cuts
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.frame_range import FrameRange
@@ -21,6 +24,7 @@ from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers import ShouldStop
+from handfit_core.sources import Found, measured_lens
 from handfit_core.take import HandTrack, Take
 
 
@@ -41,10 +45,13 @@ class GateSettings:
     min_visibility: float = 0.5
     """of shoulder, elbow and wrist"""
     max_jump: float = 1.5
-    """hand lengths by which shoulders move from frame to frame; beyond there is a cut"""
+    """hand lengths by which shoulders move from one frame to the next one with that body; beyond there is a
+    cut"""
     max_gap_seconds: float = 0.5
-    """Farther from frames with a body there is no arm"""
-    max_residual: float = 0.6
+    max_end_seconds: float = 0.4
+    """Farther from frames with a body there is no arm: between two of them, and before the first or after the
+    last"""
+    max_residual: float = 0.4
     """hand lengths in the picture by which fitted elbows and shoulders are off, median: beyond, body and hand
     do not belong together"""
     max_longer: float = 1.2
@@ -55,6 +62,7 @@ class GateSettings:
 
 GATES: Final = GateSettings()
 
+NO_PICTURES: Final = "no arm: there are no pictures in which one could be found"
 NO_BODY: Final = "no arm: no body is in the picture"
 APART: Final = "no arm: no body's wrist is at this hand"
 OTHER_SIDE: Final = "no arm: the body in the picture has its other hand here; is this hand's side right?"
@@ -91,23 +99,35 @@ def reopened(take: Take, max_megapixels: float | None = None) -> Media:
     return media
 
 
-def with_arms(
-    take: Take,
+def with_arms(take: Take, bodies: Sequence[BodyTrack]) -> Take:
+    """The take with the arms of its hands on these bodies; each gets one, or a sentence why there is none."""
+    if take.source.kind == "data":
+        return replace(take, hands=tuple(replace(hand, no_arm=NO_PICTURES) for hand in take.hands))
+    step = np.median(np.diff(take.frame_numbers)) if len(take.frame_numbers) > 1 else 1.0
+    return replace(take, hands=arms_of(take.hands, bodies, take.intrinsics, take.fps / float(step)))
+
+
+def with_bodies(
+    found: Found,
     media: Media,
     options: CaptureOptions,
     on_frame: Callable[[int], None],
     should_stop: ShouldStop,
-) -> Take:
-    """The take with the arms of its hands, each of which gets one or a sentence why there is none.
+) -> tuple[Found, tuple[BodyTrack, ...]]:
+    """The hands with the sides that their bodies tell, where they are yet to be fitted, and these bodies.
 
-    `on_frame` gets the count of frames that are done. Once it is to stop, the take comes back as it was."""
-    numbers = take.frame_numbers.tolist()
-    points = [hand.keypoints_2d for hand in take.hands]
-    bodies = find_bodies(media, numbers, points, take.intrinsics, options, on_frame, should_stop)
-    if should_stop():
-        return take
-    step = np.median(np.diff(numbers)) if len(numbers) > 1 else 1.0
-    return replace(take, hands=arms_of(take.hands, bodies, take.intrinsics, take.fps / float(step)))
+    `on_frame` gets the count of frames that are done. Once it is to stop, the hands come back as they
+    were."""
+    points = [
+        scatter(track.detections.keypoints_2d, track.detections.frame, track.frame_count, np.nan)
+        for track in found.tracks
+    ]
+    bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
+    if (lens := measured_lens(options, media)) is not None:  # as of the hands
+        bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
+    if found.fits is None and not should_stop():
+        found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))
+    return found, bodies
 
 
 def arms_of(
@@ -218,7 +238,7 @@ def _fitted(
     disagreement = np.arccos(np.clip((directions * seen.directions).sum(axis=-1), -1.0, 1.0))
     visible = np.clip(np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:]), 0.3, 1.0)
     errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
-    there = _near(body_seen, int(GATES.max_gap_seconds * fps)) & seen.with_hand
+    there = _near(body_seen, fps) & seen.with_hand
     directions[~there] = errors[~there] = np.nan
     return directions.swapaxes(0, 1), errors.swapaxes(0, 1), np.where(there, scale, np.nan).T
 
@@ -249,17 +269,22 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
-    """The frames between cuts, where the shoulders of a body jump."""
-    if not hands:
+    """The frames between cuts, where the shoulders of a body jump, or a hand while no body is there."""
+    sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
+    if not sizes:
         return []
     count = len(hands[0].detected)
-    sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
-    cuts = {0, count}
+    cuts, followed = {0, count}, np.zeros(count, dtype=bool)
     for body in bodies:
         rows = np.flatnonzero(body.present)
         middle = body.keypoints[rows][:, [*SHOULDERS.values()]].mean(axis=1)
         jumps = np.linalg.norm(np.diff(middle, axis=0), axis=1) > GATES.max_jump * np.median(sizes)
-        cuts.update(rows[1:][jumps & (np.diff(rows) == 1)].tolist())
+        cuts.update(rows[1:][jumps].tolist())
+        followed[1:] |= body.present[1:] & body.present[:-1]
+    for hand in hands:
+        rows = np.flatnonzero(hand.detected)
+        jumps = detect_cuts(hand.keypoints_2d[rows]) & (np.diff(rows) == 1) & ~followed[rows[1:]]
+        cuts.update(rows[1:][jumps].tolist())
     return [slice(*each) for each in pairwise(sorted(cuts))]
 
 
@@ -293,7 +318,10 @@ def _axes(hand: HandTrack) -> np.ndarray:
     return axes / np.linalg.norm(axes, axis=2, keepdims=True)
 
 
-def _near(there: np.ndarray, frames: int) -> np.ndarray:
-    """(T, A) bool: so many frames at most from one that is there."""
-    total = np.cumsum(np.pad(there, ((frames + 1, frames), (0, 0))), axis=0)
-    return total[2 * frames + 1 :] > total[: -2 * frames - 1]
+def _near(there: np.ndarray, fps: float) -> np.ndarray:
+    """(T, A) bool: between frames that are there and not far, or next to one."""
+    rows = np.arange(len(there))[:, None]
+    since = rows - np.maximum.accumulate(np.where(there, rows, -np.inf), axis=0)
+    until = np.minimum.accumulate(np.where(there, rows, np.inf)[::-1], axis=0)[::-1] - rows
+    near = np.maximum(since, until) <= GATES.max_gap_seconds * fps
+    return near | (np.minimum(since, until) <= max(GATES.max_end_seconds * fps, 1.0))

@@ -284,3 +284,17 @@ def cache_dir() -> Path:
     else:
         base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "handfit"
+
+
+def data_dir() -> Path:
+    """Where what the user has made is kept for good: `$HANDFIT_DATA`, or the platform's folder of programs'
+    data."""
+    if override := os.environ.get("HANDFIT_DATA"):
+        return Path(override).expanduser()
+    if sys.platform == "win32":
+        base = os.environ.get("APPDATA") or Path.home() / "AppData" / "Roaming"
+    elif sys.platform == "darwin":
+        base = Path.home() / "Library" / "Application Support"
+    else:
+        base = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(base) / "handfit"

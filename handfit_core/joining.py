@@ -17,7 +17,7 @@ from handfit_core.fit.terms import reprojection, second_view
 from handfit_core.fit.views.cameras import Adjusted, HandPair, Known, adjust
 from handfit_core.fit.views.courses import OffsetScore, offset_scores
 from handfit_core.fit.views.hands import ViewedHand
-from handfit_core.fit.views.rig_file import Lens, Rig
+from handfit_core.fit.views.rig_file import Rig
 from handfit_core.fit.views.verdict import Evidence, degrees_apart, rotation_between, verdict_of
 from handfit_core.fit_quality import error_is_known, mean_expected_error
 from handfit_core.fitting import hand_track
@@ -67,7 +67,8 @@ class _Tried:
 
 def joined(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None = None) -> Take:
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
-    do not belong together, the better view's take with the verdict alone."""
+    do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
+    lenses both were captured."""
     tried: list[_Tried] = []
     for other, mirrored in _readings(first, second, options):
         attempt = _tried(first, other, options, rig, mirrored=mirrored)
@@ -163,10 +164,7 @@ def _tried(
         if at[0] is None or at[1] is None:
             continue
         fitter = fitter_of(load_model(options.model, side), options.hand_length)
-        lenses = (None, None) if rig is None else rig.lenses
-        pair = HandPair(
-            fitter, _viewed(fitter, first, at[0], lenses[0]), _viewed(fitter, second, at[1], lenses[1])
-        )
+        pair = HandPair(fitter, _viewed(fitter, first, at[0]), _viewed(fitter, second, at[1]))
         if min(len(pair.first), len(pair.second)) >= VIEWS.least_hand_frames:
             hands.append((at[0], at[1]))
             pairs.append(pair)
@@ -195,9 +193,9 @@ def _tried(
     return _without_others(tried)
 
 
-def _viewed(fitter: FastFitter, clip: Clip, hand: int, lens: Lens | None) -> ViewedHand:
+def _viewed(fitter: FastFitter, clip: Clip, hand: int) -> ViewedHand:
     take = clip.take
-    return ViewedHand.of(fitter, take.hands[hand], clip.times, take.fps, take.intrinsics, lens)
+    return ViewedHand.of(fitter, take.hands[hand], clip.times, take.fps, take.intrinsics)
 
 
 def _surest(take: Take, side: Side) -> int | None:

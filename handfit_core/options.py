@@ -19,7 +19,9 @@ from typing import Any, Final, Literal, get_args
 from handfit_core.detect.detector import DETECTORS, Quality, Region
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lenses import NUMBERS, lens_numbers, lens_of_numbers, saved_lens
 from handfit_core.media.size_limit import PICTURE, VIDEO
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.skeleton import SIDES, HandChoice, Side
@@ -28,10 +30,8 @@ from handfit_core.take import TAKE_LIMITS
 from handfit_core.values import shortly
 
 HandMean = Literal["auto", "flat", "mean"]
-Lens = tuple[float, float, float]
 
-
-VIEW_OPTIONS: Final = ("view", "cameras", "offset", "baseline")
+VIEW_OPTIONS: Final = ("view", "view_lens", "cameras", "offset", "baseline")
 """What is told of a second view"""
 
 FARTHEST: Final = 1e6
@@ -217,9 +217,16 @@ def _camera(given: Any) -> Intrinsics:
     )
 
 
-def _lens(given: Any) -> tuple[float, ...]:
+def _lens(given: Any) -> Lens | tuple[float, ...]:
+    if isinstance(given, Lens):
+        return given
+    if isinstance(given, Mapping):
+        return lens_of_numbers(given)
+    if isinstance(given, str) and not NUMBERS.fullmatch(given):
+        return saved_lens(given).lens
     what = (
-        "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and heights"
+        "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and "
+        "heights; or the name of a measured lens"
     )
     return _numbers(given, what, count=3)
 
@@ -358,12 +365,12 @@ class CaptureOptions:
         "FX,FY,CX,CY",
         by_default="by the photo's EXIF, or one with a 53 degree view",
     )
-    lens: Lens | None = _option(
+    lens: Lens | tuple[float, float, float] | None = _option(
         None,
         _lens,
-        "the camera where the picture's size is not known: focal length in picture widths, principal point "
-        "in widths and heights",
-        "F,X,Y",
+        "the name of a lens that was measured with the command lens; or the camera where the picture's size "
+        "is not known: focal length in picture widths, principal point in widths and heights",
+        "NAME|F,X,Y",
         by_default="as --intrinsics",
     )
     view: str | None = _option(
@@ -373,6 +380,9 @@ class CaptureOptions:
         "still",
         "PATH",
         by_default="none",
+    )
+    view_lens: Lens | tuple[float, float, float] | None = _option(
+        None, _lens, "the second clip's lens, as --lens", "NAME|F,X,Y", by_default="what the file tells"
     )
     cameras: str | None = _option(
         None,
@@ -509,6 +519,8 @@ def _plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, Intrinsics):
         return list(vars(value).values())
+    if isinstance(value, Lens):
+        return lens_numbers(value)
     if isinstance(value, Region):
         return [part for part in vars(value).values() if part is not None]
     return [_plain(each) for each in value] if isinstance(value, tuple) else value

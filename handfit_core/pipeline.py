@@ -12,7 +12,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from handfit_core.detect.body import BodyTrack
 from handfit_core.detect.detector import DETECTORS
+from handfit_core.detect.landmark_model import body_model_path
 from handfit_core.errors import Cancelled, NoHandFoundError, OptionError
 from handfit_core.files import check_writable, shown
 from handfit_core.fit.views.rig_file import read_rig, write_rig
@@ -33,8 +35,8 @@ from handfit_core.views import Verdict
 
 log = logging.getLogger("handfit")
 
-Stage = Literal["detect", "fit", "score"]
-"""`score` is of evaluations only"""
+Stage = Literal["detect", "fit", "score", "lens"]
+"""`score` is of evaluations, and `lens` of a lens that is measured"""
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,14 @@ def _captured(
     origin = open_source(source, options)
     media, recording = origin.media, origin.recording
     found = origin.find(lambda done: report(Progress("detect", done, max(media.expected_frames, done))), stop)
+    bodies: tuple[BodyTrack, ...] = ()
+    if options.arms and not stop():
+        from handfit_core.arms import with_bodies  # which a capture without arms does not load
+
+        total = len(found.numbers)
+        found, bodies = with_bodies(
+            found, media, options, lambda done: report(Progress("detect", done, total)), stop
+        )
     hands, digests = fit_hands(
         found, options, media.fps, lambda done, total: report(Progress("fit", done, total)), stop
     )
@@ -105,7 +115,10 @@ def _captured(
         if found.fits is not None:
             take = replace(take, solver=recording.format)
     take = replace(take, hands=hands, model_digests=digests)
-    take = _with_arms(take, media, options, report, stop) if options.arms and not stop() else take
+    if options.arms and not stop():
+        from handfit_core.arms import with_arms
+
+        take = with_arms(take, bodies)
     return Clip(take, lens_known=origin.known is not None)
 
 
@@ -119,14 +132,16 @@ def _capture_both(
         raise OptionError(f"two views are fitted by the solver {CaptureOptions.solver}, not {options.solver}")
     first = replace(options, **dict.fromkeys(VIEW_OPTIONS), arms=False)
     # What is told of the first clip's pictures does not hold for the second one's.
-    second = replace(first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=None)
+    second = replace(
+        first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=options.view_lens
+    )
     rig = None
     if options.cameras is not None:
         clips = [opened(given, each)[0] for given, each in ((source, first), (options.view, second))]
         names, sizes = [clip.source.name for clip in clips], [(clip.width, clip.height) for clip in clips]
         rig = read_rig(options.cameras, names, sizes)
-        first = replace(first, intrinsics=rig.lenses[0].intrinsics, lens=None)
-        second = replace(second, intrinsics=rig.lenses[1].intrinsics)
+        first = replace(first, intrinsics=None, lens=rig.lenses[0])
+        second = replace(second, lens=rig.lenses[1])
     views: list[Clip] = []
     missing: list[NoHandFoundError] = []
     for given, each in ((source, first), (options.view, second)):
@@ -170,30 +185,32 @@ def add_arms(
     `capture`, `max_megapixels` as in `open_media`. Raises InputError where the pictures are gone or others,
     or where the take never had any, LandmarkModelError, and Cancelled.
     """
-    from handfit_core.arms import reopened  # which a capture without arms does not load
+    # A capture without arms does not load these.
+    from handfit_core.arms import reopened, with_arms
+    from handfit_core.detect.bodies import find_bodies
 
-    stop, options = should_stop or never, CaptureOptions(max_megapixels=max_megapixels)
-    media = reopened(take, max_megapixels)
-    with_arms = _with_arms(take, media, options, progress or (lambda _: None), stop)
+    stop, report = should_stop or never, progress or (lambda _: None)
+    media, total = reopened(take, max_megapixels), len(take.frame_numbers)
+    bodies = find_bodies(
+        media,
+        take.frame_numbers.tolist(),
+        [hand.keypoints_2d for hand in take.hands],
+        take.intrinsics,
+        CaptureOptions(),
+        lambda done: report(Progress("detect", done, total)),
+        stop,
+    )
     if stop():
         raise Cancelled("stopped before the arms were found")
-    return with_arms
-
-
-def _with_arms(
-    take: Take, media: Media, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
-) -> Take:
-    """Once it is to stop, the take as it was."""
-    from handfit_core.arms import with_arms
-
-    total = len(take.frame_numbers)
-    return with_arms(take, media, options, lambda done: report(Progress("detect", done, total)), stop)
+    return with_arms(take, bodies)
 
 
 def check_options(options: CaptureOptions) -> None:
     """Raise OptionError for options that no input can be captured with, before one is read."""
     get_solver(options.solver, options.smoothing, options.hand_length)
     DETECTORS.get(options.detector)
+    if options.arms:
+        body_model_path()
     if options.only_regions and not options.regions:
         raise OptionError("only the hands of regions are to be kept, and there are none: give a region")
     if options.hand_length is not None and not SOLVERS.get(options.solver).takes_hand_length:

@@ -20,6 +20,7 @@ from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
@@ -170,8 +171,10 @@ def opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsi
     """The input and the camera that took it, None where nobody tells. Raises InputError and OptionError, and
     HandModelError for a model of neither side: before the long part, which a wrong path should not cost."""
     media = open_input(source, options)
-    intrinsics = options.intrinsics
-    if options.lens is not None:
+    intrinsics, lens = options.intrinsics, measured_lens(options, media)
+    if lens is not None:
+        intrinsics = lens.intrinsics
+    elif isinstance(options.lens, tuple):
         focal, x, y = options.lens
         intrinsics = Intrinsics(focal * media.width, focal * media.width, x * media.width, y * media.height)
     if intrinsics is not None:
@@ -180,6 +183,13 @@ def opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsi
         _check_some_side(options.model)
     known = media.recording.intrinsics if isinstance(media, RecordedMedia) else known_intrinsics(media)
     return media, intrinsics or known
+
+
+def measured_lens(options: CaptureOptions, media: Media) -> Lens | None:
+    """The lens that was measured for this camera, in pictures of the input's size; None where none is chosen.
+    Raises OptionError for pictures of another shape."""
+    given = options.lens
+    return given.scaled(media.width, media.height) if isinstance(given, Lens) else None
 
 
 def _check_camera(intrinsics: Intrinsics, media: Media) -> None:
@@ -265,7 +275,10 @@ def _tracked(
     *,
     calibrated: bool,
 ) -> Found:
-    """Detections linked to tracks, and the camera that they tell where nobody else does."""
+    """Detections linked to tracks, and the camera that they tell where nobody else does. A measured lens'
+    distortion is taken out of them first: all that follows knows a pinhole camera."""
+    if (lens := measured_lens(options, media)) is not None:
+        seen = replace(seen, hands=seen.hands.moved(lens.undistorted))
     tracks = [replace(track, calibrated=calibrated) for track in _linked(media, options, seen, stop)]
     if known is None:
         extents = np.concatenate([track.detections.extent for track in tracks])

@@ -25,7 +25,7 @@ from ..scene.timing import set_timing
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
 """Which captured hand each of the character's gets where nobody says"""
-_OPTIONS = ("bones", "wrist", "reference", "into", "no_contacts")
+_OPTIONS = ("bones", "wrist", "reference", "into", "no_contacts", "outside")
 """What is said of a character beside its hands"""
 
 
@@ -67,6 +67,11 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
         "--into",
         choices=[each.lower() for each in get_args(Into)],
         help="a new action, an NLA strip above all others, or the present action (default: new)",
+    )
+    group.add_argument(
+        "--outside",
+        action="store_true",
+        help="with --arms, hands are pushed out of the character's trunk and head, which capsules stand for",
     )
     group.add_argument(
         "--no-contacts", action="store_true", help="do not keep fingertips together that touch in the capture"
@@ -112,6 +117,8 @@ class Character:
             into=cast(Into, (args.into or "new").upper()),
             wrist=cast(Wrist, (args.wrist or "fingers").upper()),
             contacts=not args.no_contacts,
+            arms=bool(getattr(args, "arms", False)),
+            arms_outside=args.outside,
         )
         hands = cast(
             "dict[Side, str]", {side: to for side, to in said.items() if to != "none"} if said else _HANDS

@@ -35,7 +35,17 @@ from .exported import Exported
 
 PREVIEW = "preview"
 """The format, beside those of EXPORTERS, that --preview adds"""
-_MAKING = ("hands", "wrist", "reference", "into", "no_contacts", "no_picture", "no_correctives")
+_MAKING = (
+    "hands",
+    "wrist",
+    "reference",
+    "into",
+    "no_contacts",
+    "arms",
+    "outside",
+    "no_picture",
+    "no_correctives",
+)
 """Arguments that decide what files hold, beside those of the capture"""
 _GIVEN = (
     *(*_MAKING, "format", "preview", "apply_to", "bones", "model", "max_megapixels"),

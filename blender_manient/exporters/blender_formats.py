@@ -18,6 +18,7 @@ from handfit_core.errors import OptionError
 from handfit_core.files import check_room
 
 from ..common.blender_versions import gltf_left_out
+from ..rigs.arm import has_arm
 from .exporter import Exporter, HandObjects, Preset, blank
 
 
@@ -195,8 +196,8 @@ class BvhExporter(BlenderFormat, Exporter):
 
     @contextlib.contextmanager
     def around(self, _path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """Only a hand's wrist moves; fingers have rotations alone."""
-        scene, is_hand = bpy.context.scene, hands[0].side is not None
+        """Only a hand's wrist moves, unless it hangs on an arm; fingers have rotations alone."""
+        scene, is_hand = bpy.context.scene, hands[0].side is not None and not has_arm(hands[0].armature)
         yield {
             "frame_start": scene.frame_start,
             "frame_end": scene.frame_end,

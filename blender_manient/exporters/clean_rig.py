@@ -22,6 +22,7 @@ from handfit_core.skeleton import Side
 
 from ..common.blender_versions import assign_action
 from ..rigs import rig_of
+from ..rigs.arm import has_arm, tree_with_arm
 from ..rigs.character import bones_of
 from ..rigs.controls import control_bones
 from ..scene.keys import new_curve
@@ -66,10 +67,14 @@ def clean_rig(
     if turn is not None:
         turned[:3, :3] = turn
     tree, standing = deforming_tree(hand.armature) if hand.side is None else ({}, {})
+    hung: dict[str, str] = {}
     if tree:
         sampled = sample(hand.armature, frames, scene, tree).hung(tree)
     else:
         sampled = sample(hand.armature, frames, scene).without(control_bones(hand.armature).values())
+        if has_arm(hand.armature):
+            hung = tree_with_arm(hand.armature, rig_of(hand.armature, hand.side).bones[0], sampled.names)
+            sampled = sampled.hung(hung)
     size = metres_per_unit * float(np.cbrt(abs(np.linalg.det(sampled.world[0, :3, :3])))) * units
     grow = turned @ np.diag([size, size, size, 1.0])
     carriers = [_carrier(hand.armature, mesh) for mesh in hand.meshes]
@@ -119,8 +124,8 @@ def clean_rig(
         if not tree and control_bones(armature):
             rig_of(armature, hand.side).remove_controls()
         _plain_bones(armature)
-        if tree:
-            _hang(armature, tree)
+        if tree or hung:
+            _hang(armature, tree or hung)
         actions.append(_bake(armature, sampled, turned @ in_metres @ sampled.world, size, frames))
         for original in originals:
             scene.collection.objects.unlink(original)

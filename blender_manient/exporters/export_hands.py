@@ -33,6 +33,7 @@ from handfit_core.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
 from ..common.plugins import failure_sentence
+from ..rigs.arm import has_arm
 from ..rigs.controls import control_bones
 from ..scene.build import BuiltTake
 from ..scene.camera import frame_scene
@@ -136,8 +137,9 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres, without controls, are as they should be in the file without more ado.
-    plain = np.isclose(stage.metres_per_unit, 1.0) and not any(control_bones(h.armature) for h in hands)
+    # Only hands of scenes in metres, without controls and arms, are as they should be in the file.
+    rigged = any(control_bones(h.armature) or has_arm(h.armature) for h in hands)
+    plain = np.isclose(stage.metres_per_unit, 1.0) and not rigged
     wanted = chosen.presets.get(preset, Preset(clean=not plain))
     if _is_character(hands):
         wanted = replace(wanted, clean=chosen.bakes)

@@ -8,8 +8,10 @@ import bpy
 
 from handfit_core.detect.detector import Region
 from handfit_core.errors import InputError, OptionError
+from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lenses import saved_lens
 from handfit_core.options import CaptureOptions
 from handfit_core.worker.events import WorkerError
 
@@ -196,6 +198,7 @@ def new_job(
             else settings.solver or CaptureOptions.solver,
             model=_model(settings),
             threshold=settings.threshold,
+            arms=settings.arms and target == "NEW" and source.kind != "data" and not bare,
             smoothing=settings.smoothing,
             plain_detection=settings.preset == "DRAFT",
             quality="standard" if settings.preset == "PAPER" else settings.preset.lower(),
@@ -280,7 +283,11 @@ def _model(settings) -> str | None:
     return str(Path(bpy.path.abspath(path)).expanduser())
 
 
-def _lens(settings, scene: bpy.types.Scene) -> tuple[float, float, float] | None:
+def _lens(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, float] | None:
+    if settings.camera == "LENS":
+        if not settings.measured_lens:
+            raise OptionError("choose the measured lens, or measure one, or choose another camera setting")
+        return saved_lens(settings.measured_lens).lens
     if settings.camera == "FOCAL":
         return settings.focal_length / 36.0, 0.5, 0.5
     if settings.camera == "ACTIVE":

@@ -8,7 +8,7 @@ from handfit_core.options import OPTIONS
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import counted
-from ..operators import add_hand
+from ..operators import add_hand, lens
 from ..operators.modes import find_hands as find_mode
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
@@ -29,6 +29,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         if settings.preset != "PAPER":
             column.prop(settings, "smoothing", slider=True)
         column.prop(settings, "target")
+        if settings.target == "NEW":
+            column.prop(settings, "arms")
         hand = active_hand(context)
         if settings.target != "NEW" and hand is None:
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
@@ -175,6 +177,13 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
             layout.prop(settings, "focal_length", text="Millimeters")
         elif settings.camera == "ACTIVE" and context.scene.camera is None:
             sentence(layout, context, "The scene has no active camera", "ERROR", alert=True)
+        elif settings.camera == "LENS":
+            layout.prop(settings, "measured_lens")
+            row = layout.row(align=True)
+            row.operator("manient.show_chessboard", text="Chessboard", icon="TEXTURE")
+            row.operator("manient.measure_lens", text="Measure", icon="FILE_MOVIE")
+            if not settings.measured_lens:
+                sentence(layout, context, lens.ADVICE, "INFO")
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
         column.prop(settings, "render_setup")

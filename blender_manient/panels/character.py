@@ -14,12 +14,14 @@ from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised, counted
 from ..rigs import troubles
 from ..scene.characters import (
+    CharacterObjects,
     active_character,
     hand_map_of,
     is_damaged,
     kept_map,
     recognised,
     source_of,
+    sources_of,
     table_of,
     why_not_reachable,
 )
@@ -95,6 +97,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
                 text, alert = told
                 sentence(column, context, capitalised(text), "ERROR" if alert else "INFO", alert=alert)
         column.prop(character, "contacts")
+        self._arms(context, column, armature)
         row = layout.row(align=True)
         row.scale_y = 1.3
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
@@ -105,6 +108,23 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
             sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
+
+    def _arms(self, context, layout, armature: bpy.types.Object) -> None:
+        try:
+            sources = sources_of(armature, context).values()
+        except HandfitError:
+            return
+        if all(source.track.arm is None for source in sources):
+            return
+        character = armature.manient.character
+        layout.prop(character, "arms")
+        if not character.arms:
+            return
+        layout.prop(character, "arms_influence", slider=True)
+        layout.prop(character, "arms_ease")
+        layout.prop(character, "arms_turn")
+        if CharacterObjects.of(armature).meshes:
+            layout.prop(character, "arms_outside")
 
     def _offsets(self, layout, character) -> None:
         row = layout.row(align=True)

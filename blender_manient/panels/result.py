@@ -8,6 +8,8 @@ from handfit_core.fit_quality import NOT_KNOWN
 
 from ..common.section import Section, fitted, sentence
 from ..common.wording import capitalised, counted
+from ..operators.base import ModalOperator
+from ..rigs.arm import has_arm
 from ..scene import captures, corrections
 from ..scene.confidence import errors_of, is_marked
 from ..scene.plate import missing_picture
@@ -95,6 +97,19 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         back = row.operator("manient.retime", text=f"Back to {built:.5g} fps")
         back.hand, back.back = hand.armature.name, True
 
+    def _arm(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
+        """The button that looks for the hand's arm, until it has one, or why there is none."""
+        if hand.track.no_arm:
+            sentence(box, context, capitalised(hand.track.no_arm), "INFO")
+        elif has_arm(hand.armature) and hand.track.arm is not None:
+            there, found = int(hand.track.arm.present.sum()), int(hand.track.present.sum())
+            said = "found" if there == found else f"in {there} of {found} frames"
+            box.label(text=f"Arm {said}", translate=False)
+        else:
+            row = box.row(align=True)
+            row.enabled = "manient.add_arms" not in ModalOperator.running
+            row.operator("manient.add_arms", icon="CON_KINEMATIC").hand = hand.armature.name
+
     def _hand(self, context, armature: bpy.types.Object) -> None:
         hand = hand_of(armature)
         if hand is None:
@@ -156,6 +171,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
         if armature.manient.show_confidence and context.mode != "POSE":
             sentence(box, context, "Blender shows bone colors in Pose Mode", "INFO")
+        self._arm(context, box, hand)
         missing = missing_picture(hand.camera)
         if missing:
             text = f"{missing} was moved: use File > External Data > Find Missing Files to see it again"

@@ -16,7 +16,7 @@ from handfit_core.retarget.hand_map import HandMap, SeveralHands
 from handfit_core.skeleton import SIDES, Side
 
 from ..common.plugins import failure_sentence, find_plugins, print_once
-from .character import Character, Found, bones_of
+from .character import ArmControls, Character, Found, bones_of
 from .rig import Rig
 
 KINDS: list[type[Rig]] = find_plugins(__name__, Rig, first=("captured_hand",))
@@ -60,6 +60,16 @@ def troubles(armature: bpy.types.Object, hand_map: HandMap) -> list[str]:
     except Exception as error:  # panels ask at every redraw
         print_once(failure_sentence(cast(type, kind), error))
         return []
+
+
+def arm_controls(armature: bpy.types.Object, hand_map: HandMap, bones: tuple[str, str]) -> ArmControls:
+    """What keys of an arm are put on, whose upper arm and forearm are these. Raises HandModelError where the
+    kind of character fails."""
+    kind = next((kind for kind in CHARACTERS if kind.label == hand_map.rig), Character)
+    try:
+        return kind.arm_controls(armature, hand_map, bones)
+    except Exception as error:
+        raise HandModelError(failure_sentence(kind, error)) from error
 
 
 def rig_of(armature: bpy.types.Object, side: Side | None = None) -> Rig:

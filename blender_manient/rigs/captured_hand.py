@@ -14,7 +14,7 @@ from handfit_core.hand_model import ShapedHand, axes
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.skeleton import JOINT_NAMES, PARENTS, Side
 
-from . import controls
+from . import arm, controls
 from .rig import Rig
 
 _SUFFIX: dict[Side, str] = {"right": ".R", "left": ".L"}
@@ -75,6 +75,13 @@ class CapturedHandRig(Rig):
         with _edited(self.armature.data) as edit_bones:
             for name in names.values():
                 edit_bones.remove(edit_bones[name])
+
+    def add_arm(self, lengths: np.ndarray) -> None:
+        """Give a hand that has none the bones of an arm; lengths (2,) in metres, of upper arm and forearm."""
+        wrist = self.bones[0]
+        with _edited(self.armature.data) as edit_bones:
+            names = arm.make_bones(edit_bones, wrist, lengths)
+        arm.set_up(self.armature, wrist, names)
 
     def allow(self, quats: np.ndarray) -> None:
         """Widen the joints' limits where poses go beyond them."""

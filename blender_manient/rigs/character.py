@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar
 
 import bpy
@@ -14,6 +15,27 @@ from handfit_core.retarget.hand_map import Found, HandMap
 from handfit_core.skeleton import Side
 
 from .rig import PosedBones
+
+
+@dataclass(frozen=True)
+class ArmControls:
+    """Which bones of an arm get keys: by FK upper arm, forearm and hand; by IK the hand, and what swivels the
+    elbow."""
+
+    hand: str
+    upper: str = ""
+    fore: str = ""
+    swivel: str = ""
+    """By IK, the bone that turns the elbow about the arm, by its rotation about its own Y. Its parent's Y
+    follows the hand by the smallest rotation"""
+    pole: str = ""
+    """By IK, the bone that the elbow points to; then `swivel` does nothing"""
+
+    @property
+    def keyed(self) -> tuple[str, ...]:
+        """The names of all of them."""
+        names = self.upper, self.fore, self.hand, self.pole or self.swivel
+        return tuple(name for name in names if name)
 
 
 class Character(ABC):
@@ -32,6 +54,16 @@ class Character(ABC):
         """What would make keys on the mapped bones useless, such as a switch that is set to IK; one sentence
         each. None of them by default. The map has no `control` where only fingers get keys."""
         return []
+
+    @classmethod
+    def arm_controls(
+        cls,
+        armature: bpy.types.Object,  # noqa: ARG003
+        hand_map: HandMap,
+        bones: tuple[str, str],
+    ) -> ArmControls:
+        """What keys of an arm are put on; `bones` are its upper arm and forearm. By default themselves."""
+        return ArmControls(hand_map.moved_by, *bones)
 
 
 class CharacterBones(PosedBones):

@@ -26,6 +26,7 @@ from handfit_core.hand_model.axes import ANATOMICAL_IN_BONE
 from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
 from ..common.blender_versions import channels, used_actions
+from .arm import TO_WRIST
 
 MARK: Final = "hand_control"
 """A bone's custom property: what it controls. The artist may give it another name"""
@@ -243,7 +244,12 @@ def keyed_curves(armature: bpy.types.Object) -> Iterator[tuple[Any, bpy.types.FC
 
 
 def is_own(constraint: bpy.types.Constraint) -> bool:
-    """Whether a constraint is one of the controls'. They do nothing unless the controls are `in_use`."""
+    """Whether a constraint is one of the controls', which do nothing unless these are `in_use`, or the arm's,
+    which does nothing to the hand."""
+    return _is_of_controls(constraint) or constraint.name.startswith(TO_WRIST)
+
+
+def _is_of_controls(constraint: bpy.types.Constraint) -> bool:
     return constraint.name.startswith((_CONTROL, LIMIT))
 
 
@@ -283,7 +289,7 @@ def _limit(limit: Any, lower: np.ndarray, upper: np.ndarray) -> None:
 def _constraints(armature: bpy.types.Object) -> Iterator[tuple[bpy.types.PoseBone, bpy.types.Constraint]]:
     for bone in armature.pose.bones:
         for constraint in bone.constraints:
-            if is_own(constraint):
+            if _is_of_controls(constraint):
                 yield bone, constraint
 
 

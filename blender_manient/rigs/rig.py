@@ -127,6 +127,10 @@ class Rig(PosedBones):
     def remove_controls(self) -> None:
         """Take its controls away again."""
 
+    def add_arm(self, lengths: np.ndarray) -> None:  # noqa: ARG002
+        """Give it an arm; lengths (2,) in metres. Raises OptionError for rigs that get none of ours."""
+        raise OptionError(f"{self.armature.name!r} has bones of its own, and gets no arm")
+
 
 def _guarded(method: Callable[..., Any]) -> Callable[..., Any]:
     """A method of a kind of rig whose own errors are raised as HandModelErrors that name the kind."""

@@ -16,7 +16,7 @@ from handfit_core.skeleton import FINGER_JOINTS, Side
 
 from ..common.blender_versions import channels, used_actions
 from .by_bones import NamedCharacter
-from .character import Character
+from .character import ArmControls, Character
 from .rig import bone_path
 
 _AT_REST = {
@@ -48,6 +48,23 @@ class RigifyCharacter(Character):
         controls = (_derived(core, "_fk" if by_fk else "_ik"), core)
         acting = next((name for name in controls if name in bones.index), "")
         return Found(replace(found.hand_map, rig=cls.label, control=acting), 1.0)
+
+    @classmethod
+    def arm_controls(
+        cls, armature: bpy.types.Object, hand_map: HandMap, bones: tuple[str, str]
+    ) -> ArmControls:
+        """The controls of FK or IK, whichever acts; of a limb with neither, the bones themselves."""
+        core = _core(hand_map)
+        switch = _switch(armature, core)
+        chain = armature.data.bones.get(f"ORG-{core}")
+        if switch is None or chain is None:
+            return super().arm_controls(armature, hand_map, bones)
+        above = [bone.name.removeprefix("ORG-") for bone in chain.parent_recursive[:2]]
+        if switch["IK_FK"] >= 0.5:
+            return ArmControls(_derived(core, "_fk"), *(_derived(name, "_fk") for name in reversed(above)))
+        swivel = _derived(above[1], "_ik")
+        pole = _derived(above[1], "_ik_target") if switch.get("pole_vector") else ""
+        return ArmControls(_derived(core, "_ik"), swivel=swivel, pole=pole)
 
     @classmethod
     def troubles(cls, armature: bpy.types.Object, hand_map: HandMap) -> list[str]:

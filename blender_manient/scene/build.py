@@ -29,6 +29,7 @@ from handfit_core.take import HandTrack, Take
 from ..common.wording import NAME_BYTES, hand_part, named_after, shortened_name
 from ..rigs.captured_hand import build_rig
 from . import captures
+from .arms import keying_arm
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
 from .keys import CURVES, animating, computing_keys
@@ -298,6 +299,8 @@ def _hand(
     armature.scale = (units, units, units)
     if camera is not None:
         put_before(armature, camera)
+    if track.arm is not None:
+        rig.add_arm(track.arm.lengths)
     rest = rig.rest
     yield work.done(1)
     mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
@@ -308,15 +311,16 @@ def _hand(
         yield None
         for _ in adding_correctives(mesh, rig, offsets):
             yield work.done(0.3)
-    keys = yield from work.counting(
-        computing_keys(track, shaped, rest, timing.scene_frames(work.take.frame_numbers))
-    )
+    frames = timing.scene_frames(work.take.frame_numbers)
+    keys = yield from work.counting(computing_keys(track, shaped, rest, frames))
     action = None
     for action in animating(rig, keys):
         if action not in made:
             made.append(action)
         yield work.done(1)
     assert action is not None
+    if track.arm is not None:
+        yield from work.counting(keying_arm(rig, track.arm, frames))
     return BuiltHand(track.side, armature, mesh, action)
 
 

@@ -39,6 +39,8 @@ class BoneKeys:
     """(3,) what is added to where that hand is, in the armature's space and units"""
     settings: tuple[float, ...] = ()
     """Travel, smoothing and marked frame of that hand"""
+    arm: bool = False
+    """Whether the only bone is one of an arm"""
 
     @property
     def keyed(self) -> np.ndarray:

@@ -18,14 +18,16 @@ from handfit_core.take import HandTrack
 
 from ..common.blender_versions import action_slot, assign_action
 from ..common.wording import hand_part, named_after
+from ..rigs.arm import ArmBones, has_arm
 from ..rigs.captured_hand import build_rig
-from ..rigs.rig import Rig
+from ..rigs.rig import Rig, bone_path
 from .actions import channels_of, curves_in
+from .arms import add_arm
 from .editable import check_unlayered
 from .keys import change_places, displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import adding_correctives, build_mesh
 from .simplify import forget_all_keys
-from .store import CapturedHand, describe_hand, keep_take
+from .store import CapturedHand, describe_hand, hand_of, keep_take
 
 _GAP = 0.01
 """metres between a hand that reaches across the middle and the mirror beside it"""
@@ -82,6 +84,9 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
         write_pose_keys(rig, turned, holder=holder)
         rig.allow(turned.quats)
     _keep(hand, armature, model, betas, plane)
+    kept = hand_of(armature)
+    if kept is not None and has_arm(source):
+        add_arm(kept)
     return armature
 
 
@@ -159,6 +164,10 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
     holder = channels_of(armature.animation_data)
     if holder is None:
         return assign_action(armature, action)
+    if has_arm(source.armature):  # the mirrored hand's is keyed as its take has it
+        starts = tuple(f"{bone_path(name)}." for name in ArmBones(source.armature).bones)
+        for curve in [c for c in curves_in(holder) if c.data_path.startswith(starts)]:
+            holder.fcurves.remove(curve)
     groups = dict(_pairs(source, rig))
     names = {f'pose.bones["{a}"].': f'pose.bones["{b}"].' for a, b in groups.items()}
     for curve in curves_in(holder):
@@ -189,11 +198,15 @@ def _keep(
     """Add the mirrored track to the collection's take, and say on the armature which one it is."""
     track = hand.track
     old_wrist = kept_model(hand.take.model, hand.side).shaped(track.betas).joints[0]
-    place = (old_wrist + track.transl) @ MIRROR_X + np.array([2.0 * plane, 0.0, 0.0])
+    beside = np.array([2.0 * plane, 0.0, 0.0])
+    place = (old_wrist + track.transl) @ MIRROR_X + beside
     orient, pose = mirrored_pose(track.global_orient, track.hand_pose)
     transl = place - model.shaped(betas).joints[0]
     motion = HandMotion(model.side, betas, orient, pose, transl).posed_at(track.present)
-    mirrored = HandTrack.undetected(motion, model)
+    arm, names = track.arm, ("shoulder", "elbow", "wrist")
+    if arm is not None:
+        arm = replace(arm, **{name: getattr(arm, name) @ MIRROR_X + beside for name in names})
+    mirrored = replace(HandTrack.undetected(motion, model), arm=arm, no_arm=track.no_arm)
     take = replace(
         hand.take,
         hands=(*hand.take.hands, mirrored),

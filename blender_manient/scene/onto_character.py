@@ -16,10 +16,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion
 
-from handfit_core.errors import OptionError
+from handfit_core.errors import HandModelError, OptionError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
 from handfit_core.hand_model.files import kept_model
+from handfit_core.retarget.arms import CapturedArm
 from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import (
@@ -40,6 +41,7 @@ from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
+from .character_arms import MARK, Arm, ArmOptions, arm_of, keying_arm
 from .characters import why_not_reachable
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
@@ -55,14 +57,17 @@ from .keys import (
     remove_pose_keys,
     writing_pose_keys,
 )
-from .sampling import rotations_of, sample_unseen, sampled_pose
-from .store import CapturedHand
+from .sampling import posed_bones, rests, rotations_of, sampled_pose
+from .store import CapturedHand, timing_of
 from .timing import Timing, check_range, frame_rate
 
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
 
-_FROM_PROPERTIES = ("into", "wrist", "reference", "contacts", "travel", "smoothing")
+_FROM_PROPERTIES = (
+    *("into", "wrist", "reference", "contacts", "travel", "smoothing"),
+    *("arms", "arms_influence", "arms_ease", "arms_turn", "arms_outside"),
+)
 """What of `TransferOptions` the panel's properties say"""
 
 MAX_TOUCH_ERROR = 0.002
@@ -92,12 +97,16 @@ class Motion:
     """(N, 3) metres: where the wrist is"""
     skins: Fingertips | None = None
     """the hand's fingertips; None where it is not known which of them touch"""
+    arm: CapturedArm | None = None
+    """what its arm does on these frames; None where there is none"""
 
     @classmethod
     def of(cls, hand: CapturedHand, frames: np.ndarray, turns: np.ndarray, places: np.ndarray) -> Motion:
         """What a hand in the scene does. Raises HandModelError."""
         source = SourceHand.of(hand.shaped(), hand.side, hand.model().name)
-        return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas))
+        numbers = timing_of(hand.collection).source_frames(frames)
+        arm = CapturedArm.of(hand.take, hand.track, numbers)
+        return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas), arm)
 
     def on(self, side: Side) -> Motion:
         """The motion for a hand of that side, mirrored if need be."""
@@ -106,7 +115,8 @@ class Motion:
     def mirrored(self) -> Motion:
         """The motion mirrored at x = 0, for the other side."""
         turns, skins = mirrored_turns(self.turns), self.skins and self.skins.mirrored()
-        return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins)
+        arm = self.arm and self.arm.mirrored()
+        return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins, arm)
 
 
 @dataclass(frozen=True)
@@ -125,6 +135,16 @@ class TransferOptions:
     """frames before and after that are averaged in how the hand itself turns and moves"""
     offsets: Mapping[Side, np.ndarray] = field(default_factory=dict)
     """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
+    arms: bool = False
+    """Whether the arms of hands that have one are put on the character's, instead of `wrist`"""
+    arms_influence: float = 1.0
+    """0..1: how much of the captured arm there is over what the character's does already"""
+    arms_ease: float = 10.0
+    """frames within which a captured arm comes and goes, where something else moves the character's"""
+    arms_turn: float = 0.0
+    """radians by which both captured arms are turned about the character's vertical"""
+    arms_outside: bool = False
+    """Whether hands on captured arms are kept outside of the character's trunk and head"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object, **fields: Any) -> TransferOptions:
@@ -204,7 +224,8 @@ def motion_of(take: Take, track: HandTrack, model: str | None = None) -> Motion:
     values = np.stack([np.interp(frames, keys.frames, curve) for curve in curves.T], axis=-1)
     quats = values[:, :-3].reshape(-1, NUM_JOINTS, 4)
     source, skins = SourceHand.of(shaped, track.side, hand.name), Fingertips.of(hand, track.betas)
-    return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins)
+    arm = CapturedArm.of(take, track, frames)
+    return Motion(source, frames, quat_to_rotmat(quats), wrist + values[:, -3:], skins, arm)
 
 
 def is_keyframed(rig: PosedBones) -> bool:
@@ -274,8 +295,10 @@ def computing(
     keys, applied = [], []
     for hand_map, captured in hands:
         motion = captured.on(hand_map.side)
-        fingers_only = onto.wrist == "FINGERS"
+        arm, no_arm = _arm_of(armature, hand_map, motion) if onto.arms else (None, None)
+        fingers_only = onto.wrist == "FINGERS" and arm is None
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
+        left_alone += [no_arm] if no_arm is not None else []
         kept = None
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)
@@ -291,12 +314,33 @@ def computing(
         fingers = CharacterBones(armature, target.bones)
         wanted = PoseKeys.everywhere(motion.frames, quats)
         keys.append(BoneKeys(fingers, replace(wanted, rotation_keyed=wanted.rotation_keyed & keyed)))
-        if not fingers_only:
+        if arm is not None and motion.arm is not None:
+            how = ArmOptions(onto.arms_influence, onto.arms_ease, onto.arms_turn, onto.arms_outside)
+            wrists = motion.turns[:, 0]
+            keys += yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, how)
+        elif not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
         worst, missed = float(apart.max(initial=0.0)), int((apart > MAX_TOUCH_ERROR).sum())
         applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
     return Computed(keys, applied)
+
+
+def _arm_of(armature: bpy.types.Object, hand_map: HandMap, motion: Motion) -> tuple[Arm | None, str | None]:
+    """The character's arm that is to do what a motion's does, or a sentence why it cannot; None and None
+    where the motion has no arm."""
+    if motion.arm is None:
+        return None, None
+    try:
+        arm = arm_of(armature, hand_map)
+    except HandModelError as error:
+        return None, str(error)
+    missing = next((name for name in arm.controls.keyed if name not in armature.pose.bones), None)
+    if missing is not None:
+        return None, f"{armature.name!r} has no bone {missing}: its {hand_map.side} arm was left alone"
+    reasons = (why_not_turned(armature, name) for name in arm.controls.keyed)
+    why = next((why for why in reasons if why is not None), None)
+    return (arm, None) if why is None else (None, why.replace(": it was", ": that arm was"))
 
 
 def _write_into_present(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> None:
@@ -329,6 +373,8 @@ def writing_anew(
     try:
         slot = new_slot(action, armature.name)
         yield from writing(keys, channels(action, slot, make=True))
+        if any(one.arm for one in keys):
+            action[MARK] = True
         _give(armature, action, slot, into)
         given = True
         for one in keys:
@@ -394,12 +440,12 @@ def _moving(
     own, bone = target.hand_map.bones[0], armature.data.bones[control]
     parent = bone.parent
     parents = np.empty((len(motion.frames), 4, 4))
-    marked = _posed(armature, motion.frames[[at]], [own, *([parent.name] if parent else [])])[0]
+    marked = posed_bones(armature, motion.frames[[at]], [own, *([parent.name] if parent else [])])[0]
     parents[:] = marked[-1]
-    if parent is not None and not _rests(armature, parent):
+    if parent is not None and not rests(armature, parent):
         for start in range(0, len(parents), _SAMPLED):
             some = slice(start, start + _SAMPLED)
-            parents[some] = _posed(armature, motion.frames[some], [parent.name])[:, 0]
+            parents[some] = posed_bones(armature, motion.frames[some], [parent.name])[:, 0]
             yield 0.5 * start / len(parents)
     rest = np.array(armature.data.bones[own].matrix_local, dtype=np.float64)
     turned = rotations_of(marked[0]) @ rotations_of(rest).T
@@ -487,25 +533,6 @@ def adjusting(
         run_to_completion(writing([one], channels(found.action, found.slot)))
         record_written_keys(armature, found.action, found.slot, one)
     return kept
-
-
-def _posed(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
-    """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
-    sampled = sample_unseen(armature, frames, names)
-    return sampled.pose[:, [sampled.names.index(name) for name in names]]
-
-
-def _rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
-    """Whether nothing can move a bone over time: no key, driver, strip or constraint of it or above it."""
-    data = armature.animation_data
-    above = {b.name for b in (bone, *bone.parent_recursive)}
-    if any(len(armature.pose.bones[name].constraints) for name in above):
-        return False
-    if data is None:
-        return True
-    curves = [*data.drivers, *present_curves(armature)]
-    starts = tuple(f"{bone_path(name)}." for name in above)
-    return not len(data.nla_tracks) and not any(curve.data_path.startswith(starts) for curve in curves)
 
 
 def prepared(

@@ -16,6 +16,8 @@ from mathutils import Matrix
 from handfit_core.edit.corrections import CorrectionField
 
 from ..common.blender_versions import channels, used_actions
+from ..rigs.arm import ArmBones, has_arm
+from ..rigs.rig import bone_path
 from .actions import curves_in, is_layered, is_tweaked, own_action, strips_of
 from .corrections import corrections_of, keep_turned
 from .editable import check, check_editable
@@ -44,6 +46,10 @@ def origin_to_wrist(hand: CapturedHand) -> None:
         along = hand.rig.rest.frames[0].T @ place
         with changed_alike(armature):
             _shift_keys(armature, wrist, along)
+            if has_arm(armature):
+                shoulder = ArmBones(armature).bones[0]
+                turn = np.array(armature.data.bones[shoulder].matrix_local.to_3x3())
+                _shift_keys(armature, shoulder, turn.T @ place)
         armature.manient.origin = np.array(armature.manient.origin) + place
         _move_origin(armature, Matrix.Translation(place))
     moved = {
@@ -67,16 +73,16 @@ def why_not_at_wrist(armature: bpy.types.Object) -> str | None:
     return None
 
 
-def _shift_keys(armature: bpy.types.Object, wrist: str, along: np.ndarray) -> None:
-    """Take `along` (3,), in metres along the wrist's own axes, from its location and all keys of that."""
-    bone = armature.pose.bones[wrist]
+def _shift_keys(armature: bpy.types.Object, name: str, along: np.ndarray) -> None:
+    """Take `along` (3,), in metres along a bone's own axes, from its location and all keys of that."""
+    bone = armature.pose.bones[name]
     bone.location = np.array(bone.location) - along
     added = {strip.action for strip in strips_of(armature) if strip.blend_type != "REPLACE"}
     if is_layered(armature):
         added.add(armature.animation_data.action)
     for action, slot in all_actions(armature):
         for curve in curves_in(channels(action, slot)) if action not in added else ():
-            if curve.data_path == f'pose.bones["{wrist}"].location':
+            if curve.data_path == f"{bone_path(name)}.location":
                 change_places(curve, [1.0, 1.0], [0.0, -float(along[curve.array_index])])
         action.update_tag()
 

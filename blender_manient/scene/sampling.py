@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -10,7 +10,8 @@ import numpy as np
 
 from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 
-from ..rigs.rig import PosedBones
+from ..rigs.rig import PosedBones, bone_path
+from .actions import present_curves
 from .own_scene import object_mode, shown_in_pose, unseen_scene
 
 _SHEARED = 1e-4
@@ -154,6 +155,25 @@ def sample_unseen(
     with object_mode(), unseen_scene("sampled") as scene, shown_in_pose([armature]):
         scene.collection.objects.link(armature)
         return sample(armature, frames, scene, names)
+
+
+def posed_bones(armature: bpy.types.Object, frames: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """(N, B, 4, 4) bones in the armature's space, as they are shown on N frames."""
+    sampled = sample_unseen(armature, frames, names)
+    return sampled.pose[:, [sampled.names.index(name) for name in names]]
+
+
+def rests(armature: bpy.types.Object, bone: bpy.types.Bone) -> bool:
+    """Whether nothing can move a bone over time: no key, driver, strip or constraint of it or above it."""
+    data = armature.animation_data
+    above = {b.name for b in (bone, *bone.parent_recursive)}
+    if any(len(armature.pose.bones[name].constraints) for name in above):
+        return False
+    if data is None:
+        return True
+    curves = [*data.drivers, *present_curves(armature)]
+    starts = tuple(f"{bone_path(name)}." for name in above)
+    return not len(data.nla_tracks) and not any(curve.data_path.startswith(starts) for curve in curves)
 
 
 def sampled_pose(rig: PosedBones, frames: Iterable[float]) -> tuple[np.ndarray, np.ndarray]:

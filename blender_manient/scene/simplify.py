@@ -25,6 +25,7 @@ from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 
 from ..common.blender_versions import action_slot, channels, property_group, used_actions
 from ..common.wording import with_note
+from ..rigs.arm import ArmBones, has_arm
 from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
 from . import corrections
@@ -96,14 +97,18 @@ class Thinned:
 
 
 def hands_to_simplify(context: bpy.types.Context) -> list[Hand]:
-    """The active captured hand, else the hands of the active character; none where there is neither."""
+    """The active captured hand and its arm, else the hands of the active character; none where there is
+    neither."""
     armature, captured = active_character(context), active_hand(context)
     if captured is not None and (armature is None or hand_of(context.active_object) is not None):
         parts = ["wrist"] * NUM_JOINTS
         for finger, joints in FINGER_JOINTS.items():
             for joint in joints:
                 parts[joint] = finger
-        return [Hand(captured.rig, tuple(parts), captured)]
+        hands = [Hand(captured.rig, tuple(parts), captured)]
+        if has_arm(captured.armature):  # which goes with the wrist
+            hands.append(Hand(ArmBones(captured.armature), ("wrist",) * 2))
+        return hands
     tables = [table_of(armature, side) for side in SIDES] if armature is not None else []
     return [_of_character(armature, table) for table in tables if table.mapped]
 

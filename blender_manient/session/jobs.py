@@ -154,7 +154,9 @@ class Job:
             return "Stopping, keeping frames"
         if not self.stage:
             return "Starting"
-        text = {"detect": "Finding hands", "fit": "Fitting"}.get(self.stage, self.stage)
+        text = {"detect": "Finding hands", "fit": "Fitting", "arms": "Finding arms"}.get(
+            self.stage, self.stage
+        )
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def speed_text(self) -> str:
@@ -317,9 +319,12 @@ def _follow(job: Job) -> bool:
 def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
     views = 1 if job.options.view is None else 2
+    if stage == "detect" and job.stage in ("fit", "arms"):  # pictures are read again
+        if job.stage == "fit" and job._views_done < views - 1:
+            job._views_done += 1
+        else:
+            stage = "arms"
     if stage != job.stage:
-        if stage == "detect" and job.stage:  # the first view is done
-            job._views_done = views - 1
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
     part = done / total if total else 0.0
@@ -327,7 +332,10 @@ def _on_progress(job: Job, event: dict[str, Any]) -> None:
     solver = SOLVERS.built_in().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85
     own = share * part if stage == "detect" else share + (0.9 - share) * part
-    job.fraction = (0.9 * job._views_done + own) / views
+    fraction = (0.9 * job._views_done + own) / views
+    if job.options.arms:
+        fraction = 0.9 - 0.3 * (1.0 - part) if stage == "arms" else fraction * 2.0 / 3.0
+    job.fraction = fraction
 
 
 def _build(job: Job) -> bool:

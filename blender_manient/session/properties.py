@@ -19,6 +19,8 @@ from bpy.props import (
     StringProperty,
 )
 
+from handfit_core.errors import HandfitError
+from handfit_core.media.lenses import saved_lenses
 from handfit_core.options import OPTIONS
 from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
 from handfit_core.solvers import SOLVERS
@@ -58,7 +60,15 @@ BLEND: Any = {
     "subtype": "FACTOR",
 }
 
-choices_of_option: dict[str, Callable[[], list[str]]] = {}
+
+def _lens_names() -> list[str]:
+    try:
+        return [*saved_lenses()]
+    except HandfitError:  # which the capture tells of
+        return []
+
+
+choices_of_option: dict[str, Callable[[], list[str]]] = {"measured_lens": _lens_names}
 """Name of an option -> the function that returns its choices; modules add theirs when they are registered"""
 
 
@@ -190,6 +200,7 @@ class ManientSettings(bpy.types.PropertyGroup):
     # Texts, which stay what they are in a file that is opened where there is no such plug-in.
     solver: StringProperty(name="Solver", search=_found("solver"), **option_property("solver"))  # type: ignore
     detector: StringProperty(name="Detector", search=_found("detector"), **option_property("detector"))  # type: ignore
+    arms: BoolProperty(name="Arms", **option_property("arms"))  # type: ignore
     smoothing: FloatProperty(  # type: ignore
         name="Smoothing", soft_max=4.0, **option_property("smoothing")
     )
@@ -207,8 +218,14 @@ class ManientSettings(bpy.types.PropertyGroup):
             ("SOLVE", "Solve", "From the photo's own data, or a common lens"),
             ("ACTIVE", "Scene Camera", "The lens of the scene's active camera"),
             ("FOCAL", "Focal Length", "A focal length that you know"),
+            ("LENS", "Measured Lens", "A camera of yours that was measured with a chessboard, once for all"),
         ),
         default="SOLVE",
+    )
+    measured_lens: StringProperty(  # type: ignore
+        name="Lens",
+        description="The name of the measured lens. Its distortion is taken out of the captured hands",
+        search=_found("measured_lens"),
     )
     focal_length: FloatProperty(  # type: ignore
         name="Focal Length",
@@ -436,6 +453,49 @@ class ManientCharacter(bpy.types.PropertyGroup):
         name="Keep Contacts",
         description="Where captured fingertips touch, the character's touch too: both fingers give way",
         default=True,
+        **_OF_CHARACTER,
+    )
+    arms: BoolProperty(  # type: ignore
+        name="Arms",
+        description="Upper arm, forearm and hand follow the captured arm from the shoulder on, where one was "
+        "captured, by FK or IK, whichever acts",
+        default=False,
+        **_OF_CHARACTER,
+    )
+    arms_influence: FloatProperty(  # type: ignore
+        name="Influence",
+        description="How much of the captured arm there is: 0 leaves the character's arm as it is animated",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        **_OF_CHARACTER,
+    )
+    arms_ease: IntProperty(  # type: ignore
+        name="Ease",
+        description="Frames within which the captured arm comes and goes, where the character's arm is "
+        "animated otherwise",
+        default=10,
+        min=0,
+        soft_max=50,
+        max=1000,
+        **_OF_CHARACTER,
+    )
+    arms_turn: FloatProperty(  # type: ignore
+        name="Turn",
+        description="Turn both captured arms about the character's vertical. Pictures hardly tell where a "
+        "body faces: it may be 20 degrees off",
+        default=0.0,
+        min=-math.pi,
+        max=math.pi,
+        subtype="ANGLE",
+        **_OF_CHARACTER,
+    )
+    arms_outside: BoolProperty(  # type: ignore
+        name="Keep Hands Outside the Body",
+        description="Move hands that would sink into chest or face out of capsules, which stand for the "
+        "character's trunk and head, towards the camera. Pictures hardly tell how far away a hand is: it may "
+        "be 10 cm off",
+        default=False,
         **_OF_CHARACTER,
     )
     live: BoolProperty(  # type: ignore

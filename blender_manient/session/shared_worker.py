@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ class BlendersWorker(Worker):
 
     def submit(self, kind: str, /, **fields: Any) -> int:
         """Ask for something. Raises WorkerError also where a part that captures need is missing."""
-        if kind == "capture" and (found := _fault_of(self.python)):
+        if kind in ("capture", "arms") and (found := _fault_of(self.python)):
             raise WorkerError(found.sentence)
         return super().submit(kind, **fields)
 
@@ -124,10 +125,14 @@ def stop() -> None:
     remove_temporary_takes()
 
 
-def answer(request: int, from_worker: Worker | None = None) -> Event | None:
+def answer(
+    request: int, from_worker: Worker | None = None, on_event: Callable[[Event], None] | None = None
+) -> Event | None:
     """The `done` event of a request to the shared worker, or to `from_worker`; None while there is none.
-    Raises HandfitError where the request failed."""
+    `on_event` gets those before it. Raises HandfitError where the request failed."""
     for event in (from_worker or worker()).events(request):
+        if on_event is not None:
+            on_event(event)
         if event["event"] == "error":
             raise as_error(event)
         if event["event"] == "done":

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Self
 
@@ -175,6 +175,17 @@ class Detections(Batch):
             corrected_side=_side_indices([side for side, _ in corrected]),
             **{name: _column(name, spec, rows[name]) for name, spec in floats.items()},
         )
+
+    def moved(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
+        """The same hands with all their points in the picture changed, (..., 2) pixels to (..., 2) pixels;
+        depths and expected errors stay."""
+        columns = {name: getattr(self, name) for name in ("keypoints", "keypoints_2020", "corrected")}
+        changed = {
+            name: np.concatenate([change(column[..., :2]), column[..., 2:]], axis=-1)
+            for name, column in columns.items()
+            if column is not None
+        }
+        return replace(self, **changed)
 
     @property
     def keypoints_2d(self) -> np.ndarray:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,10 +25,12 @@ from handfit_core.evaluate.metrics import (
     root_aligned_distances,
     similarity_aligned_distances,
 )
-from handfit_core.fit.views.rig_file import Lens, Rig
+from handfit_core.fit.views.rig_file import Rig
 from handfit_core.fit.views.verdict import rotation_between
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.joining import Clip, joined
+from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.take import Take
@@ -76,7 +78,7 @@ def evaluate_views(
 
     `camera` "labelled" tells both cameras' lenses and places. Raises DatasetError, and what captures raise.
     """
-    clips = list(_captured(folder, options, progress))
+    clips = list(_captured(folder, options, camera, progress))
     pairs = [(clip, clip) for clip in clips]
     # Each first view with two strangers
     pairs += [
@@ -93,13 +95,18 @@ def evaluate_views(
 
 
 def _captured(
-    folder: Path, options: CaptureOptions, progress: Callable[[str, int, int], None]
+    folder: Path, options: CaptureOptions, camera: CameraChoice, progress: Callable[[str, int, int], None]
 ) -> Iterator[FilmedClip]:
     truths = [(path, truth) for path in _truths(folder) for truth in _read(path)]
     if not truths:
         raise DatasetError(f"{folder}: there is no {TRUTH} with clips of two cameras")
     for done, (path, truth) in enumerate(truths, start=1):
-        takes = (capture(path.parent / f"{truth['clip']}_{view}.mp4", options) for view in "ab")
+        takes = []
+        for view in "ab":
+            file = path.parent / f"{truth['clip']}_{view}.mp4"
+            size = open_media(file)
+            lens = _lens(truth, view, size.width, size.height) if camera == "labelled" else None
+            takes.append(capture(file, replace(options, lens=lens)))
         yield FilmedClip(f"{path.parent.name}/{truth['clip']}", path.parent.name, truth, *takes)
         progress("detect", done, len(truths))
 
@@ -114,15 +121,19 @@ def _read(path: Path) -> list[dict[str, Any]]:
     raise DatasetError(f"{path}: a clip lacks clip, side, offset, R, t or joints3d")
 
 
+def _lens(truth: dict[str, Any], view: str, width: int, height: int) -> Lens:
+    matrix = np.array(truth[f"K_{view}"], dtype=np.float64)
+    k1, k2, p1, p2, k3 = truth.get(f"dist_{view}") or [0.0] * 5
+    camera = Intrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+    return Lens(camera, (k1, k2, p1, p2, k3), width, height)
+
+
 def _rig(clip: FilmedClip) -> Rig:
-    truth = clip.truth
-
-    def lens(view: str) -> Lens:
-        matrix = np.array(truth[f"K_{view}"])
-        distortion = np.array(truth.get(f"dist_{view}") or np.zeros(5), dtype=np.float64)
-        return Lens(Intrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]), distortion)
-
-    return Rig((lens("a"), lens("b")), np.array(truth["R"]), np.array(truth["t"]))
+    lenses = (
+        _lens(clip.truth, view, take.width, take.height)
+        for view, take in zip("ab", (clip.first, clip.second), strict=True)
+    )
+    return Rig((next(lenses), next(lenses)), np.array(clip.truth["R"]), np.array(clip.truth["t"]))
 
 
 def _row(first: FilmedClip, second: FilmedClip, take: Take, seconds: float) -> dict[str, Any]:

@@ -47,7 +47,7 @@ class ArmSettings:
     """Relative deviation of the wrist's distance from the hand's, whose size in the picture tells it"""
     joint_sigma: float = 0.12
     """hand lengths by which the body network's points are off in the picture"""
-    direction_sigma: float = 0.25
+    direction_sigma: float = 0.2
     """The body network's directions, radians"""
     flexion_sigma: float = math.radians(30.0)
     deviation_sigma: float = math.radians(13.0)
@@ -64,9 +64,9 @@ class ArmSettings:
     shoulder_acceleration: float = 0.3
     """metres per second squared that are expected. The wrist's matters in depth only"""
     resting_speed: float = 0.015
-    """metres per second at which elbow and shoulder of a resting hand are expected to move"""
+    """metres per second at which the arm of a resting hand is expected to move"""
     speed_share: float = 1.0
-    """The share of the wrist's speed that elbow and shoulder of a moving one have at most"""
+    """The share of the hand's speed at which the arm of a moving one is expected to move beside that"""
     overlap_seconds: float = 4.0
     """seconds that two windows of a long clip share"""
     iterations: int = 30
@@ -235,7 +235,7 @@ def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
 @np.errstate(all="ignore")
 def _window(seen: ArmsSeen, arms: Arms, fps: float) -> Arms:
     cost, band, gradient = _system(arms, seen, fps)
-    damping = 1e-3
+    damping = 1e-6
     for _ in range(ARMS.iterations):
         candidate = arms.moved(_solve(band, gradient, damping).reshape(*arms.wrist.shape[:2], FREE))
         after, next_band, next_gradient = _system(candidate, seen, fps)
@@ -323,7 +323,7 @@ def _of_acceleration(fps: float) -> np.ndarray:
 
 def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
     """(T - 1, A, 9) one over the expected first differences: an arm whose hand rests hardly moves. Nothing is
-    expected of the wrist, nor of arms without a hand."""
+    expected of arms without a hand."""
     rows = np.arange(len(seen.wrist))
     # Over so long that the hand's own tremor is none.
     lag = max(round(0.2 * fps), 1)
@@ -331,7 +331,6 @@ def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
     way = np.linalg.norm(seen.wrist[after] - seen.wrist[before], axis=-1, keepdims=True)
     speed = way * fps / (after - before)[:, None, None]
     weight = np.repeat(fps / (ARMS.resting_speed + ARMS.speed_share * np.nan_to_num(speed)), 9, axis=-1)
-    weight[..., 6:] = 0.0
     return np.where(np.isfinite(speed), weight, 0.0)
 
 

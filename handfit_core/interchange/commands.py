@@ -169,7 +169,8 @@ def _info(args: argparse.Namespace) -> int:
 
 
 def _hand(hand: HandTrack) -> str:
-    return f"{hand.side} hand in {int(hand.present.sum())} frames"
+    arm = hand.no_arm if hand.arm is None else f"arm in {int(hand.arm.present.sum())}"
+    return f"{hand.side} hand in {int(hand.present.sum())} frames{f' ({arm})' if arm else ''}"
 
 
 def _networks(take: Take) -> list[tuple[str, str]]:

@@ -12,7 +12,7 @@ import contextlib
 import functools
 import re
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from handfit_core.errors import HandModelError
@@ -157,6 +157,30 @@ RIGS = (
         ("proximal", "middle", "distal"), _ANATOMY, thumb_roll=0.0),
 )  # fmt: skip
 """Where two explain a hand as well, the first does"""
+
+
+_FOREARM = ("forearm", "lowerarm", "elbow", "ひじ", "前腕")
+_UPPER_ARM = ("arm", "shldr", "腕")
+_NOT_ARM = ("twist", "roll", "捩", "armature")
+"""What `Name.plain` of the bones of an arm holds; a clavicle may be called a shoulder, as an upper arm may"""
+
+
+def named_arm(chain: Sequence[str]) -> tuple[int, int] | None:
+    """Which of the bones above a hand, the nearest first, are upper arm and forearm by their names; of those
+    that are parted, the first parts."""
+
+    def last(words: tuple[str, ...], start: int, without: tuple[str, ...]) -> int | None:
+        held = [i for i in range(start, len(plain)) if any(word in plain[i] for word in words)]
+        held = [i for i in held if not any(word in plain[i] for word in without)]
+        return held[-1] if held else None
+
+    plain = [parsed(name).plain for name in chain]
+    fore = last(_FOREARM, 0, _NOT_ARM)
+    if fore is None:
+        return None
+    upper = last(_UPPER_ARM, fore + 1, (*_NOT_ARM, *_FOREARM))
+    upper = last(("shoulder",), fore + 1, _NOT_ARM) if upper is None else upper
+    return None if upper is None else (upper, fore)
 
 
 def named_hands(bones: Bones, side: Side) -> list[Found]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -13,6 +14,8 @@ from handfit_core.detection import find_in_frame
 from handfit_core.errors import PictureSizeError
 from handfit_core.files import written_whole
 from handfit_core.interchange.opening import RELATIVE, open_input
+from handfit_core.media.chessboard import measure_lens
+from handfit_core.media.lenses import checked_name, save_lens
 from handfit_core.media.videos import Video
 from handfit_core.options import OPTIONS, CaptureOptions
 from handfit_core.pipeline import add_arms_to_file, capture_to_file
@@ -45,6 +48,8 @@ def answer(
             return find(message)
         case "sheet":
             return sheet(message)
+        case "lens":
+            return lens(message, should_stop, on_progress)
         case _:
             from handfit_core.worker import checking  # slow to load, with all that fits hands
 
@@ -148,6 +153,16 @@ def sheet(message: Mapping[str, Any]) -> dict[str, Any]:
     """Write the contact sheet of a take. Raises TakeError and OutputError."""
     limit = OPTIONS["max_megapixels"].read(message.get("max_megapixels"))
     return {"frames": write_sheet(Take.load(message["take"]), message["output"], max_megapixels=limit)}
+
+
+def lens(
+    message: Mapping[str, Any], should_stop: Callable[[], bool], on_progress: OnProgress
+) -> dict[str, Any]:
+    """Measure a lens and save it by the request's name. Raises OptionError, InputError and OutputError."""
+    name = checked_name(message["name"])
+    measured = measure_lens(_source(message), partial(on_progress, "lens"), should_stop)
+    save_lens(name, measured)
+    return {"said": measured.said}
 
 
 def _write_picture(rgb: np.ndarray, path: str) -> None:

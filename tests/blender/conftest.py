@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,29 @@ UNSEEN = 4
 WIDTH, HEIGHT = 160, 120
 OFF_CENTRE = Intrinsics(fx=210.0, fy=180.0, cx=70.0, cy=66.0)
 """fx != fy, and the principal point well off the middle"""
+
+
+GENERATE = """
+import os, sys, traceback
+import bpy
+import addon_utils  # which is there once bpy is
+try:
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    addon_utils.enable("rigify", default_set=True, persistent=True)  # only after the reset: else it breaks
+    bpy.ops.object.armature_human_metarig_add()
+    metarig = bpy.context.object
+    metarig.pose.bones["f_index.01.L"].rigify_parameters.make_extra_ik_control = True
+    import rigify.generate
+    rigify.generate.generate_rig(bpy.context, metarig)
+    bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+    code = 0
+except BaseException:
+    traceback.print_exc()
+    code = 1
+sys.stdout.flush()
+sys.stderr.flush()
+os._exit(code)  # a bpy that has seen an error may hang as it ends
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -136,6 +160,17 @@ def model(request) -> str:
     if request.param == "open-hand":
         return request.param
     return str(request.getfixturevalue("imitation_mano"))
+
+
+@pytest.fixture(scope="session")
+def generated(tmp_path_factory) -> Path:
+    """A .blend with Rigify's human and the rig that this Blender's Rigify makes of it. The left index finger
+    has IK, too."""
+    path = tmp_path_factory.mktemp("rigify") / "rig.blend"
+    command = [sys.executable, "-c", GENERATE, str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return path
 
 
 @pytest.fixture

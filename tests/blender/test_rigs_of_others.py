@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,28 +27,6 @@ from tests.drawn import drawn
 
 from .looking import angles, bones_at, directions, directions_apart, keyed_bones
 
-GENERATE = """
-import os, sys, traceback
-import bpy
-import addon_utils  # which is there once bpy is
-try:
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    addon_utils.enable("rigify", default_set=True, persistent=True)  # only after the reset: else it breaks
-    bpy.ops.object.armature_human_metarig_add()
-    metarig = bpy.context.object
-    metarig.pose.bones["f_index.01.L"].rigify_parameters.make_extra_ik_control = True
-    import rigify.generate
-    rigify.generate.generate_rig(bpy.context, metarig)
-    bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
-    code = 0
-except BaseException:
-    traceback.print_exc()
-    code = 1
-sys.stdout.flush()
-sys.stderr.flush()
-os._exit(code)  # a bpy that has seen an error may hang as it ends
-"""
-
 
 @pytest.fixture
 def check(registered, make_take):
@@ -70,17 +46,6 @@ def check(registered, make_take):
         return found.hand_map
 
     return follows
-
-
-@pytest.fixture(scope="session")
-def generated(tmp_path_factory) -> Path:
-    """A .blend with Rigify's human and the rig that this Blender's Rigify makes of it. The left index finger
-    has IK, too."""
-    path = tmp_path_factory.mktemp("rigify") / "rig.blend"
-    command = [sys.executable, "-c", GENERATE, str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return path
 
 
 def opened(path: Path, name: str) -> bpy.types.Object:

@@ -12,7 +12,10 @@ import pytest
 
 from handfit_core import Take
 from handfit_core.__main__ import main
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from tests.conftest import ROOT
+from tests.films import all_around, film
 
 PHOTO = ROOT / "samples" / "rendered_hand" / "hand.0001.jpg"
 
@@ -48,6 +51,7 @@ def test_arms_are_added_to_a_take(tmp_path):
         assert take.hands[0].no_arm.startswith("no arm: ")
         assert take.hands[0].no_arm in result.stderr
         np.testing.assert_array_equal(take.hands[0].joints_3d, before.hands[0].joints_3d)
+    assert f"({take.hands[0].no_arm})" in run("info", beside).stdout
     replace(before, source=replace(before.source, files=(str(tmp_path / "gone.jpg"),))).save(path)
     assert "gone.jpg: there is no such file" in run("arms", path).stderr
 
@@ -103,3 +107,27 @@ def test_usage(arguments):
     result = run(*arguments.split())
     assert result.returncode == 2
     assert "usage:" in result.stderr
+
+
+def test_a_lens_is_measured_listed_used_and_forgotten(tmp_path, monkeypatch, capsys):
+    """As somebody does it: draw the board, film it, name the lens, capture with it."""
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
+    assert main(["lens", "--board", str(tmp_path / "board.png")]) == 0
+    assert "film it for half a minute" in capsys.readouterr().out
+    assert cv2.imread(str(tmp_path / "board.png")).shape == (1080, 1920, 3)
+    lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (-0.1, 0.0, 0.0, 0.0, 0.0), 640, 480)
+    clip = str(film(tmp_path / "film.mp4", lens, all_around(lens, 20), still=1))
+    for name, said in (("1,2,3", "a name with a letter"), (None, "give the lens a name, with --name")):
+        assert main(["lens", clip, *([f"--name={name}"] if name else [])]) == 1
+        assert said in capsys.readouterr().err
+    assert main(["lens", clip, "--name", "my/phone 📱"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("my/phone 📱: focal length 4")
+    assert main(["lens", "--list"]) == 0
+    assert capsys.readouterr().out == told
+    assert main(["capture", str(PHOTO), "--lens", "my/phone 📱", "-o", str(tmp_path / "a.npz")]) == 0
+    assert Take.load(tmp_path / "a.npz").intrinsics.fx == pytest.approx(430.0, rel=0.005)
+    assert main(["lens", "--remove", "my/phone 📱"]) == 0
+    capsys.readouterr()
+    assert main(["capture", str(PHOTO), "--lens", "my/phone 📱", "-o", str(tmp_path / "b.npz")]) == 1
+    assert "there is no measured lens my/phone 📱, and none is saved" in capsys.readouterr().err

@@ -11,7 +11,9 @@ from handfit_core import Intrinsics, capture
 from handfit_core.__main__ import _all_parsers, _parser
 from handfit_core.detect.detector import Region
 from handfit_core.errors import OptionError
+from handfit_core.geometry.lens import Lens
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lenses import MeasuredLens, save_lens
 from handfit_core.options import OPTIONS, VIEW_OPTIONS, CaptureOptions, Option, add_options
 from tests.conftest import ROOT
 
@@ -39,6 +41,7 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "intrinsics": ([1, 2, 3, 4], "1,2,3,4", Intrinsics(1.0, 2.0, 3.0, 4.0)),
     "lens": ([1, 0.5, 0.25], "1,0.5,.25", (1.0, 0.5, 0.25)),
     "view": ("b.mp4", "b.mp4", "b.mp4"),
+    "view_lens": ([1, 0.5, 0.25], "1,0.5,.25", (1.0, 0.5, 0.25)),
     "cameras": ("rig.toml", "rig.toml", "rig.toml"),
     "offset": (-0.5, "-0.5", -0.5),
     "baseline": (0.8, "0.8", 0.8),
@@ -155,3 +158,17 @@ def test_programs_may_give_the_forms_that_they_have():
     assert CaptureOptions(intrinsics=Intrinsics(1.0, 2.0, 3.0, 4.0)).to_message() == {
         "intrinsics": [1.0, 2.0, 3.0, 4.0]
     }
+
+
+def test_a_measured_lens_goes_with_its_numbers(tmp_path, monkeypatch):
+    """To another machine, and into the keys of a batch; its name is read here."""
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path))
+    lens = Lens(Intrinsics(1.0, 2.0, 3.0, 4.0), (0.1, 0.2, 0.0, 0.0, 0.0), 640, 480)
+    save_lens("my phone, wide", MeasuredLens(lens, 0.2, 1.0, 20))
+    options = told("--lens", "my phone, wide")
+    assert options.lens == lens
+    assert CaptureOptions.of_message(json.loads(json.dumps(options.to_message()))) == options
+    with pytest.raises(OptionError, match="no measured lens yours; saved are my phone, wide: measure"):
+        told("--lens=yours")
+    with pytest.raises(OptionError, match="a lens with intrinsics"):
+        CaptureOptions.of_message({"lens": {"width": 640}})

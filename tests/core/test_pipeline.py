@@ -26,10 +26,12 @@ from handfit_core.errors import (
     PlugInError,
 )
 from handfit_core.fitting import hand_track
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model, save_model_npz
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.hand_model.motion import HandMotion
+from handfit_core.media.lenses import MeasuredLens, save_lens
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import hand_summaries
@@ -421,3 +423,24 @@ def test_detector_agrees_with_mediapipes_own_output(samples):
     points = np.array(json.loads((video.parent / "asl_hand.mediapipe_2d.json").read_text()))[:10, :, :2]
     (hand,) = capture(video, frames="1-10", solver="paper-a-plus").hands
     assert np.median(np.linalg.norm(hand.keypoints_2d - points, axis=-1)) < 10.0
+
+
+def test_a_measured_lens_is_taken_out_of_what_is_detected(tmp_path, monkeypatch):
+    """By its name, in pictures of another size."""
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path))
+    plain = capture(PHOTO)
+    width, height = plain.width, plain.height
+    camera, distortion = Intrinsics(1.2 * width, 1.2 * width, width, height), (-0.2, 0.05, 0.0, 0.0, 0.0)
+    lens = Lens(camera, distortion, 2 * width, 2 * height)
+    save_lens("a/b", MeasuredLens(lens, 0.2, 1.0, 20))
+    taken = capture(PHOTO, lens="a/b")
+    half = lens.scaled(width, height)
+    assert taken.intrinsics == half.intrinsics
+    assert taken.intrinsics == Intrinsics(0.6 * width, 0.6 * width, width / 2.0, height / 2.0)
+    for hand, before in zip(taken.hands, plain.hands, strict=True):
+        moved = half.undistorted(before.keypoints_2d)
+        assert np.abs(moved - before.keypoints_2d).max() > 1.0
+        np.testing.assert_array_equal(hand.keypoints_2d, moved)
+    assert capture(PHOTO, lens=lens).hands[0].joints_3d.tobytes() == taken.hands[0].joints_3d.tobytes()
+    with pytest.raises(OptionError, match="measured in pictures of 100x300"):
+        capture(PHOTO, lens=Lens(lens.intrinsics, lens.distortion, 100, 300))

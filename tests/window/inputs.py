@@ -18,9 +18,10 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
 from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES
+from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
-from tests.takes import correctable, take_of, track_of
+from tests.takes import correctable, take_of, track_of, with_arms
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
@@ -61,9 +62,20 @@ class Inputs:
         """A take of the bundled hand."""
         return RENDERED_HAND / "truth.take.npz"
 
+    @property
+    def film_of_the_board(self) -> Path:
+        """A film that tells its lens."""
+        return self._written("board.mp4", _FILM_BOARD, RENDERED_HAND.parents[1])
+
     def clip(self, frames: int, blank_from: int | None = None) -> Path:
         """A video of the bundled hand, to and fro; from `blank_from` on it shows nothing."""
         return self._written("clip.mp4", _WRITE_CLIP, RENDERED_HAND, frames, blank_from)
+
+    @property
+    def two_arms(self) -> Path:
+        """A take of two moving hands, with the arms that they hang on."""
+        path = self.folder / "arms.take.npz"
+        return with_arms(Take.load(self.two_hands())).save(path)
 
     def two_hands(self, away: float = 0.6) -> Path:
         """A take of two moving hands over a hundred frames, which can be corrected; `away` metres from the
@@ -94,6 +106,14 @@ class Inputs:
         return path
 
 
+_FILM_BOARD = """
+sys.path.insert(0, sys.argv[1])
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from tests.films import all_around, film
+lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0), 640, 480)
+film(sys.argv[2], lens, all_around(lens, 20))
+"""
 _WRITE_CLIP = """
 import pathlib
 folder, output, frames, blank = sys.argv[1:]

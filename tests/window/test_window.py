@@ -23,6 +23,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "addon.disabled_leaves_nothing": lambda i: {"take": i.take},
     "addon.survives_reloading_scripts": lambda i: {"take": i.take},
     "addon.take_from_the_file_browser": lambda i: {"take": i.take},
+    "addon.lens_from_the_file_browser": lambda i: {"film": i.film_of_the_board},
     "addon.all_sections": lambda i: {"source": i.clip(60)},
     "addon.preferences": lambda _: {},
     "addon.curves_and_error": lambda i: {"source": i.clip(60)},
@@ -38,6 +39,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.undo_in_the_middle": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.another_file_in_the_middle": lambda i: {"source": i.clip(CLIP)},
     "capture.dropped": lambda i: {"source": i.photo},
+    "capture.arms_added": lambda i: {"source": i.photo},
     "finding.chosen": lambda i: {"source": i.four_hands},
     "finding.added": lambda i: {"source": i.photo},
     "refine.keypoint_dragged": lambda i: {"source": i.clip(60)},
@@ -52,6 +54,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "posing.keys_simplified": lambda i: {"take": i.two_hands()},
     "posing.exported": lambda i: {"source": i.photo},
     "character.applied": lambda i: {"take": i.two_hands()},
+    "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
 }
 

@@ -13,7 +13,6 @@ from handfit_core.detect.keypoints import Landmarked
 from handfit_core.fit.fast import FastFitter
 from handfit_core.fit.observation import Observation, observation_of
 from handfit_core.fit.settings import VIEWS
-from handfit_core.fit.views.rig_file import Lens
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import State
 from handfit_core.skeleton import Side
@@ -49,19 +48,10 @@ class ViewedHand(Batch):
         times: np.ndarray,
         fps: float,
         intrinsics: Intrinsics,
-        lens: Lens | None = None,
     ) -> ViewedHand:
-        """A hand of a take whose frames lie at `times` (T,) seconds, seen through a lens that is known, or
-        not."""
+        """A hand of a take whose frames lie at `times` (T,) seconds."""
         rows = np.flatnonzero(np.asarray(hand.detected) & np.isfinite(hand.transl).all(axis=1))
         found = hand.detections(rows)
-        if lens is not None:
-            older = found.keypoints_2020
-            found = replace(
-                found,
-                keypoints=lens.undistorted(found.keypoints),
-                keypoints_2020=None if older is None else lens.undistorted(older),
-            )
         betas = np.broadcast_to(hand.betas, (len(rows), len(hand.betas)))
         state = fitter.chain.state(
             betas, hand.global_orient[rows], hand.hand_pose[rows], hand.transl[rows], np.ones(len(rows))

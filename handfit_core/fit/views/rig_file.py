@@ -20,37 +20,13 @@ import numpy as np
 from handfit_core.errors import InputError, OptionError
 from handfit_core.files import read_file, shown, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.take import Take
 
 LARGEST_FILE: Final = 1 << 20
 FARTHEST_APART: Final = 20.0
 """Two cameras whose distance is a larger number stand in millimetres"""
-
-
-@dataclass(frozen=True, eq=False)
-class Lens:
-    """A pinhole camera with distortion."""
-
-    intrinsics: Intrinsics
-    distortion: np.ndarray
-    """(5,) k1, k2, p1, p2, k3"""
-
-    def undistorted(self, points: np.ndarray) -> np.ndarray:
-        """(..., 2 or more) pixels as a camera without distortion sees them; further columns stay."""
-        import cv2  # slow to load
-
-        found = np.array(points, dtype=np.float64)
-        known = np.isfinite(found).all(axis=-1)
-        if not self.distortion.any() or not known.any():
-            return found
-        camera = self.intrinsics
-        matrix = np.array(
-            [[camera.fx, 0.0, camera.cx - 0.5], [0.0, camera.fy, camera.cy - 0.5], [0.0, 0.0, 1.0]]
-        )
-        pixels = np.ascontiguousarray(found[known][:, None, :2]) - 0.5
-        found[known, :2] = cv2.undistortPoints(pixels, matrix, self.distortion, P=matrix)[:, 0] + 0.5
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +42,8 @@ class Rig:
 
 def read_rig(path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence[tuple[int, int]]) -> Rig:
     """The cameras of two clips with those names (stems of their files) and sizes (width, height): those that
-    are called so, or else the first two. Raises InputError."""
+    are called so, or else both that there are. Raises InputError, and OptionError for pictures of another
+    shape."""
     try:
         cameras = _tables(tomllib.loads(read_file(Path(path), LARGEST_FILE).decode()))
         chosen = _chosen(cameras, names)
@@ -107,18 +84,14 @@ def _chosen(cameras: list[dict[str, Any]], names: Sequence[str]) -> list[dict[st
 
 def _lens(camera: dict[str, Any], size: tuple[int, int]) -> Lens:
     matrix = _array(camera["matrix"], (3, 3))
-    width, height = (float(side) for side in camera["size"])
-    factor = size[0] / width
-    if abs(size[1] / height / factor - 1.0) > 0.01:
-        raise ValueError(
-            f"camera {camera.get('name', '?')} is {width:g}x{height:g}, its clip {size[0]}x{size[1]}"
-        )
-    # Pixels are half a pixel farther on in ours, whatever their size.
-    centre = (matrix[:2, 2] + 0.5) * factor
+    width, height = (int(side) for side in camera["size"])
     distortion = np.zeros(5)
     given = np.ravel(np.asarray(camera.get("distortions", ()), dtype=np.float64))[:5]
     distortion[: len(given)] = given
-    return Lens(Intrinsics(matrix[0, 0] * factor, matrix[1, 1] * factor, *centre), distortion)
+    centre = matrix[:2, 2] + 0.5
+    measured = Intrinsics(matrix[0, 0], matrix[1, 1], centre[0], centre[1])
+    k1, k2, p1, p2, k3 = distortion.tolist()
+    return Lens(measured, (k1, k2, p1, p2, k3), width, height).scaled(*size)
 
 
 def _place(camera: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:

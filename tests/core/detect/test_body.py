@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from handfit_core import capture
 from handfit_core.detect.bodies import FOLLOWING, find_bodies
 from handfit_core.detect.body import WRISTS, BodyNetworks, crop_about
 from handfit_core.detect.landmark_model import BODY, body_model_path
@@ -13,10 +14,12 @@ from handfit_core.detect.tflite import with_image_metadata
 from handfit_core.detection import find_in_frame
 from handfit_core.errors import LandmarkModelError
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import turn_from_axis
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
+from tests.conftest import ROOT
 
 PAINTED, SIGNER, TWO = (
     "photos/mona_lisa.jpg",
@@ -97,7 +100,7 @@ def test_the_hands_of_a_photo_have_their_bodies(networks, samples, name, people,
     hands = hands_in(samples / name)
     media = open_media(str(samples / name))
     camera = Intrinsics.assumed(media.width, media.height)
-    bodies = find_bodies(media, [1], hands[:, None], camera, CaptureOptions())
+    bodies = find_bodies(media, [1], list(hands[:, None]), camera, CaptureOptions())
     assert len(bodies) == people
     wrists = np.concatenate([body.keypoints[0, [*WRISTS.values()]] for body in bodies])
     off = np.linalg.norm(hands[:, None, 0] - wrists, axis=-1).min(axis=1) / np.ptp(hands, axis=1).max(axis=1)
@@ -123,7 +126,7 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
     tracks = []
     for threads in (1, 3):
         media, options = open_media(str(path)), CaptureOptions(processes=threads)
-        tracks.append(find_bodies(media, range(1, 211), hands, Intrinsics.assumed(*size), options))
+        tracks.append(find_bodies(media, range(1, 211), list(hands), Intrinsics.assumed(*size), options))
     assert [len(each) for each in tracks] == [1, 1]
     ((one,), (other,)) = tracks
     for name in ("keypoints", "visibility", "world", "score", "present"):
@@ -138,3 +141,24 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
         shoulders = one.keypoints[shot, 11:13]
         assert np.nanmax(np.abs(shoulders - np.nanmedian(shoulders, axis=0))) < 25.0
     assert np.isfinite(one.score).sum() <= 210 / FOLLOWING.detection_interval * 4
+
+
+def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(networks, tmp_path):
+    """A painting as a wide lens would show it: hands move by 20 pixels, elbows as well."""
+    path = ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg"
+    straight = cv2.imread(str(path))
+    height, width = straight.shape[:2]
+    camera = Intrinsics(0.8 * height, 0.8 * height, width / 2.0, height / 2.0)
+    lens = Lens(camera, (-0.25, 0.08, 0.0, 0.0, 0.0), width, height)
+    seen = lens.undistorted(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1) + 0.5)
+    at = (seen - 0.5).astype(np.float32)
+    bent = cv2.remap(straight, at, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    cv2.imwrite(str(tmp_path / "bent.png"), bent)
+    of = {hand.side: hand for hand in capture(path, arms=True, intrinsics=camera).hands}
+    elbows = []
+    for hand in capture(tmp_path / "bent.png", arms=True, lens=lens).hands:
+        off = np.linalg.norm(hand.keypoints_2d - of[hand.side].keypoints_2d, axis=-1)
+        assert off.mean() < 5.0
+        elbow, other = (camera.project(each.arm.elbow[0]) for each in (hand, of[hand.side]) if each.arm)
+        elbows.append(np.linalg.norm(elbow - other))
+    assert np.mean(elbows) < 15.0  # and 23 without

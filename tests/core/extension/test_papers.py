@@ -44,7 +44,8 @@ def test_licence_files_beside_the_code_are_taken_and_code_is_not(make_wheel):
 def test_others_licences_and_texts_stand_in_the_file(wheels):
     text = third_party_licences(wheels)
     second = "MediaPipe hand landmark network of December 2020 0.1.1606863095"
-    bundled = "MediaPipe hand landmark model 0.10.21", second, "Open hand 1"
+    first = "MediaPipe hand landmark model 0.10.21", "MediaPipe body networks 0.10.21"
+    bundled = *first, second, "Open hand 1"
     for heading in ("torch 2.13.0+cpu", "mediapipe 0.10.31", *bundled):
         assert text.count(f"\n{heading}\n{'=' * 100}\n") == 1
     assert "The licence of torch." in text
@@ -57,7 +58,7 @@ def test_every_part_is_a_component(wheels):
     found = json.loads(sbom("manient", "0.1.0", "linux-x64", wheels))
     components = {c["name"]: c for c in found["components"]}
     second = "MediaPipe hand landmark network of December 2020"
-    bundled = {"MediaPipe hand landmark model", second, "Open hand"}
+    bundled = {"MediaPipe hand landmark model", "MediaPipe body networks", second, "Open hand"}
     assert set(components) == {"torch", "mediapipe", "handfit-core", *bundled}
     assert components["torch"]["hashes"] == [{"alg": "SHA-256", "content": wheels[2].sha256}]
     assert components["torch"]["purl"].startswith("pkg:pypi/torch@2.13.0%2Bcpu?")

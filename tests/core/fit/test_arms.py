@@ -82,6 +82,14 @@ def test_terms_lead_downhill(term):
     close(2.0 * slope.ravel(), cost, rtol=1e-4, atol=1e-5 * np.abs(cost).max())
 
 
+@pytest.mark.parametrize(("count", "rate"), [(1, 24.0), (2, 1.0), (3, 25.0), (40, 1000.0)])
+def test_short_and_fast_clips_have_arms(count, rate):
+    """A photo is one of one frame."""
+    short = person(count, speed=FPS / rate)
+    for hand, truth in zip(arms_of(short.hands, [short.body], CAMERA, rate), short.points, strict=True):
+        assert degrees_off(hand.arm, truth).max() < 3.0
+
+
 @pytest.mark.parametrize("bend", [0.0, 0.5, -0.5])
 def test_people_are_found_again(bend):
     """Both arms, in their lengths, with the wrist where the hand's is; a bent wrist draws hardly."""
@@ -154,6 +162,17 @@ def test_several_people_and_shots():
     assert arm.present.tolist() == [True] * 30 + [False] * 30
 
 
+@pytest.mark.parametrize(("jump", "last"), [(0.0, 40), (600.0, 30)])
+def test_an_arm_without_a_body_ends(jump, last):
+    """Soon after it is lost, and at once where the hand jumps: that is a cut."""
+    lost = np.arange(60) >= 30
+    hand = PERSON.hands[0]
+    moved = replace(hand, keypoints_2d=hand.keypoints_2d + np.where(lost, jump, 0.0)[:, None, None])
+    arm = arms_of([moved], [replace(PERSON.body, present=~lost)], CAMERA, FPS)[0].arm
+    assert arm is not None
+    assert np.flatnonzero(arm.present).tolist() == list(range(last))
+
+
 def seen_as(**arrays: np.ndarray | float) -> Callable[[BodyTrack], BodyTrack]:
     def changed(body: BodyTrack) -> BodyTrack:
         shapes = {name: getattr(body, name) for name in arrays}
@@ -204,3 +223,9 @@ def test_no_arm_is_better_than_a_wrong_one(change, why):
 def test_a_take_without_bodies_or_hands_gets_sentences():
     assert [hand.no_arm for hand in arms_of(PERSON.hands, [], CAMERA, FPS)] == [takes.NO_BODY] * 2
     assert arms_of([], [PERSON.body], CAMERA, FPS) == ()
+    never = without(PERSON.hands[0], slice(None))
+    assert [h.no_arm for h in arms_of([never, PERSON.hands[1]], [PERSON.body], CAMERA, FPS)] == [
+        takes.NO_BODY,
+        "",
+    ]
+    assert arms_of([never], [PERSON.body], CAMERA, FPS)[0].no_arm == takes.NO_BODY

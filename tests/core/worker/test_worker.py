@@ -180,6 +180,8 @@ def test_makes_contact_sheets(warm: Worker, tmp_path: Path) -> None:
         ("find", {"picture": f"{__file__}/b.jpg"}, "OutputError", "cannot write"),
         ("sheet", {"take": PHOTO}, "TakeError", "hand.0001.jpg"),
         ("warm", {"model": "/nowhere.pkl"}, "HandModelError", "nowhere"),
+        ("lens", {"name": "1,2"}, "OptionError", "a name with a letter"),
+        ("lens", {"name": "mine"}, "InputError", "the chessboard was found in none of 24 frames"),
     ],
     ids=str,
 )

@@ -54,6 +54,22 @@ def take_from_the_file_browser(stage, take):
         assert len(hands()) == count
 
 
+def lens_from_the_file_browser(stage, film):
+    """Camera > Measured Lens: its buttons, the film chosen in the browser, measured while the window stays
+    free."""
+    settings = bpy.context.scene.manient
+    settings.camera = "LENS"
+    with opened_by_default("_capture"):
+        yield from stage.open_sidebar()
+        yield from stage.screenshot("lens-none")
+        bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+        yield from stage.invoke("manient.measure_lens", lens="my phone")
+        yield from stage.choose_file(film)
+        yield from stage.until(lambda: settings.measured_lens, 60.0, "the measured lens")
+        yield from stage.screenshot("lens-measured")
+    assert settings.measured_lens == "my phone"
+
+
 def all_sections(stage, source):
     """With a captured clip: every section open, the mouse wheel turned through all of them."""
     with opened_by_default():
