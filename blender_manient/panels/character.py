@@ -26,6 +26,7 @@ from ..scene.characters import (
     why_not_reachable,
 )
 from ..scene.onto_character import why_not_turned
+from ..scene.store import CapturedHand
 from ..session import hand_adjusting, live_link
 
 _SURE, _LIKELY = 0.75, 0.45
@@ -80,8 +81,11 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         character = armature.manient.character
         column = split(layout.column())
         column.prop(character, "into")
-        column.prop(character, "wrist")
-        if character.wrist != "FINGERS":
+        arms = [source.track.arm is not None for source in _sources(context, armature)]
+        by_arms = character.arms and bool(arms) and all(arms)
+        if not by_arms:
+            column.prop(character, "wrist")
+        if character.wrist != "FINGERS" and not by_arms:
             row = column.row(align=True)
             row.prop(character, "reference")
             row.operator("manient.mark_frame", text="", icon="MARKER_HLT")
@@ -97,7 +101,8 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
                 text, alert = told
                 sentence(column, context, capitalised(text), "ERROR" if alert else "INFO", alert=alert)
         column.prop(character, "contacts")
-        self._arms(context, column, armature)
+        if any(arms):
+            self._arms(column, armature)
         row = layout.row(align=True)
         row.scale_y = 1.3
         row.operator("manient.apply_to_character", icon="ARMATURE_DATA").mode = "ANIMATION"
@@ -109,13 +114,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         if trouble is not None:
             sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
 
-    def _arms(self, context, layout, armature: bpy.types.Object) -> None:
-        try:
-            sources = sources_of(armature, context).values()
-        except HandfitError:
-            return
-        if all(source.track.arm is None for source in sources):
-            return
+    def _arms(self, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
         layout.prop(character, "arms")
         if not character.arms:
@@ -172,6 +171,14 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("manient.load_hand_preset", icon="FILE_FOLDER")
         row.operator("manient.save_hand_preset", icon="FILE_TICK")
+
+
+def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:
+    """The captured hands that a character follows; none where that is not settled."""
+    try:
+        return [*sources_of(armature, context).values()]
+    except HandfitError:
+        return []
 
 
 def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:

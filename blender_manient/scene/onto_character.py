@@ -295,6 +295,7 @@ def computing(
     keys, applied = [], []
     for hand_map, captured in hands:
         motion = captured.on(hand_map.side)
+        of_arm: list[BoneKeys] = []
         arm, no_arm = _arm_of(armature, hand_map, motion) if onto.arms else (None, None)
         fingers_only = onto.wrist == "FINGERS" and arm is None
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
@@ -317,12 +318,14 @@ def computing(
         if arm is not None and motion.arm is not None:
             how = ArmOptions(onto.arms_influence, onto.arms_ease, onto.arms_turn, onto.arms_outside)
             wrists = motion.turns[:, 0]
-            keys += yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, how)
+            of_arm = yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, how)
+            keys += of_arm
         elif not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
         apart = np.zeros(1) if kept is None else kept.apart
         worst, missed = float(apart.max(initial=0.0)), int((apart > MAX_TOUCH_ERROR).sum())
-        applied.append(Applied(len(motion.frames), int(keyed.sum()), tuple(left_alone), worst, missed))
+        count = int(keyed.sum()) + len(of_arm)
+        applied.append(Applied(len(motion.frames), count, tuple(left_alone), worst, missed))
     return Computed(keys, applied)
 
 

@@ -13,7 +13,15 @@ from typing import Final, Self
 
 import numpy as np
 
-from handfit_core.detect.body import NUM_BODY_POINTS, WRISTS, Body, BodyNetworks, BodyTrack
+from handfit_core.detect.body import (
+    ELBOWS,
+    NUM_BODY_POINTS,
+    SHOULDERS,
+    WRISTS,
+    Body,
+    BodyNetworks,
+    BodyTrack,
+)
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.geometry.camera import Intrinsics
@@ -21,6 +29,7 @@ from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
+from handfit_core.skeleton import SIDES
 
 
 @dataclass(frozen=True)
@@ -41,6 +50,12 @@ class FollowingSettings:
     step: int = 2
     """Every step-th frame is looked at, and bodies are interpolated between: fitted arms are as exact, and
     tremble no more"""
+    resting_step: int = 8
+    """In place of `step`, once no arm was seen in the last `max_unseen` frames that were looked at, as where
+    only a forearm is in the picture"""
+    max_unseen: int = 6
+    min_visibility: float = 0.5
+    """Of the shoulder, elbow and wrist of an arm that is seen"""
     max_wrist_distance: float = 1.0
     """Hand sizes; a body whose wrist is farther than this from a hand's is another's"""
     max_misses: int = 6
@@ -186,6 +201,8 @@ class _Following:
         self._networks, self._clip = networks, clip
         self._now: list[_Followed] = []
         self._thumbnail: Thumbnail | None = None
+        self._unseen, self._next = 0, 0
+        """Frames in a row that were looked at and in which no arm was seen, and the row of the next one"""
         self._next_detection = 0
         """Row of the next detection where all hands have bodies"""
         self._wait, self._next_search = FOLLOWING.first_wait, 0
@@ -195,10 +212,11 @@ class _Following:
         """Find the bodies of the hands of that row in its picture (H, W, 3) uint8 RGB."""
         thumbnail = Thumbnail.of(rgb)
         if self._thumbnail is not None and thumbnail.is_cut_from(self._thumbnail):
-            self._now, self._next_detection, self._next_search = [], row, row
+            self._now, self._unseen = [], 0
+            self._next = self._next_detection = self._next_search = row
         self._thumbnail = thumbnail
         there = np.isfinite(self._clip.extents[:, row])
-        if not there.any():
+        if not there.any() or row < self._next:
             return
         for person in self._now:
             self._predict(person, rgb, row)
@@ -211,6 +229,10 @@ class _Following:
         self._now = [p for p in self._now if row in p.bodies and p.misses <= FOLLOWING.max_misses]
         if row >= self._next_detection or (free.any() and row >= self._next_search):
             self._detect(rgb, row, free)
+        seen = any(_sees_arm(person.bodies[row]) for person in self._now)
+        self._unseen = 0 if seen else self._unseen + 1
+        if self._unseen >= FOLLOWING.max_unseen:
+            self._next = row + FOLLOWING.resting_step
 
     def _detect(self, rgb: np.ndarray, row: int, free: np.ndarray) -> None:
         """Find people anew, and begin to follow those to whom hands without a body, (H,) bool, belong."""
@@ -261,6 +283,12 @@ class _Following:
         return best
 
 
+def _sees_arm(body: Body) -> bool:
+    """Whether a shoulder, elbow and wrist of one side are visible."""
+    arms = [[of[side] for of in (SHOULDERS, ELBOWS, WRISTS)] for side in SIDES]
+    return bool((body.visibility[arms].min(axis=1) > FOLLOWING.min_visibility).any())
+
+
 def _joined(clip: _Clip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
     """The people of all chunks, by the hands that they have."""
     people = [person for part in parts for person in part.people]
@@ -299,7 +327,7 @@ def _track(clip: _Clip, people: Sequence[_Followed]) -> BodyTrack:
         rows = np.arange(known[0], known[-1] + 1)
         before, after = np.searchsorted(known, rows, "right") - 1, np.searchsorted(known, rows)
         span = known[after] - known[before]
-        near = span <= FOLLOWING.step
+        near = span <= FOLLOWING.resting_step
         part = (rows - known[before]) / np.maximum(span, 1)
         for name, values in whole.items():
             predicted = np.stack([getattr(person.bodies[row], name) for row in known])

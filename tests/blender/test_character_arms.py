@@ -7,7 +7,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from mathutils import Quaternion
+from mathutils import Quaternion, Vector
 
 from blender_manient import command
 from blender_manient.panels.character import MANIENT_PT_character
@@ -166,12 +166,12 @@ def test_arms_point_as_captured_by_their_own_bones(hands, kind, down):
     target = character(kind, down)
     placed(target, np.random.default_rng(5), 0.02)
     done = put(target, hands)
-    assert all(one.left_alone == () for one in done)
+    assert [(one.left_alone, one.bones) for one in done] == [((), 18)] * 2
     check_as_captured(target, hands)
 
 
 @pytest.mark.parametrize("mode", ["fk", "ik", "pole"])
-def test_arms_of_rigify_point_as_captured_by_what_acts(generated, make_take, mode):
+def test_arms_of_rigify_point_as_captured_by_what_acts_and_go_with_the_body(generated, make_take, mode):
     bpy.ops.wm.open_mainfile(filepath=str(generated))
     rig = bpy.data.objects["rig"]
     hands = [hand_of(one.armature) for one in build_take(with_arms(make_take().take)).hands]
@@ -179,10 +179,16 @@ def test_arms_of_rigify_point_as_captured_by_what_acts(generated, make_take, mod
     for end in "LR":
         parent = rig.pose.bones[f"upper_arm_parent.{end}"]
         parent["IK_FK"], parent["pole_vector"] = float(mode == "fk"), mode == "pole"
-    rig.update_tag()
+    for name, way in (("torso", (0.3, -0.2, 0.1)), ("chest", (0.0, 0.0, 0.0))):
+        bone = rig.pose.bones[name]
+        for frame, share in ((3, 0.0), (18, 1.0)):
+            bone.rotation_quaternion = Quaternion((0.3, 0.5, 1.0), 0.7 * share)
+            bone.location = share * Vector(way)
+            bone.keyframe_insert("rotation_quaternion", frame=frame)
+            bone.keyframe_insert("location", frame=frame)
     put(rig, hands)
     # Blender's IK shortens bones a little, as Rigify lets it.
-    check_as_captured(rig, hands, within=1e-4 if mode == "fk" else 0.03)
+    check_as_captured(rig, hands, within=1e-4 if mode == "fk" else 0.03, carried_by="ORG-spine.003")
     assert ("upper_arm_ik_target.L" in keyed_bones(rig)) == (mode == "pole")
 
 
@@ -300,6 +306,7 @@ def test_the_panel_has_arms_where_the_capture_does(make_take, hands):
     assert "arms_ease" not in drawn(MANIENT_PT_character).rows
     target.manient.character.arms = True
     assert {"arms_influence", "arms_ease"} <= {*drawn(MANIENT_PT_character).rows}
+    assert "wrist" not in drawn(MANIENT_PT_character).rows
     assert "arms_outside" not in drawn(MANIENT_PT_character).rows
     skin(target)
     assert "arms_outside" in drawn(MANIENT_PT_character).rows

@@ -34,7 +34,7 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.lenses import MeasuredLens, save_lens
 from handfit_core.media.opening import open_media
 from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import hand_summaries
+from handfit_core.pipeline import add_arms, hand_summaries
 from handfit_core.registry import Registry
 from handfit_core.skeleton import SIDES
 from handfit_core.solvers import SOLVERS, Solver, TrackSolver, get_solver
@@ -423,6 +423,20 @@ def test_detector_agrees_with_mediapipes_own_output(samples):
     points = np.array(json.loads((video.parent / "asl_hand.mediapipe_2d.json").read_text()))[:10, :, :2]
     (hand,) = capture(video, frames="1-10", solver="paper-a-plus").hands
     assert np.median(np.linalg.norm(hand.keypoints_2d - points, axis=-1)) < 10.0
+
+
+def test_arms_are_stopped_as_hands_are(samples):
+    """A capture keeps its hands, and a take to which they were to be added stays as it was."""
+    photo = samples / "photos" / "mona_lisa.jpg"
+    seen: list[Progress] = []
+    stop = lambda: len(seen) > 1  # noqa: E731
+    take = capture(photo, arms=True, progress=seen.append, should_stop=stop)
+    assert [p.stage for p in seen][:2] == ["detect", "detect"]
+    assert take.hands
+    assert not any(hand.arm or hand.no_arm for hand in take.hands)
+    with pytest.raises(Cancelled, match="stopped before the arms were found"):
+        add_arms(take, should_stop=lambda: True)
+    assert all(hand.arm for hand in add_arms(take).hands)
 
 
 def test_a_measured_lens_is_taken_out_of_what_is_detected(tmp_path, monkeypatch):

@@ -16,6 +16,7 @@ from handfit_core.errors import LandmarkModelError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import turn_from_axis
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
@@ -143,6 +144,17 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
     assert np.isfinite(one.score).sum() <= 210 / FOLLOWING.detection_interval * 4
 
 
+def test_where_no_arm_is_seen_few_frames_are_looked_at(networks, samples, monkeypatch):
+    """A raised forearm in three frames out of four looks like a person."""
+    looked = []
+    predict = BodyNetworks.predict
+    monkeypatch.setattr(BodyNetworks, "predict", lambda *given: looked.append(1) or predict(*given))
+    media = open_media(str(samples / "videos" / "asl_hand.mp4"), FrameRange(1, 96))
+    hand = np.tile(hands_in(samples / "photos" / "thumb_up.jpg")[0] * 0.4 + [120, 300], (96, 1, 1))
+    find_bodies(media, range(1, 97), [hand], Intrinsics.assumed(620, 1080), CaptureOptions(processes=1))
+    assert 4 <= len(looked) <= 24
+
+
 def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(networks, tmp_path):
     """A painting as a wide lens would show it: hands move by 20 pixels, elbows as well."""
     path = ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg"
@@ -162,3 +174,11 @@ def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(net
         elbow, other = (camera.project(each.arm.elbow[0]) for each in (hand, of[hand.side]) if each.arm)
         elbows.append(np.linalg.norm(elbow - other))
     assert np.mean(elbows) < 15.0  # and 23 without
+
+
+@pytest.mark.usefixtures("networks")
+def test_a_capture_with_arms_has_the_side_that_the_body_names(samples):
+    """A man from behind, who holds up his left hand."""
+    photo = str(samples / "many_hands" / "mpii_051423444.jpg")
+    sides = [[hand.side for hand in capture(photo, arms=arms).hands] for arms in (False, True)]
+    assert sides == [["right"], ["left"]]
