@@ -205,6 +205,7 @@ def new_job(
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
             lens=_lens(settings, scene),
             view=view,
+            view_lens=saved_lens(settings.view_lens).lens if view and settings.view_lens else None,
             offset=settings.offset if view and settings.use_offset else None,
             baseline=settings.baseline if view and settings.use_baseline else None,
             max_megapixels=preferences.get(context).max_megapixels or None,

@@ -108,6 +108,7 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = split(self.layout), context.scene.manient
+        layout.prop(settings, "view_lens")
         for use, name, text in (("use_offset", "offset", "Seconds"), ("use_baseline", "baseline", "Meters")):
             heading = layout.column(heading=settings.bl_rna.properties[use].name)
             heading.prop(settings, use, text="")

@@ -138,6 +138,11 @@ class ManientSettings(bpy.types.PropertyGroup):
     offset: FloatProperty(  # type: ignore
         name="Offset", precision=3, step=1, **option_property("offset")
     )
+    view_lens: StringProperty(  # type: ignore
+        name="Lens",
+        description="The measured lens of the second view's camera; empty: found, or what the clip tells",
+        search=_found("measured_lens"),
+    )
     use_baseline: BoolProperty(  # type: ignore
         name="Baseline",
         description="Tell how far apart both cameras stood; else the hand's size tells it",

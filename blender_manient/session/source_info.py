@@ -242,7 +242,7 @@ def source_chosen(settings) -> None:
 def view_chosen(settings) -> None:
     """Another second view, to which the former one's offset and distance do not belong."""
     if "second_view" not in _known or _known["second_view"].path != settings.second_view:
-        for name in ("use_offset", "use_baseline"):
+        for name in ("view_lens", "use_offset", "use_baseline"):
             settings.property_unset(name)
     source_changed(settings, "second_view")
 
