@@ -32,6 +32,8 @@ FARM_TOOLS = ["openjd-cli"]
 """What checks and runs farms' job files."""
 SNAKEMAKE = "snakemake==9.27.1"
 """Does, too, in an environment of its own, as it asks for other versions than constraints.txt has."""
+OSC_CHECK = ["python-osc"]
+"""What reads back what is sent live."""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -121,7 +123,7 @@ def arms(session: nox.Session) -> None:
 def tests(session: nox.Session, part: str) -> None:
     """The core without Blender, and the add-on and the scripts in one Blender, 4.5's wheel."""
     if part == "core":
-        tools = (*SBOM_CHECK, *FARM_TOOLS, *PYTEST)
+        tools = (*SBOM_CHECK, *FARM_TOOLS, *OSC_CHECK, *PYTEST)
         install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
         clients = {**vrm_clients(session), **snakemake(session)}

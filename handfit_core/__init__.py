@@ -19,9 +19,20 @@ if TYPE_CHECKING:
     from handfit_core.geometry.camera import Intrinsics
     from handfit_core.media.source import Source
     from handfit_core.pipeline import Progress, capture
+    from handfit_core.streaming import live
     from handfit_core.take import HandTrack, Take
 
-__all__ = ["HandTrack", "HandfitError", "Intrinsics", "Progress", "Source", "Take", "__version__", "capture"]
+__all__ = [
+    "HandTrack",
+    "HandfitError",
+    "Intrinsics",
+    "Progress",
+    "Source",
+    "Take",
+    "__version__",
+    "capture",
+    "live",
+]
 
 _LAZY = {
     "HandTrack": "take",
@@ -30,6 +41,7 @@ _LAZY = {
     "Source": "media.source",
     "Take": "take",
     "capture": "pipeline",
+    "live": "streaming",
 }
 """Which module has what. None of them loads with the package: NumPy looks only when it loads at how many
 threads it may have, and `python -m handfit_core` loads the package before it can say so"""

@@ -28,6 +28,7 @@ from handfit_core.files import path_of, printable
 from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.interchange.commands import add_interchange_commands
+from handfit_core.live_command import add_live_command
 from handfit_core.media.commands import add_lens_command
 from handfit_core.options import CaptureOptions, add_options
 from handfit_core.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
@@ -105,14 +106,16 @@ def _parser() -> argparse.ArgumentParser:
         "--threads", type=int, metavar="N", help="how many threads the numeric libraries use at most"
     )
 
+    live = add_live_command(commands)
     add_interchange_commands(commands)
     add_batch_command(commands)
     add_lens_command(commands, _lens_progress)
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.interchange.send"):  # as with the next one
-        from handfit_core.interchange.send import add_send_command
+        from handfit_core.interchange.send import add_send_command, add_vmc_option
 
         add_send_command(commands)
+        add_vmc_option(live)
     if importlib.util.find_spec("handfit_core.evaluate"):  # which only a checkout has
         from handfit_core.evaluate.commands import add_evaluate_command
 
@@ -192,6 +195,9 @@ class _JsonOutput:
     def done(self, summary: dict[str, Any]) -> None:
         self._write(event="done", **summary)
 
+    def live(self, figures: dict[str, Any]) -> None:
+        self._write(event="live", **figures)
+
     def evaluated(self, summary: dict[str, Any], table: str) -> None:  # noqa: ARG002 (machines read the numbers)
         self._write(event="done", **_without_nan(summary))
 
@@ -244,6 +250,16 @@ class _TextOutput:
         bar = "#" * filled + "." * (self._WIDTH - filled)
         verb = self._VERBS[progress.stage]
         print(f"\r{verb} [{bar}] {progress.done}/{progress.total}", end="", file=sys.stderr, flush=True)
+        self._dirty = True
+
+    def live(self, figures: dict[str, Any]) -> None:
+        """How a live run goes, in one line that is written over."""
+        hands = ", ".join(f"{side} {state}" for side, state in figures["hands"].items()) or "no hand"
+        text = (
+            f"{figures['fps']:.1f} frames a second, {figures['latency_ms']:.0f} ms, "
+            f"{figures['dropped']} dropped; {hands}"
+        )
+        print(f"\r{text:<78}", end="", file=sys.stderr, flush=True)
         self._dirty = True
 
     def _line(self, text: str) -> None:

@@ -27,7 +27,9 @@ from handfit_core.joining import Clip, joined
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media, Source
+from handfit_core.media.videos import Video
 from handfit_core.options import VIEW_OPTIONS, CaptureOptions
+from handfit_core.retiming import evenly_timed
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import HandTrack, Take
@@ -119,6 +121,9 @@ def _captured(
         from handfit_core.arms import with_arms
 
         take = with_arms(take, bodies)
+    times = media.recorded_times() if isinstance(media, Video) else None
+    if times is not None and found.numbers[-1] <= len(times):
+        take = evenly_timed(take, times[np.asarray(found.numbers) - 1])
     return Clip(take, lens_known=origin.known is not None)
 
 

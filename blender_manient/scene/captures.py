@@ -76,6 +76,16 @@ def switch_view(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     follow_camera(scene)
 
 
+def leave_other_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
+    """Have the scene look through this camera if it looks through the other one of the same capture, whose
+    picture may be of another size."""
+    capture = active_capture(scene)
+    if capture is None or camera == scene.camera:
+        return
+    if {camera, scene.camera} <= set(cameras_of(capture)):
+        switch_view(scene, capture)
+
+
 def in_view(scene: bpy.types.Scene) -> bool:
     """Whether the scene's camera is one that a capture has built."""
     return has_properties() and scene.camera is not None and is_of_a_capture(scene.camera)

@@ -93,6 +93,12 @@ class FastFitter:
         """A relaxed hand laid over the landmarks, of the expected shape or of betas (10,)."""
         return relaxed_start(self.chain, seen, self._relaxed, self._betas if betas is None else betas)
 
+    def relaxed_pose(self) -> np.ndarray:
+        """(45,) radians, the hand_pose of a relaxed hand."""
+        nothing = np.zeros((1, 3))
+        state = State(np.eye(3)[None], self._relaxed[None], nothing, self._betas[None], nothing[:, 0])
+        return self.chain.parameters(state)[2][0]
+
     def problem(
         self,
         seen: Observation,

@@ -1,4 +1,4 @@
-"""The command `send`: the hands of a take to programs that speak the VMC protocol, as they move.
+"""Hands to programs that speak the VMC protocol, as they move: of a take (`send`), or live (`live --vmc`).
 
 Nothing else of the core opens a socket, and the add-on's zip does not have this file (SECURITY.md).
 
@@ -10,22 +10,30 @@ left one.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import socket
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 
 from handfit_core.errors import OptionError, OutputError
 from handfit_core.files import why
+from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.axes import REST_FROM_MODEL
+from handfit_core.hand_model.data import HandModel
 from handfit_core.interchange.commands import add_input, take_of_input
 from handfit_core.interchange.humanoid import BODY, HumanoidHand, bone_names, hands_of
+from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import hand_summaries
-from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, PARENTS, Side
+from handfit_core.retarget.transfer import SourceHand
+from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.streaming import LiveHand, LivePose
 
 _PORT: Final = 39539
 """where VMC's receivers listen"""
@@ -53,6 +61,20 @@ def add_send_command(commands: Any) -> None:
         help="turn the hands too: straight in their first frame, with forearms that keep still",
     )
     send.set_defaults(handler=_send)
+
+
+def add_vmc_option(live: argparse.ArgumentParser) -> None:
+    """Let the command `live` send the hands that it follows."""
+    live.add_argument("--vmc", metavar="HOST:PORT", help="send the fingers to a program that speaks VMC")
+    live.set_defaults(sender=_sender)
+
+
+@contextlib.contextmanager
+def _sender(args: argparse.Namespace, options: CaptureOptions) -> Iterator[Callable[[LivePose], None]]:
+    """What sends a pose to where `--vmc` says."""
+    models: dict[Side, HandModel] = {side: load_model(options.model, side) for side in SIDES}
+    with LiveSender(*host_and_port(args.vmc), models) as sender:
+        yield sender.send
 
 
 def _send(args: argparse.Namespace) -> int:
@@ -149,19 +171,66 @@ class VmcMotion:
         return found
 
 
+class LiveSender:
+    """Sends the hands of a live run as they come. Use it as a context manager."""
+
+    def __init__(self, host: str, port: int, models: Mapping[Side, HandModel]) -> None:
+        """`models`: those that the hands are posed with. Raises OptionError for a host that there is not."""
+        self._address, self._out = _socket_to(host, port)
+        self._models = models
+        self._hands: dict[Side, tuple[bytes, SourceHand]] = {}
+        """The shape for which each side's hand at rest was made, and that hand"""
+        self._began: float | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._out.close()
+
+    def send(self, pose: LivePose) -> None:
+        """Send the fingers of the hands of a frame, and its number and age as `/handfit/frame`. Raises
+        OutputError."""
+        self._began = pose.time if self._began is None else self._began
+        hands = [self._humanoid(hand) for hand in pose.hands]
+        messages = VmcMotion.of(hands).messages[0] if hands else []
+        age = 1000.0 * (time.perf_counter() - pose.time)
+        messages = [osc_message("/handfit/frame", pose.sequence, age), *messages]
+        try:
+            for datagram in VmcMotion(np.zeros(1), [messages]).datagrams(0, pose.time - self._began):
+                self._out.sendto(datagram, self._address)
+        except OSError as error:
+            raise OutputError(f"--vmc: nothing can be sent to {self._address[0]} ({why(error)})") from error
+
+    def _humanoid(self, hand: LiveHand) -> HumanoidHand:
+        shape = hand.betas.tobytes()
+        if self._hands.get(hand.side, (b"",))[0] != shape:
+            shaped = self._models[hand.side].shaped(hand.betas)
+            self._hands[hand.side] = shape, SourceHand.of(shaped, hand.side)
+        turns = rotvec_to_rotmat(np.concatenate([np.zeros(3), hand.hand_pose]).reshape(1, NUM_JOINTS, 3))
+        turns = REST_FROM_MODEL @ turns @ REST_FROM_MODEL.T
+        return HumanoidHand.of(self._hands[hand.side][1], np.zeros(1), turns)
+
+
+def _socket_to(host: str, port: int) -> tuple[Any, socket.socket]:
+    """An address and a socket that can send to it. Raises OptionError for a host that there is not."""
+    try:
+        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, ValueError) as error:  # UnicodeError is a ValueError
+        raise OptionError(f"--vmc: there is no host {host[:100]!r} ({why(error)})") from error
+    return address, socket.socket(family, kind)
+
+
 def play(motion: VmcMotion, host: str, port: int, frame: float, *, loop: bool = False) -> tuple[int, int]:
     """Send a motion in real time; `frame` is a frame's length in seconds. Moments that are late are left out.
 
     Returns how many were sent and left out. Raises OptionError for a host that there is not, and OutputError.
     """
-    try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-    except (OSError, ValueError) as error:  # UnicodeError is a ValueError
-        raise OptionError(f"--vmc: there is no host {host[:100]!r} ({why(error)})") from error
+    address, out = _socket_to(host, port)
     length = float(motion.times[-1]) + frame
     sent, left_out, began = 0, 0, time.perf_counter()
     try:
-        with socket.socket(family, kind) as out:
+        with out:
             for turn in itertools.count() if loop else (0,):
                 for row, moment in enumerate(motion.times.tolist()):
                     due = turn * length + moment

@@ -14,6 +14,7 @@ import numpy as np
 
 from handfit_core.errors import InputError
 from handfit_core.files import shown
+from handfit_core.media.recording import is_recording
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import check_frame_size, check_video, not_a_video
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
@@ -87,7 +88,7 @@ class Video(Media):
         """Raise InputError for a video whose frames are not evenly spaced in time: its n-th frame does not
         lie where the rate says. Reads the whole file, and decodes nothing."""
         times = _times(self._name) / 1000.0
-        if len(times) < 2:
+        if len(times) < 2 or is_recording(self._path):  # whose take is even
             return
         even = np.linspace(times[0], times[-1], len(times))
         away = float(np.abs(times - even).max() * (len(times) - 1) / max(times[-1] - times[0], 1e-9))
@@ -96,6 +97,11 @@ class Video(Media):
                 f"{self._path}: its frame rate changes on the way (by {away:.0f} frames), so it cannot be "
                 "retimed; convert it to a constant rate, or match the scene to the clip"
             )
+
+    def recorded_times(self) -> np.ndarray | None:
+        """(N,) seconds at which the frames of a live recording of ours came; None for other videos, whose
+        frames are evenly spaced."""
+        return _times(self._name) / 1000.0 if is_recording(self._path) else None
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
         """The numbers of the wanted frames, without an end, since the header's count is not trusted."""

@@ -173,6 +173,12 @@ class Worker:
         if request in self._open and self._child is not None:
             self._child.send(encode({"request": "cancel", "job": request}))
 
+    def tell(self, request: int, kind: str, /, **fields: Any) -> None:
+        """Say something to a request that runs (`live-record`, `live-calibrate`); nothing to one that is
+        over."""
+        if request in self._open and self._child is not None:
+            self._child.send(encode({"request": kind, "job": request, **fields}))
+
     def events(self, *ids: int, wait: float = 0.0) -> list[Event]:
         """The events since the last call, in order; where there are none, it waits up to `wait` seconds.
 
@@ -278,6 +284,9 @@ class Worker:
             otherwise = f"{message['message'].rstrip('.')} {self._advice.where}"
             said = self._import_message(_last_line(message["details"]), otherwise)
             message = {**message, "type": WorkerError.__name__, "message": said}
+        if kind == "live":  # only the newest pose is of use
+            old = message["id"]
+            self._events = [e for e in self._events if (e["event"], e["id"]) != ("live", old)]
         self._events.append(message)
 
     def _take_events(self, ids: tuple[int, ...]) -> list[Event]:

@@ -18,6 +18,7 @@ import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, BinaryIO, Final
 
 from handfit_core.detect.detector import DETECTORS
@@ -46,6 +47,8 @@ class _Job:
     cancelled: threading.Event = field(default_factory=threading.Event)
     closed: bool = False
     """Whether its last event was sent"""
+    told: queue.SimpleQueue[dict[str, Any]] = field(default_factory=queue.SimpleQueue)
+    """What the client has said to the job since it began"""
 
 
 class Server:
@@ -107,8 +110,11 @@ class Server:
 
     def _receive(self, message: dict[str, Any]) -> None:
         """Take one request in. A cancel stops a job that runs, and answers for one that waits; one that has
-        just ended needs nothing."""
-        if message["request"] != "cancel":
+        just ended needs nothing. What else has no number is for the job that it names."""
+        if "id" not in message and message["request"] != "cancel":
+            if (job := self._jobs.get(message["job"])) is not None:
+                job.told.put(message)
+        elif message["request"] != "cancel":
             job = self._jobs[message["id"]] = _Job(message["id"], message)
             self._waiting.put(job)
         elif (job := self._jobs.get(message["job"])) is not None:
@@ -142,6 +148,11 @@ class Server:
                 raise _ClientGone
             return job.cancelled.is_set()
 
+        if job.message["request"] == "live":
+            from handfit_core.worker import following  # slow to load, with all that fits hands
+
+            say = partial(self._send, id=job.number)
+            return following.follow(job.message, should_stop, say, job.told)
         return answer(job.message, should_stop, self._progress_of(job))
 
     def _progress_of(self, job: _Job) -> OnProgress:

@@ -129,6 +129,11 @@ def test_it_goes_with_its_capture_and_keeps_it_the_active_one(take, make_take):
     captures.switch_view(scene, built.collection)
     assert captures.active_capture(scene) == built.collection
     assert captures.in_view(scene)
+    captures.leave_other_view(scene, built.camera)
+    assert (scene.camera, scene.render.resolution_x) == (built.camera, WIDTH)
+    captures.leave_other_view(scene, built.camera)
+    assert scene.camera == built.camera
+    captures.switch_view(scene, built.collection)
     assert {"Offset 4.3 frames: good.", f"View: {built.camera.name}"} <= set(drawn(MANIENT_PT_result).rows)
     for capture in captures.captures(scene):
         bpy.ops.manient.remove_capture(capture=capture.name)

@@ -1,8 +1,9 @@
-"""scripts/measure_speed.py and scripts/measure_batch.py measure what they say."""
+"""scripts/measure_speed.py, measure_batch.py and measure_live.py measure what they say."""
 
 import pytest
 
-from scripts import measure_speed
+from scripts import measure_live, measure_speed
+from tests.conftest import ROOT
 
 
 @pytest.mark.usefixtures("landmark_model")
@@ -21,3 +22,12 @@ def test_photos_and_empty_tasks(capsys):
     text = capsys.readouterr().out
     assert all(name in text for name in ("captures alone", "--jobs 1", "--jobs 2"))
     assert [line.split()[0] for line in text.splitlines()[-2:]] == ["2", "20"]
+
+
+@pytest.mark.usefixtures("landmark_model")
+def test_live_run(capsys):
+    clip = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
+    assert measure_live.main([clip, "--minutes", "0.02"]) == 0
+    figures = dict(line.rsplit(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert 0.0 < float(figures["latency, median ms"]) < 60_000.0
+    assert 0.0 < float(figures["shown, %"]) <= 110.0

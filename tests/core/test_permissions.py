@@ -48,9 +48,11 @@ def test_nothing_in_the_zip_talks_to_the_network():
     assert not uses_attribute("url_open_preset")
 
 
-def test_nothing_listens_or_looks():
+def test_nothing_listens_and_only_live_runs_look():
     """OpenCV takes a number for a camera, a path for a file."""
     assert importers(SOUND) == set()
+    live = {name for name, path in MODULES.items() if "handfit_core.media.camera" in imported_modules(path)}
+    assert live == {"handfit_core.streaming"}
     calls = [node for node in NODES if isinstance(node, ast.Call)]
     videos = [call for call in calls if ast.unparse(call.func).endswith("VideoCapture")]
     assert videos

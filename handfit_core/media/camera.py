@@ -1,0 +1,386 @@
+"""Live sources: cameras, network cameras and phones by address, and files played at their own speed.
+
+A thread reads; one slot keeps the newest frame, so that whoever is slower than the source loses frames and
+never lags behind.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import ipaddress
+import math
+import os
+import re
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+from urllib.parse import urlsplit
+
+import numpy as np
+
+from handfit_core.errors import InputError, OptionError, OutputError
+from handfit_core.files import shown
+from handfit_core.media.headers import read_picture_header
+from handfit_core.media.opening import open_media
+from handfit_core.media.recording import ClipWriter
+from handfit_core.media.source import Frame
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Time-outs of live sources, in seconds, and what cameras are asked for."""
+
+    answer_seconds: float = 2.0
+    """An address must answer, and send its next picture, within this; then somebody is told"""
+    retry_seconds: float = 0.5
+    """Between two attempts to open a source that was lost"""
+    close_seconds: float = 5.0
+    """What the reading thread gets to end: as long as a system may wait for a picture, and some more"""
+    max_pixels: int = 4096 * 2304
+    """Pixels of one picture; larger ones are refused, since no hand could be followed in them in time"""
+
+
+CAMERA: Final = CameraSettings()
+_NAMES: Final = Path("/sys/class/video4linux")
+_SCHEMES: Final = ("http", "https", "rtsp")
+
+Say = Callable[[str], None]
+"""Takes a sentence about what is wrong with a source at the moment; empty: nothing is"""
+
+
+@dataclass(frozen=True)
+class LiveSource:
+    """What somebody named as a live source; exactly one of the fields is set."""
+
+    camera: int | None = None
+    address: str | None = None
+    """http, https (MJPEG) or rtsp"""
+    file: str | None = None
+
+    @classmethod
+    def parse(cls, text: str, *, online: bool = False, names: Path = _NAMES) -> Self:
+        """A camera by number or name, an address, or `file:CLIP`.
+
+        `online`: addresses of other machines may be opened. `names`: where Linux lists its cameras. Raises
+        OptionError for what is none of these, and for an address of another machine.
+        """
+        text = text.strip()
+        if text.startswith("file:"):
+            return cls(file=text.removeprefix("file:"))
+        if text.isdecimal() and len(text) < 4:
+            return cls(camera=int(text))
+        if re.match(r"[\w+.-]+://", text):
+            return cls(address=_checked(text, online=online))
+        known = cameras(names)
+        exact = [number for number, name in known if name.casefold() == text.casefold()]
+        found = exact or [number for number, name in known if text and text.casefold() in name.casefold()]
+        if found:
+            return cls(camera=found[0])
+        listed = ", ".join(f"{number} ({name})" for number, name in known) or "by number, as in 0"
+        raise OptionError(
+            f"{shown(text)!r} is no live source: name a camera ({listed}), an address such as "
+            "http://192.168.0.7:8080/video, or file:CLIP to play a file"
+        )
+
+    def __str__(self) -> str:
+        if self.camera is not None:
+            return f"camera {self.camera}"
+        return shown(self.address or self.file or "")
+
+
+def cameras(names: Path = _NAMES) -> list[tuple[int, str]]:
+    """The numbers and names of the cameras that the system lists without opening one, which Linux alone
+    does."""
+    found = []
+    for folder in names.glob("video*"):
+        number = folder.name.removeprefix("video")
+        with contextlib.suppress(OSError, ValueError):
+            if int((folder / "index").read_text("ascii")) == 0:  # others have no pictures
+                found.append((int(number), (folder / "name").read_text("utf-8", "replace").strip()))
+    return sorted(found)
+
+
+def _checked(address: str, *, online: bool) -> str:
+    """An address that may be opened. Raises OptionError."""
+    try:
+        parts = urlsplit(address)
+        host, _ = parts.hostname, parts.port
+    except ValueError:
+        host = parts = None
+    if parts is None or not host or parts.scheme not in _SCHEMES or not address.isascii():
+        raise OptionError(
+            f"{shown(address)}: addresses of cameras begin with http://, https:// or rtsp:// and the name of "
+            "a machine, as in http://192.168.0.7:8080/video"
+        )
+    if not online and not _is_here(host):
+        raise OptionError(
+            f"{shown(address)}: {host} is another machine, and nothing may be opened over the network: allow "
+            "it (--online; in Blender Preferences > System > Allow Online Access)"
+        )
+    return address
+
+
+def _is_here(host: str) -> bool:
+    """Whether a host's name is this machine's, without asking a network."""
+    if host.casefold() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class LiveReader:
+    """Reads a live source in a thread of its own, from entering the context to leaving it.
+
+    A camera that cannot be opened at first ends it; one that is lost later, and an address that does not
+    answer, are tried again until it is closed.
+    """
+
+    def __init__(self, source: LiveSource, size: tuple[int, int] = (640, 480), fps: float = 30.0) -> None:
+        """`size` in pixels and `fps` are what a camera is asked for."""
+        self._source, self._size, self._fps = source, size, fps
+        self._changed = threading.Condition()
+        self._stop = threading.Event()
+        self._newest: Frame | None = None
+        self._writer: ClipWriter | None = None
+        self._writing = threading.Lock()
+        self._error: Exception | None = None
+        self._ended = False
+        self.received = 0
+        """Pictures that came"""
+        self.dropped = 0
+        """Of these, pictures that nobody took before the next one came"""
+        self.problem = ""
+        """What is wrong at the moment, a sentence; empty: nothing is"""
+        self._thread = threading.Thread(target=self._read, name="handfit-live", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(CAMERA.close_seconds)
+        self.stop_recording()
+
+    def newest(self, wait: float = 0.0) -> Frame | None:
+        """Take the newest frame: its number counts what came, its time is `time.perf_counter`'s. Waits up to
+        `wait` seconds for one; None where none came. Raises the HandfitError that ended the source."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None or self._ended, wait)
+            frame, self._newest = self._newest, None
+        if frame is None and self._error is not None:
+            raise self._error
+        return frame
+
+    @property
+    def ended(self) -> bool:
+        """Whether no frame will come any more, and the last one was taken; an error, `newest` tells."""
+        return self._ended and self._newest is None and self._error is None
+
+    @property
+    def recording(self) -> ClipWriter | None:
+        """What the frames are written to; None: nothing."""
+        return self._writer
+
+    def record(self, path: str | os.PathLike[str]) -> None:
+        """Write every frame that comes from now on to a file. Raises OutputError."""
+        writer = ClipWriter(path, self._fps)
+        self.stop_recording()
+        self._writer = writer
+
+    def stop_recording(self) -> ClipWriter | None:
+        """Close the file; returns what was written to it, None where nothing was."""
+        with self._writing:
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                writer.close()
+        return writer
+
+    def _read(self) -> None:
+        try:
+            with contextlib.closing(
+                _pictures(self._source, self._size, self._fps, self._stop, self._say)
+            ) as all:
+                for rgb in all:
+                    self._put(rgb)
+        except Exception as error:  # whoever takes the next frame gets it
+            self._error = error
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()
+
+    def _say(self, problem: str) -> None:
+        self.problem = problem
+
+    def _put(self, rgb: np.ndarray) -> None:
+        now = time.perf_counter()
+        _check_size(self._source, *rgb.shape[1::-1])
+        with self._changed:
+            self.received += 1
+            self.dropped += self._newest is not None
+            self._newest = Frame(self.received, now, rgb)
+            self._changed.notify_all()
+        with self._writing:
+            if self._writer is not None:
+                try:
+                    self._writer.write(rgb, now)
+                except OutputError as error:
+                    self.problem = str(error)
+
+
+def _pictures(
+    source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
+) -> Generator[np.ndarray, None, None]:
+    """The pictures (H, W, 3) uint8 RGB of a source as they come, until `stop`."""
+    return _played(source.file, stop) if source.file is not None else _captured(source, size, fps, stop, say)
+
+
+def _played(file: str, stop: threading.Event) -> Generator[np.ndarray, None, None]:
+    """The pictures of a file, each at its time. Raises InputError."""
+    media = open_media(file)
+    began: float | None = None
+    with contextlib.closing(media):
+        for frame in media.frames():
+            now = time.perf_counter()
+            began = now if began is None else began
+            if stop.wait(max(0.0, began + frame.time - now)):
+                return
+            if frame.rgb is not None:
+                yield frame.rgb
+
+
+def _captured(
+    source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
+) -> Generator[np.ndarray, None, None]:
+    """The pictures of a camera or an address. Raises InputError for a camera that cannot be opened at
+    first."""
+    first = True
+    while not stop.is_set():
+        with contextlib.closing(_opened(source, size, fps, stop)) as pictures:
+            found = False
+            for rgb in pictures:
+                if not found:
+                    say("")
+                found, first = True, False
+                yield rgb
+        if stop.is_set():
+            return
+        if source.camera is not None and first:
+            raise InputError(_why_no_camera(source.camera))
+        say(
+            f"{source} sends no pictures any more; trying again until it is stopped"
+            if not first
+            else f"{source} does not answer within {CAMERA.answer_seconds:g} seconds, or sends no pictures "
+            "that can be read; trying again until it is stopped"
+        )
+        stop.wait(CAMERA.retry_seconds)
+
+
+def _opened(
+    source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event
+) -> Generator[np.ndarray, None, None]:
+    """The pictures of a source from opening it until it ends, fails or is to stop; none where it cannot be
+    opened."""
+    # OpenCV reads it when it loads; its own value is 10 seconds.
+    os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", f"{math.ceil(CAMERA.answer_seconds)}")
+    # Or OpenCV on macOS, which asks for permission on the main thread alone, opens nothing; the system asks.
+    os.environ.setdefault("OPENCV_AVFOUNDATION_SKIP_AUTH", "1")
+    import cv2
+
+    if source.camera is not None:
+        capture = _opened_camera(cv2, source.camera, size, fps)
+    else:
+        capture = _opened_address(cv2, source.address or "")
+    try:
+        while capture.isOpened() and not stop.is_set():
+            found, bgr = capture.read()
+            if found and bgr is not None and len(bgr) == 1:
+                bgr = _decoded(cv2, bgr, source)
+                if bgr is None:
+                    continue
+            if not found or bgr is None:
+                return
+            yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    finally:
+        capture.release()
+
+
+def _opened_camera(cv2: Any, number: int, size: tuple[int, int], fps: float) -> Any:
+    capture = cv2.VideoCapture(number)
+    if capture.isOpened():
+        # Uncompressed, most cameras give 30 pictures a second at their smallest sizes only.
+        capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        capture.set(cv2.CAP_PROP_FPS, fps)
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    return capture
+
+
+def _decoded(cv2: Any, jpeg: np.ndarray, source: LiveSource) -> np.ndarray | None:
+    """The picture (H, W, 3) uint8 BGR of an encoded JPEG (1, N); None for a damaged one. Raises
+    InputError for one that claims too many pixels."""
+    data = jpeg.reshape(-1)
+    header = read_picture_header(io.BytesIO(data.tobytes()))
+    if header is None:
+        return None
+    _check_size(source, header.width, header.height)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+
+
+def _check_size(source: LiveSource, width: int, height: int) -> None:
+    """Raise InputError for pictures that are too large."""
+    if width * height > CAMERA.max_pixels:
+        raise InputError(
+            f"{source}: gives pictures of {width}x{height} pixels, which are too large to follow hands in as "
+            "they come; choose a smaller size"
+        )
+
+
+def _opened_address(cv2: Any, address: str) -> Any:
+    over_http = address.startswith("http")
+    # Over HTTP nothing but MJPEG is read: FFmpeg would follow a playlist to other addresses.
+    special = {"input_format": "mpjpeg"} if over_http else {"rtsp_transport": "tcp"}
+    options = {**special, "fflags": "nobuffer"}
+    name, milliseconds = "OPENCV_FFMPEG_CAPTURE_OPTIONS", round(1000.0 * CAMERA.answer_seconds)
+    before = os.environ.get(name)
+    os.environ[name] = "|".join(f"{key};{value}" for key, value in options.items())
+    try:
+        limits = [
+            *(cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, milliseconds, cv2.CAP_PROP_READ_TIMEOUT_MSEC, milliseconds),
+            *(cv2.CAP_PROP_N_THREADS, 1),  # several would each hold a picture back
+        ]
+        if over_http:
+            # Pictures as they come, since OpenCV 4.11 decodes one of another size wrongly.
+            limits += [cv2.CAP_PROP_FORMAT, -1]
+        return cv2.VideoCapture(address, cv2.CAP_FFMPEG, limits)
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before
+
+
+def _why_no_camera(number: int) -> str:
+    """What keeps a camera from being opened, and what to do."""
+    listed = ", ".join(f"{n} ({name})" for n, name in cameras())
+    if sys.platform == "darwin":
+        return (
+            f"camera {number} cannot be opened: if there is one, allow Blender, or the terminal, to use it "
+            "in System Settings > Privacy & Security > Camera"
+        )
+    device = Path(f"/dev/video{number}")
+    if sys.platform.startswith("linux"):
+        if not device.exists():
+            return f"there is no camera {number}: " + (f"choose from {listed}" if listed else "plug one in")
+        if not os.access(device, os.R_OK | os.W_OK):
+            return f"{device} may not be used: add yourself to the group 'video', and log in again"
+    return f"camera {number} gives no pictures: close other programs that use it, or choose another one"
