@@ -238,6 +238,25 @@ class Take:
         if self.cameras is not None:
             check_arrays(self.cameras, TakeError, "cameras: ", V=1 + len(self.cameras.views))
 
+    def view(self, number: int) -> Take:
+        """The clip of a further view, counted from 1, and its camera, as a take without hands. Its first
+        frame lies `cameras.time_offset[number]` seconds after this one's. Raises TakeError where it cannot be
+        a clip."""
+        assert self.cameras is not None
+        view = self.cameras.views[number - 1]
+        return replace(
+            self,
+            source=view.source,
+            fps=view.fps,
+            frame_numbers=view.frame_numbers,
+            width=view.width,
+            height=view.height,
+            intrinsics=Intrinsics(*self.cameras.intrinsics[number].tolist()),
+            hands=(),
+            cameras=None,
+            verdict=None,
+        )
+
     def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
         """Write the take as `.npz`, whole or not at all, and never over what it was made from; `compact` as
         in `to_bytes`. Raises OutputError."""

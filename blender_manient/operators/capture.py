@@ -121,7 +121,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         if job.state == "failed":
             self.report({"ERROR"}, f"{job.name}: {job.message}")
         else:
-            said = ". ".join(filter(None, (job.message, job.scene_message)))
+            said = ". ".join(filter(None, (job.message, job.views_message, job.scene_message)))
             self.report({"INFO"}, f"{job.name}: {said}")
 
 
@@ -181,6 +181,7 @@ def new_job(
         raise OptionError("select the captured hand that is to be animated, or choose New Hands")
     camera = scene.camera if settings.camera == "ACTIVE" else None
     only = source_info.shown_frame(context, source) if only_frame else None
+    view = None if only_frame or bare else _second_view(settings, source)
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
         raise OptionError("the scene has no active camera: choose another camera setting")
     return jobs.Job(
@@ -203,6 +204,10 @@ def new_job(
             quality="standard" if settings.preset == "PAPER" else settings.preset.lower(),
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
             lens=lens_of(settings, scene),
+            view=view,
+            view_lens=saved_lens(settings.view_lens).lens if view and settings.view_lens else None,
+            offset=settings.offset if view and settings.use_offset else None,
+            baseline=settings.baseline if view and settings.use_baseline else None,
             max_megapixels=preferences.get(context).max_megapixels or None,
             keypoints=_keypoints(settings, source),
             picture_size=_picture_size(settings, source),
@@ -243,6 +248,14 @@ def _frames(settings, source: source_info.SourceFiles, only: int | None) -> Fram
     if settings.last_frame < settings.first_frame:
         raise OptionError("the last frame lies before the first: mend the frame range")
     return FrameRange(settings.first_frame, settings.last_frame, settings.frame_step)
+
+
+def _second_view(settings, source: source_info.SourceFiles) -> str | None:
+    """The second view's file or folder. Raises InputError where it is not there."""
+    if not settings.second_view or source.kind not in ("video", "sequence"):
+        return None
+    view = source_info.resolve(settings.second_view, as_sequence=False)
+    return view.files[0] if len(view.files) == 1 else str(Path(view.files[0]).parent)
 
 
 def _keypoints(settings, source: source_info.SourceFiles) -> str | None:

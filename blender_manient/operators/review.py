@@ -7,6 +7,7 @@ import numpy as np
 
 from handfit_core.errors import OptionError
 
+from ..common import screen
 from ..common.wording import counted
 from ..scene import captures
 from ..scene.confidence import (
@@ -41,6 +42,27 @@ class MANIENT_OT_hide_captures(SceneOperator, bpy.types.Operator):
 
     def run(self, context):
         captures.hide_others(context.scene, self.hide)
+
+
+class MANIENT_OT_switch_view(SceneOperator, bpy.types.Operator):
+    """Look through the active capture's other camera, at its own picture."""
+
+    bl_label = "Switch View"
+
+    @classmethod
+    def lacks(cls, context):
+        lacking = super().lacks(context)
+        if lacking:
+            return lacking
+        capture = captures.active_capture(context.scene)
+        two = capture is not None and len(captures.cameras_of(capture)) > 1
+        return None if two else "The active capture has one camera: capture it with a Second View"
+
+    def run(self, context):
+        capture = captures.active_capture(context.scene)
+        assert capture is not None
+        captures.switch_view(context.scene, capture)
+        screen.look_through_camera(context)
 
 
 class MANIENT_OT_remove_capture(SceneOperator, bpy.types.Operator):

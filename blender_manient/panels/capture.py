@@ -104,6 +104,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             else:
                 text = f"{fitted(context, job.name, ':')}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
+                if job.views_message:
+                    sentence(box, context, job.views_message, "VIEW_CAMERA")
                 if job.scene_message:
                     sentence(box, context, job.scene_message, "SCENE_DATA")
                 for warning in job.warnings[:3]:

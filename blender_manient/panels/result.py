@@ -70,6 +70,20 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             hide = captures.others_shown(context.scene)
             button = layout.operator("manient.hide_captures", text="Hide Others" if hide else "Show All")
             button.hide = hide
+        self._views(context)
+
+    def _views(self, context) -> None:
+        """How well the active capture's views fit together, and the button to the other one."""
+        layout, capture = self.layout, captures.active_capture(context.scene)
+        verdict = captures.verdict(capture)
+        if verdict is not None:
+            good = verdict.agreement == "good"
+            sentence(layout, context, verdict.text, "VIEW_CAMERA" if good else "ERROR", alert=not good)
+        cameras = captures.cameras_of(capture)
+        if len(cameras) > 1:
+            other = captures.other_camera(context.scene, capture)
+            text = fitted(context, f"View: {other.name}", buttons=1)
+            layout.operator("manient.switch_view", text=text, icon="VIEW_CAMERA")
 
     def _other_rate(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
         """What a change of the scene's rate has done to the hand, and both ways to put it right."""

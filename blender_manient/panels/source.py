@@ -56,6 +56,17 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             column.prop(settings, "frame_step")
         if info.files.kind != "data":
             layout.prop(settings, "keypoints")
+        if source_info.has_views(info):
+            layout.prop(settings, "second_view")
+            if settings.second_view:
+                self._second_view(context)
+
+    def _second_view(self, context) -> None:
+        layout, view = self.layout, source_info.of(context.scene.manient, "second_view")
+        if view.files is None:
+            sentence(layout, context, view.problem, "ERROR", alert=True)
+        else:
+            self._describe(context, view)
 
     def _describe(self, context, info: source_info.SourceInfo) -> None:
         layout = self.layout
@@ -82,3 +93,24 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         column.scale_y = 0.9 if picture else 0.8
         for number, line in enumerate(lines):
             column.label(text=line, icon="NONE" if picture or number else icon, translate=number == 0)
+
+
+class MANIENT_PT_second_view(Section, bpy.types.Panel):
+    bl_label = "Advanced"
+    bl_parent_id = "MANIENT_PT_source"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        """Only where there is a second view to tell of."""
+        settings = context.scene.manient
+        return bool(settings.second_view) and source_info.has_views(source_info.of(settings))
+
+    def draw(self, context):
+        layout, settings = split(self.layout), context.scene.manient
+        layout.prop(settings, "view_lens")
+        for use, name, text in (("use_offset", "offset", "Seconds"), ("use_baseline", "baseline", "Meters")):
+            heading = layout.column(heading=settings.bl_rna.properties[use].name)
+            heading.prop(settings, use, text="")
+            if getattr(settings, use):
+                layout.prop(settings, name, text=text)

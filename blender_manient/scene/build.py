@@ -36,7 +36,7 @@ from .keys import CURVES, animating, computing_keys
 from .matching import Footage, note_matched
 from .mesh import adding_correctives, build_mesh
 from .plate import Plate, loading_plate
-from .render_setup import put_in_force, set_up
+from .render_setup import hung_card, put_in_force, set_up
 from .store import (
     describe_capture,
     describe_hand,
@@ -47,6 +47,7 @@ from .store import (
     timing_of,
 )
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
+from .views import building_view
 
 _T = TypeVar("_T")
 
@@ -202,9 +203,32 @@ def _steps(
         )
         keep(camera.data)
         collection.objects.link(camera)
+    view = None
+    if captured.cameras is not None:
+        view = yield from work.counting(
+            building_view(
+                captured,
+                clip,
+                picture=how.picture,
+                scene=None if how.match_scene else scene,
+                units_per_metre=units,
+                before=how.camera,
+                max_megapixels=how.max_megapixels,
+            )
+        )
+        keep(view.camera)
+        keep(view.camera.data)
+        if view.plate is not None:
+            keep(view.plate.image)
+        collection.objects.link(view.camera)
+        warnings += view.warnings
     stage = []
     if how.render_setup and (how.match_scene or how.in_front) and how.camera is None:
         stage = set_up(scene, name, camera, take, plate)
+        if view is not None and view.plate is not None:
+            # First, so that where renders fall back to the last one's camera it is the first view's.
+            stage.insert(0, hung_card(view.take.source.name, view.camera, view.take, view.plate))
+            stage[0].hide_render = True
         for thing in stage:
             keep(thing)
             keep(thing.data)
@@ -227,6 +251,8 @@ def _steps(
 
     # From here on the artist sees it.
     describe_capture(collection, camera, timing, _rate(scene, captured, how.match_scene))
+    if view is not None and has_properties():
+        collection.manient.view_camera = view.camera
     for index, hand in enumerate(hands):
         describe_hand(hand.armature, collection, take, index, wrists[hand.side])
         _keep_pins(hand.armature, take, take.hands[index])

@@ -111,6 +111,7 @@ def show_behind(
     background.image = plate.image
     background.alpha = 1.0
     background.display_depth = "BACK"
+    background.use_flip_x = plate.mirrored
     if scene is None:
         background.frame_method = "STRETCH"
     else:

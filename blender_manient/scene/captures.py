@@ -15,6 +15,7 @@ from collections.abc import Container, Iterable, Iterator
 import bpy
 
 from handfit_core.errors import TakeError
+from handfit_core.views import Verdict
 
 from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
@@ -40,7 +41,7 @@ def active_capture(scene: bpy.types.Scene) -> bpy.types.Collection | None:
     found = captures(scene)
     if not found:
         return None
-    seen = [c for c in found if scene.camera is not None and own_camera(c) == scene.camera]
+    seen = [c for c in found if scene.camera is not None and scene.camera in cameras_of(c)]
     for choice in (seen, found):
         if scene.manient.capture in choice:
             return scene.manient.capture
@@ -53,7 +54,36 @@ def own_camera(capture: bpy.types.Collection) -> bpy.types.Object | None:
     """The camera that was built with a capture; None where it has the artist's, or the camera was deleted or
     moved to another collection."""
     camera = capture.manient.camera
-    return camera if camera is not None and camera.name in capture.objects else None
+    return camera if camera in cameras_of(capture) else None
+
+
+def cameras_of(capture: bpy.types.Collection) -> list[bpy.types.Object]:
+    """The cameras that were built with a capture, one for each view, without those that were deleted or moved
+    to another collection."""
+    kept = capture.manient
+    return [c for c in (kept.camera, kept.view_camera) if c is not None and c.name in capture.objects]
+
+
+def other_camera(scene: bpy.types.Scene, capture: bpy.types.Collection) -> bpy.types.Object:
+    """The capture's camera that the scene does not look through; of two of them the first view's."""
+    return next(camera for camera in cameras_of(capture) if camera != scene.camera)
+
+
+def switch_view(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
+    """Have the scene look through the capture's other camera; the picture's size follows as in `show`."""
+    scene.camera = other_camera(scene, capture)
+    _frame(scene, capture)
+    follow_camera(scene)
+
+
+def leave_other_view(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
+    """Have the scene look through this camera if it looks through the other one of the same capture, whose
+    picture may be of another size."""
+    capture = active_capture(scene)
+    if capture is None or camera == scene.camera:
+        return
+    if {camera, scene.camera} <= set(cameras_of(capture)):
+        switch_view(scene, capture)
 
 
 def in_view(scene: bpy.types.Scene) -> bool:
@@ -143,6 +173,14 @@ def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
         _delete(scene, capture)
 
 
+def verdict(capture: bpy.types.Collection) -> Verdict | None:
+    """Whether the views of a capture belong together; None where it has one, or its take is damaged."""
+    try:
+        return kept_take(capture).verdict
+    except TakeError:
+        return None
+
+
 def facts(capture: bpy.types.Collection) -> str:
     """Frames and rate of a capture, for a list; empty where its take is damaged."""
     digest = capture.manient.digest
@@ -191,13 +229,14 @@ def _frame(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     other footage's now."""
     try:
         take = kept_take(capture)
+        seen = take.view(1) if scene.camera == capture.manient.view_camera and take.cameras else take
     except TakeError:
         return
     numbers = take.frame_numbers
     timed = has_matched_time(scene) and timing_of(capture) == Timing() and len(numbers) > 1
     sized = has_matched_size(scene)
     if sized:
-        frame_scene(scene, take)
+        frame_scene(scene, seen)
     if timed:
         set_timing(scene, take)
         if not scene.frame_start <= scene.frame_current <= scene.frame_end:
@@ -266,7 +305,7 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:
     """Whether a capture has made an object of its collection: a hand, a mesh, the camera, lights, card."""
-    if thing == capture.manient.camera or OURS in thing:
+    if thing in (capture.manient.camera, capture.manient.view_camera) or OURS in thing:
         return True
     stem, _, number = thing.name.rpartition(".")
     if number.isdigit() and stem in capture.objects:  # Blender names copies so

@@ -183,7 +183,9 @@ def _settings(scene: bpy.types.Scene | None, names: tuple[str, ...]) -> str:
 
 def is_of_a_capture(camera: bpy.types.Object) -> bool:
     """Whether a capture built it: one of the artist's own lies in no capture's collection."""
-    return has_properties() and any(c.manient.camera == camera for c in camera.users_collection)
+    return has_properties() and any(
+        camera in (c.manient.camera, c.manient.view_camera) for c in camera.users_collection
+    )
 
 
 def _moving(scene: bpy.types.Scene) -> Iterator[str]:

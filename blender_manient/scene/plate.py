@@ -24,6 +24,9 @@ _MOST_TURNED = 16e6
 """Pixels of a turned copy: turning takes 36 bytes for each, and a copy of 100 megapixels would bloat the
 .blend"""
 
+_WHOLE = 1e-6
+"""frames within which a moment is that of a frame"""
+
 
 @dataclass(frozen=True)
 class Plate:
@@ -36,6 +39,8 @@ class Plate:
     offset_driver: str = ""
     """What drives the offset where scene frames are not the source's: a simple expression of `frame`, which
     Blender evaluates without Python"""
+    mirrored: bool = False
+    """Whether left and right are exchanged where it is shown"""
 
     def apply_timing(self, user: bpy.types.ImageUser) -> None:
         """Set an image user (of a background image or of a texture node)."""
@@ -176,7 +181,9 @@ def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int)
     number, first = int(take.frame_numbers[0]), _first_scene_frame(take, timing)
     start = first - int((number - 1) * timing.scale)
     duration = int((last - 1) * timing.scale) + 1
-    wanted = f"floor({number} + (frame - ({first})) / {timing.scale!r} + 0.5)"
+    exact = float(timing.scene_frames(take.frame_numbers[:1])[0])  # a further view's lies between frames
+    at = first if abs(exact - first) < _WHOLE else round(exact, 6)
+    wanted = f"floor({number} + (frame - ({at})) / {timing.scale!r} + 0.5)"
     plain = f"max(0, min({duration}, frame - ({start - 1})))"
     return Plate(image, start, 0, duration, f"max(1, min({last}, {wanted})) - {plain}")
 

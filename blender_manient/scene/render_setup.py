@@ -46,17 +46,25 @@ def set_up(
     made = []
     if not _is_lit(scene):
         made = [sun(named_after(name, "light"), *placed) for placed in SUNS]
-    if plate is not None:
-        card = picture_card(named_after(name, "picture"), plate, take, _CARD_PLACE * camera.data.clip_end)
-        card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
-        # It is a picture, not a thing: it neither lights the hands nor stands in a light's way.
-        card.visible_diffuse = card.visible_glossy = card.visible_transmission = False
-        card.visible_volume_scatter = card.visible_shadow = False
-        made.append(card)
     for thing in made:
         thing[OURS] = True
         put_before(thing, camera)
+    if plate is not None:
+        made.append(hung_card(name, camera, take, plate))
     return made
+
+
+def hung_card(name: str, camera: bpy.types.Object, take: Take, plate: Plate) -> bpy.types.Object:
+    """A card with the picture, which only renders see, hung on the camera of a capture or view of that
+    name; linked to no collection yet."""
+    card = picture_card(named_after(name, "picture"), plate, take, _CARD_PLACE * camera.data.clip_end)
+    card.hide_viewport = card.hide_select = True  # there the camera's background shows the picture
+    # It is a picture, not a thing: it neither lights the hands nor stands in a light's way.
+    card.visible_diffuse = card.visible_glossy = card.visible_transmission = False
+    card.visible_volume_scatter = card.visible_shadow = False
+    card[OURS] = True
+    put_before(card, camera)
+    return card
 
 
 def put_in_force(scene: bpy.types.Scene, made: list[bpy.types.Object]) -> None:
@@ -104,7 +112,8 @@ def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.ty
     mesh = bpy.data.meshes.new(name)
     points = distance * axes.points_to_world(take.intrinsics.rays(corners))
     mesh.from_pydata(points.tolist(), [], [(0, 1, 2, 3)])
-    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", uv.astype(np.float32).ravel())
+    shown = uv * [-1.0, 1.0] + [1.0, 0.0] if plate.mirrored else uv
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", shown.astype(np.float32).ravel())
 
     material = bpy.data.materials.new(name)
     tree = use_nodes(material)

@@ -48,6 +48,7 @@ from .store import (
     timing_of,
 )
 from .timing import Timing, frame_rate, nearest_rate
+from .views import view_timing
 
 
 def other_rate(scene: bpy.types.Scene, collection: bpy.types.Collection | None) -> float:
@@ -101,7 +102,10 @@ def retime(scene: bpy.types.Scene, collection: bpy.types.Collection) -> list[str
         note_fitted(hand.armature, numbers, quats, new.locations[fitted] - moved)
     for hand in filter(None, (hand_of(each.armature) for each in marked)):
         mark_doubtful(scene, hand, True)
-    _retime_plate(collection, captured, clip_timing(collection))
+    clip = clip_timing(collection)
+    _retime_plate(collection, captured, clip)
+    if captured.cameras is not None:
+        _retime_plate(collection, captured.view(1), view_timing(captured, clip))
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     return [hand.armature.name for hand in hands]
 
@@ -189,9 +193,9 @@ def _retime_plate(collection: bpy.types.Collection, take: Take, clip: Timing) ->
 
 
 def _image_users(collection: bpy.types.Collection) -> Iterator[tuple[Any, bpy.types.ImageUser]]:
-    camera = collection.manient.camera
-    for background in camera.data.background_images if camera is not None else ():
-        yield background.image, background.image_user
+    for camera in filter(None, (collection.manient.camera, collection.manient.view_camera)):
+        for background in camera.data.background_images:
+            yield background.image, background.image_user
     for obj in collection.objects:
         for slot in obj.material_slots:
             tree = slot.material.node_tree if slot.material is not None else None

@@ -99,6 +99,8 @@ class Job:
     """Whether it became the active capture, whose camera the scene looks through"""
     scene_message: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
+    views_message: str = ""
+    """That both views fit together, in a sentence; where they do not, a warning says so"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
@@ -108,6 +110,7 @@ class Job:
     _request: int = 0
     _stage_began: float = 0.0
     _stage_first: int = 0
+    _views_done: int = 0
     _take_path: Path | None = None
     _builder: Generator[float, None, Any] | None = None
     _stopping: bool = False
@@ -319,8 +322,12 @@ def _follow(job: Job) -> bool:
 
 def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
-    if stage == "detect" and job.stage in ("fit", "arms"):  # the pictures are read again
-        stage = "arms"
+    views = 1 if job.options.view is None else 2
+    if stage == "detect" and job.stage in ("fit", "arms"):  # pictures are read again
+        if job.stage == "fit" and job._views_done < views - 1:
+            job._views_done += 1
+        else:
+            stage = "arms"
     if stage != job.stage:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
@@ -328,10 +335,11 @@ def _on_progress(job: Job, event: dict[str, Any]) -> None:
     # Detection takes nearly all of a capture's time, except with slow solvers.
     solver = SOLVERS.built_in().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85
-    part = share * part if stage == "detect" else share + (0.9 - share) * part
+    own = share * part if stage == "detect" else share + (0.9 - share) * part
+    fraction = (0.9 * job._views_done + own) / views
     if job.options.arms:
-        part = 0.9 - 0.3 * (1.0 - done / total if total else 1.0) if stage == "arms" else part * 2.0 / 3.0
-    job.fraction = part
+        fraction = 0.9 - 0.3 * (1.0 - part) if stage == "arms" else fraction * 2.0 / 3.0
+    job.fraction = fraction
 
 
 def _build(job: Job) -> bool:
@@ -371,7 +379,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         if target is not None and hand_of(target) is not None:
             yield 0.5
             apply_track(target, take, track_for(take, target.manient.side), plan.target, plan.frame)
-            return (target.name,), [], _summary(job, take)
+            return (target.name,), _verdict(job, take), _summary(job, take)
         warnings.append(f"the hand {plan.hand.name} is gone, so new hands were built")
     scene = plan.scene.find()
     while scene is not None and bpy.context.scene != scene:
@@ -403,11 +411,22 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         yield from map_yields(job.then(built), lambda: 1.0)
     _pack_cached_pictures(take)
     warnings += built.warnings
+    warnings += _verdict(job, take)
     if not job.bare:
         job.scene_message = scene_sentence(bpy.context.scene, plan.matching, footage, frame, done=job.matched)
     if (job.matched or job.in_front) and plan.camera is None:
         warnings += clear_view(built.camera, built.collection, bpy.context.view_layer)
     return (tuple(hand.armature.name for hand in built.hands), warnings, _summary(job, take))
+
+
+def _verdict(job: Job, take: Take) -> list[str]:
+    """Note how well both views fit together; returns it where it is a warning."""
+    if take.verdict is None:
+        return []
+    if take.verdict.agreement != "good":
+        return [take.verdict.text]
+    job.views_message = take.verdict.text.rstrip(".")
+    return []
 
 
 def _captured(scene: bpy.types.Scene) -> list[str]:

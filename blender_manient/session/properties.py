@@ -191,6 +191,31 @@ class ManientSettings(bpy.types.PropertyGroup):
         min=0,
         max=(1 << 24) - 1,
     )
+    second_view: StringProperty(  # type: ignore
+        name="Second View",
+        description="A clip of the same hands that a second camera filmed at the same time from elsewhere. "
+        "Both cameras must stand still",
+        subtype="FILE_PATH",
+        update=notifier("second_view"),
+    )
+    use_offset: BoolProperty(  # type: ignore
+        name="Offset", description="Tell how much later the second view begins; else it is found"
+    )
+    offset: FloatProperty(  # type: ignore
+        name="Offset", precision=3, step=1, **option_property("offset")
+    )
+    view_lens: StringProperty(  # type: ignore
+        name="Lens",
+        description="The measured lens of the second view's camera; empty: found, or what the clip tells",
+        search=_found("measured_lens"),
+    )
+    use_baseline: BoolProperty(  # type: ignore
+        name="Baseline",
+        description="Tell how far apart both cameras stood; else the hand's size tells it",
+    )
+    baseline: FloatProperty(  # type: ignore
+        name="Baseline", default=0.5, precision=3, **option_property("baseline")
+    )
     use_frames: BoolProperty(  # type: ignore
         name="Frame Range", description="Capture only some of the source's frames", default=False
     )
@@ -654,6 +679,9 @@ class ManientCapture(bpy.types.PropertyGroup):
     take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
     digest: StringProperty()  # type: ignore
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore
+    view_camera: PointerProperty(  # type: ignore
+        type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
+    )
     rendered: BoolProperty(  # type: ignore
         default=True, description="Whether renders showed it before it was hidden (scene/captures.py)"
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import bpy
 import bpy.utils.previews
@@ -132,21 +132,31 @@ class SourceInfo:
         return self.files is not None and not Path(self.files.files[0]).exists()
 
 
-_known: SourceInfo | None = None
+Field = Literal["source", "second_view"]
+"""The panel's settings that name what is captured"""
+
+_known: dict[Field, SourceInfo] = {}
 _previews: Any = None
 
 
-def of(settings) -> SourceInfo:
-    """What is known of the panel's source; cheap enough for drawing."""
-    global _known
-    if _known is None or not _is_known(settings) or _known.is_gone:
-        _known = _inspect(settings.source, settings.as_sequence)
-    return _known
+def of(settings, field: Field = "source") -> SourceInfo:
+    """What is known of the panel's source, or of its second view; cheap enough for drawing."""
+    if not _is_known(settings, field) or _known[field].is_gone:
+        _known[field] = _inspect(*_wanted(settings, field))
+    return _known[field]
 
 
-def _is_known(settings) -> bool:
-    wanted = (settings.source, settings.as_sequence)
-    return _known is not None and (_known.path, _known.as_sequence) == wanted
+def _wanted(settings, field: Field) -> tuple[str, bool]:
+    return getattr(settings, field), settings.as_sequence and field == "source"
+
+
+def _is_known(settings, field: Field) -> bool:
+    return field in _known and (_known[field].path, _known[field].as_sequence) == _wanted(settings, field)
+
+
+def has_views(info: SourceInfo) -> bool:
+    """Whether a source is one of which a second camera may have filmed another view."""
+    return info.files is not None and info.files.kind in ("video", "sequence")
 
 
 def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage | None:
@@ -206,11 +216,10 @@ def dropped_footage(settings, path: Path) -> Footage | None:
         bpy.data.movieclips.remove(clip)
 
 
-def source_changed(settings) -> None:
-    """Forget the former source, and ask the worker about the new one."""
-    global _known
-    _known = None
-    info = of(settings)
+def source_changed(settings, field: Field = "source") -> None:
+    """Forget the former source or second view, and ask the worker about the new one."""
+    _known.pop(field, None)
+    info = of(settings, field)
     if info.files is None or bpy.app.background:
         return
     with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
@@ -222,12 +231,20 @@ def source_changed(settings) -> None:
 
 
 def source_chosen(settings) -> None:
-    """Another source, to which the former one's keypoints and size do not belong; undo brings all back by
-    itself."""
-    if _known is None or _known.path != settings.source:
-        settings.property_unset("keypoints")
-        settings.property_unset("picture_size")
+    """Another source, to which the former one's keypoints, size and second view do not belong; undo brings
+    all back by itself."""
+    if "source" not in _known or _known["source"].path != settings.source:
+        for name in ("keypoints", "picture_size", "second_view"):
+            settings.property_unset(name)
     source_changed(settings)
+
+
+def view_chosen(settings) -> None:
+    """Another second view, to which the former one's offset and distance do not belong."""
+    if "second_view" not in _known or _known["second_view"].path != settings.second_view:
+        for name in ("view_lens", "use_offset", "use_baseline"):
+            settings.property_unset(name)
+    source_changed(settings, "second_view")
 
 
 def thumbnail(info: SourceInfo) -> int:
@@ -269,8 +286,8 @@ def _inspect(path: str, as_sequence: bool) -> SourceInfo:
 
 
 def _await_answer() -> float | None:
-    info = _known
-    if info is None or not info.request:
+    info = next((each for each in _known.values() if each.request), None)
+    if info is None:
         return None
     if jobs.current() is not None:
         return 1.0  # the worker answers after that
@@ -288,24 +305,28 @@ def _await_answer() -> float | None:
         info.unsized = not info.width
     info.request = 0
     screen.redraw_sidebars()
-    return None
+    return _POLL_SECONDS
 
 
 def _on_undo(*_args) -> None:
     """Undo and redo change the source without telling."""
     scene = bpy.context.scene
-    if scene is not None and _known is not None and not _is_known(scene.manient):
-        source_changed(scene.manient)
+    if scene is None:
+        return
+    for field in list(_known):
+        if not _is_known(scene.manient, field):
+            source_changed(scene.manient, field)
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
-LISTENERS = {"source": source_chosen, "as_sequence": source_changed}
+LISTENERS = {"source": source_chosen, "as_sequence": source_changed, "second_view": view_chosen}
 TIMERS = (_await_answer,)
 
 
 def unregister() -> None:
     """Free the thumbnails, and forget the source."""
-    global _previews, _known
+    global _previews
     if _previews is not None:
         bpy.utils.previews.remove(_previews)
-    _previews = _known = None
+    _previews = None
+    _known.clear()

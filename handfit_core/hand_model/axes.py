@@ -43,6 +43,15 @@ def points_to_world(points: np.ndarray) -> np.ndarray:
     return points @ WORLD_FROM_CAMERA.T
 
 
+def camera_in_world(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """The (4, 4) matrix, in metres, of Blender's camera that sees points x of the capture camera's frame at
+    rotation (3, 3) x + translation (3,). Blender's cameras look along their own -Z, with Y up."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = WORLD_FROM_CAMERA @ rotation.T @ np.diag([1.0, -1.0, -1.0])
+    matrix[:3, 3] = points_to_world(-rotation.T @ translation)
+    return matrix
+
+
 def points_to_rest(points: np.ndarray) -> np.ndarray:
     """(..., 3) metres in the model frame -> (..., 3) metres in the armature's rest space."""
     return points @ REST_FROM_MODEL.T

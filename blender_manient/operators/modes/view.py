@@ -13,6 +13,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.picture_map import picture_to_region
 
 from ...common.screen import camera_region, enlarged, frame_whole_picture, free_box, redraw, ui_scale
+from ...scene import captures
 
 MAX_ZOOM: Final = 64.0
 """pixels of the region for one of the picture"""
@@ -175,6 +176,8 @@ class CaptureView:
     def face(self, viewport: Viewport) -> None:
         """Have the viewport look through the capture camera."""
         scene, space, camera = bpy.context.scene, viewport.space, bpy.data.objects[self.camera]
+        if scene is not None:
+            captures.leave_other_view(scene, camera)
         if scene is not None and scene.camera != camera:
             space.use_local_camera = True
         if space.use_local_camera:
