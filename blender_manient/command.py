@@ -92,15 +92,18 @@ def _run_batch(args: argparse.Namespace) -> int:
 
 
 def _own_command() -> tuple[str, ...]:
-    """What starts Blender with this command once more; where Blender is a Python module, that module."""
+    """What starts Blender with this command once more; where Blender is a Python module, that module, which
+    may hang while the interpreter shuts down after an export: the process ends without that."""
     if bpy.app.binary_path:
         told = sys.argv[1 : sys.argv.index("--command")] if "--command" in sys.argv else []
         return (bpy.app.binary_path, *told, "--command", NAME)
     addon = __name__.rpartition(".")[0]
     where = "" if "." in addon else f"sys.path.insert(0, {str(Path(__file__).resolve().parents[1])!r}); "
     code = (
-        f"import bpy, sys, addon_utils; {where}addon_utils.enable({addon!r}); "
-        f"from importlib import import_module; sys.exit(import_module({__name__!r}).main(sys.argv[1:]))"
+        f"import bpy, os, shutil, sys, addon_utils; {where}addon_utils.enable({addon!r}); "
+        f"from importlib import import_module; code = import_module({__name__!r}).main(sys.argv[1:]); "
+        "shutil.rmtree(bpy.app.tempdir, ignore_errors=True); "
+        "sys.stdout.flush(); sys.stderr.flush(); os._exit(code)"
     )
     return (sys.executable, "-c", code)
 

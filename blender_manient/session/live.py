@@ -27,7 +27,7 @@ from handfit_core.slices import map_yields, run_to_completion
 from handfit_core.worker.events import Event, as_error
 
 from ..common import preferences
-from ..common.blender_versions import action_slot, channels
+from ..common.blender_versions import action_slot, channels, first_slot
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted
 from ..scene import captures
@@ -179,7 +179,7 @@ class LiveTake:
         data = armature.animation_data
         holder = channels_of(data) if data is not None and data.action == action else None
         if holder is None:  # the artist has another one in use
-            holder = channels(action, getattr(action, "slots", [None])[0], make=True)
+            holder = channels(action, first_slot(action), make=True)
         holder.fcurves.clear()
         yield from writing(keys, holder)
         for one in keys:
