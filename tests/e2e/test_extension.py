@@ -29,7 +29,7 @@ from scripts.extension.core_wheel import (
 from scripts.extension.wheels import PLATFORMS, PYTHONS, TORCH, BuildError, lock_path, read_lock
 
 ROOT = Path(__file__).resolve().parents[2]
-MOST = 150_000_000
+MOST = 160_000_000
 """bytes that an artist downloads"""
 
 pytestmark = pytest.mark.skipif(
