@@ -10,7 +10,7 @@ import numpy as np
 from scenarios.capturing import capture, hands, import_take, keys_of, mesh_of, part
 from scenarios.panels import opened_by_default
 
-PICTURE = 265
+PICTURE = 293
 """pixels from the sidebar's top to the middle of a pose's picture, with all sections above closed"""
 FIST = (-161, -121)
 """pixels from there to the fist among the pictures that open"""
