@@ -58,7 +58,7 @@ class LiveSettings:
     """From one palm detection in the picture to the next while a hand is wanted and another one is followed:
     it takes longer than a hand"""
     empty_search_interval: int = 3
-    """The same while no hand is followed"""
+    """From one palm detection in the picture to the next while no hand is followed"""
     edge: float = 0.02
     """Part of the picture's longer side that a hand must be away from the edges when it begins"""
     kept_inside: float = 0.6

@@ -100,7 +100,8 @@ class Job:
     scene_message: str = ""
     """What became of the scene, in one sentence; empty where nothing was built into it"""
     views_message: str = ""
-    """That both views fit together, in a sentence; where they do not, a warning says so"""
+    """The verdict on a capture of two views that fit together; empty for one view, and where a warning says
+    that they do not"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()

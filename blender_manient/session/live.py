@@ -211,7 +211,7 @@ class LiveTake:
 
 
 takes: list[LiveTake] = []
-"""Those that were neither kept nor thrown away yet, the oldest first"""
+"""Recorded takes that were neither kept nor thrown away yet, the oldest first"""
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,7 @@ class FollowingSettings:
     """Distances of the two points of `People.axis`, as far as from a man's hips to above his head; a hand
     farther from his hips than this is not his"""
     same_person_distance: float = 0.5
-    """As these; two people whose hips are nearer than this are one"""
+    """Distances of the two points of `People.axis`; two people whose hips are nearer than this are one"""
 
 
 FOLLOWING: Final = FollowingSettings()

@@ -233,7 +233,7 @@ def fit_observed(
     should_stop: ShouldStop = never,
     guess: Guess | None = None,
 ) -> HandMotion:
-    """As `fit_track`, to what is observed (N) of the track's detections."""
+    """Fit a tracked hand as `fit_track` does, to an observation (N) that was made of its detections."""
     hands, found, count = track.detections, track.detections.frame, track.frame_count
     # A track's side is voted for by all of its frames.
     side_logit = side_logits(hands, fitter.model.side).mean()

@@ -35,7 +35,7 @@ FRAMES = (3, 5, 8, 17)
 
 
 def vrm_names(side):
-    """As mixamo_names."""
+    """Names of bones as VRM has them, by what they are."""
     parts = ("Proximal", "Intermediate", "Distal")
     thumb = ("Metacarpal", "Proximal", "Distal")
     names = {0: f"{side}Hand"}

@@ -126,7 +126,7 @@ class _Together(Problem):
         ]
 
     def blocks(self, state: State) -> Blocks:
-        """As `Problem.blocks`, of all hands."""
+        """Cost and Gauss-Newton matrices of all hands and the cameras, as `Problem.blocks` gives them."""
         assert self.fixed is not None
         found = [part.blocks(of_part) for part, of_part in zip(self.parts, self.split(state), strict=True)]
         of_hand = np.broadcast_to(self.fixed, (len(state), len(self.fixed)))

@@ -119,7 +119,7 @@ def test_noise_falls():
 
 
 def test_long_clips_are_solved_in_windows():
-    """As if they were solved at once: to a millimetre."""
+    """Windows give what one system over the whole clip gives, to a millimetre."""
     long = person(720)
     seen = _seen(long.hands, body_of(long.points, 0.019), CAMERA, slice(0, 720))
     whole, parts = _window(seen, _start(seen), FPS), fit_arms(seen, FPS)
