@@ -25,8 +25,6 @@ profile/extensions/.user/user_default/
 profile/extensions/user_default/.blender_ext/cache/
 """.split()
 """What stays of any extension that was installed: Blender's list of extensions that fit, and empty folders"""
-LEFT_BY_4_2 = re.compile(r"tmp/blender_\w+/")
-"""Blender 4.2 has to be ended (inside/whole_life.py)"""
 BPY_VARIABLES = ("MATERIALX_SEARCH_PATH", "PXR_MTLX_STDLIB_SEARCH_PATHS", "OCIO")
 """What importing bpy sets by itself"""
 
@@ -67,7 +65,7 @@ def test_from_installing_to_uninstalling(zipped, samples, without_network, proce
     assert "Traceback" not in done.stdout
     assert processes_with(mark) == []
     left = {re.sub(r"python3\.\d+", "python3.*", name) for name in _left(tmp_path)}
-    assert {name for name in left if not LEFT_BY_4_2.fullmatch(name)} <= set(BLENDERS_OWN)
+    assert left <= set(BLENDERS_OWN)
     shutil.rmtree(tmp_path)  # some GB of disk
 
 
