@@ -145,8 +145,6 @@ class Poses:
         """As `HandSource.find`."""
         options, recording = self.options, self.recording
         intrinsics = self.known or Intrinsics.assumed(self.media.width, self.media.height)
-        if recording.intrinsics and options.intrinsics is None and options.lens is None:
-            intrinsics = recording.intrinsics  # the hands lie where that camera has them
         numbers = [int(number) for number in recording.frame_numbers]
         posed = _chosen(options, recording.posed)
         tracks = [
@@ -164,6 +162,8 @@ def open_source(source: MediaInput, options: CaptureOptions) -> HandSource:
     recording = _recording(media, options)
     if recording is None:
         return Pictures(media, known, options)
+    if recording.intrinsics and options.intrinsics is None and options.lens is None:
+        known = recording.intrinsics  # the hands lie where that camera has them
     return (Poses if recording.seen is None else Keypoints)(media, known, options, recording)
 
 

@@ -21,7 +21,7 @@ from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
 from .render_setup import OURS, follow_camera
 from .simplify import DENSE
-from .store import captured_hands, has_properties, kept_take, timing_of
+from .store import captured_hands, clip_timing, has_properties, kept_take
 from .timing import Timing, set_timing
 
 _facts: dict[str, str] = {}
@@ -230,10 +230,10 @@ def _frame(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     try:
         take = kept_take(capture)
         seen = take.view(1) if scene.camera == capture.manient.view_camera and take.cameras else take
+        on_own_frames = clip_timing(capture) == Timing()  # a retimed one lies on the scene's
     except TakeError:
         return
-    numbers = take.frame_numbers
-    timed = has_matched_time(scene) and timing_of(capture) == Timing() and len(numbers) > 1
+    timed = has_matched_time(scene) and on_own_frames and len(take.frame_numbers) > 1
     sized = has_matched_size(scene)
     if sized:
         frame_scene(scene, seen)

@@ -338,10 +338,11 @@ def test_the_choice_is_the_artists(clip, tmp_path):
     assert (scene.render.fps, scene.frame_end) == (30, FRAMES[-1])
 
 
-def test_a_second_clip_leaves_the_first_ones_time_alone(clip, make_take, picture, tmp_path):
+@pytest.mark.parametrize("frame", [FRAMES[0], 10])
+def test_a_second_clip_leaves_the_first_ones_time_alone(clip, make_take, picture, tmp_path, frame):
     brought_in(clip, tmp_path)
     scene = bpy.context.scene
-    scene.frame_set(10)
+    scene.frame_set(frame)
     before = state()
     other = make_take(sides=("left",), source=Source("video", (str(picture),)), fps=50.0).take
     assert "right hand of photo of a hand is animated" in why_kept(scene, Footage.of_take(other))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from handfit_core.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.interchange.writers import writer_for
@@ -177,7 +178,11 @@ def test_keypoints_of_pictures_of_another_size(tmp_path: Path, points: Path) -> 
     hand = {"side": SIDE, "keypoints_2d": (PIXELS / 2.0).tolist()}
     camera = {name: value / 2.0 for name, value in vars(TRUTH.intrinsics).items()}
     changed(points, hands=[hand], intrinsics=camera, width=TRUTH.width // 2, height=TRUTH.height // 2)
-    assert apart(capture(pictures, keypoints=points, frames="3-4"), range(2, 4)) < 0.01
+    take = capture(pictures, keypoints=points, frames="3-4")
+    assert apart(take, range(2, 4)) < 0.01
+    assert vars(take.intrinsics) == pytest.approx(vars(TRUTH.intrinsics)), "the file's camera"
+    own = Intrinsics.assumed(TRUTH.width, TRUTH.height)
+    assert capture(pictures, keypoints=points, frames="3-4", intrinsics=own).intrinsics == own
 
 
 def test_keypoints_of_another_clip_or_hand_are_refused(tmp_path: Path, video: Path) -> None:
