@@ -38,7 +38,7 @@ SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
 OLDEST_NUMPY = "numpy==1.24.4"
-"""As some Blenders 4.2 have it; the bpy wheel would take the newest."""
+"""NumPy of some Blenders 4.2; the bpy wheel would take the newest."""
 
 BPY = {"4.2": "bpy==4.2.23", "4.5": "bpy==4.5.15", "5.0": "bpy==5.0.1", "5.2": "bpy==5.2.3"}
 DEMO_BPY = BPY["4.5"]
