@@ -23,8 +23,8 @@ class Flat:
 
 
 def flattened(detections: Detections, flat: Flat, seed: int = 0) -> Detections:
-    """Detections with their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are. Their
-    sides are those that the detector held for likelier."""
+    """Detections with their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are.
+    Their sides are those that the detector held for likelier."""
     rng = np.random.default_rng(seed)
     points, size = detections.keypoints_2d, detections.extent
     points = points + flat.noise * size[:, None, None] * rng.normal(size=points.shape)
