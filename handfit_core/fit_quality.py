@@ -57,9 +57,10 @@ IN_PICTURE: Final = Scale("Error", "% of the hand", 100.0, GOOD_BELOW, FAIR_BELO
 EXPECTED: Final = Scale("Likely error", "mm", 1000.0, 0.008, DOUBT.doubtful_error)
 """For `HandTrack.expected_error` of a clip"""
 EXPECTED_OF_STILL: Final = Scale("Likely error", "mm", 1000.0, DOUBT.doubtful_error, 0.022)
-"""The same of a still, in which much is expected of a small hand and of one seen edge on, right or wrong, and
-no neighbours in time tell them apart. Of 70 hands drawn over their pictures all 31 below 12 mm are right, as
-are 14 of 32 from there to 22 mm, and none of 7 beyond; in clips, 10 of 11 frames beyond 12 mm are not."""
+"""For `HandTrack.expected_error` of a still, in which much is expected of a small hand and of one seen edge
+on, right or wrong, and no neighbours in time tell them apart. Of 70 hands drawn over their pictures all 31
+below 12 mm are right, as are 14 of 32 from there to 22 mm, and none of 7 beyond; in clips, 10 of 11 frames
+beyond 12 mm are not."""
 NOT_KNOWN: Final = "likely error not known"
 """What is said instead of hands whose keypoints are of a source for which nobody has measured it"""
 

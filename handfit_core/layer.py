@@ -254,7 +254,8 @@ _QUAT_PRODUCTS_TO_ROTMAT = _quat_products_to_rotmat()
 
 
 def _quat_products_to_transform() -> np.ndarray:
-    """(16, 16): as above, to the rotation part of a flattened, transposed 4x4 transform."""
+    """(16, 16): from products of quaternion elements to the rotation part of a flattened, transposed 4x4
+    transform."""
     table = np.zeros((16, 4, 4))
     table[:, :3, :3] = _QUAT_PRODUCTS_TO_ROTMAT.reshape(16, 3, 3).swapaxes(1, 2)
     return table.reshape(16, 16)

@@ -109,7 +109,7 @@ class Pictures:
     recording: None = None
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:
-        """As `HandSource.find`."""
+        """Detect hands in the pictures, and track them."""
         media, options = self.media, self.options
         with DETECTORS.blamed(options.detector):
             calibrated = DETECTORS.get(options.detector).calibrated(settings_of(options))
@@ -127,7 +127,7 @@ class Keypoints:
     recording: Recording
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:  # noqa: ARG002
-        """As `HandSource.find`."""
+        """Track the hands of the other program."""
         seen = detected_in(self.recording)
         return _tracked(self.media, self.known, self.options, seen, should_stop, calibrated=False)
 
@@ -142,7 +142,7 @@ class Poses:
     recording: Recording
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:  # noqa: ARG002
-        """As `HandSource.find`."""
+        """Take poses as they are, unless they are to be fitted again, and track points in space."""
         options, recording = self.options, self.recording
         intrinsics = self.known or Intrinsics.assumed(self.media.width, self.media.height)
         numbers = [int(number) for number in recording.frame_numbers]

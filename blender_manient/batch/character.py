@@ -88,7 +88,7 @@ class Character:
     hands: Mapping[Side, str]
     """By its own hands, which captured one they get: left, right, or a number from 1"""
     bones: Mapping[Side, HandMap]
-    """Those that a preset tells"""
+    """The bones that a preset names"""
     onto: TransferOptions
     reference: float | None
 

@@ -279,7 +279,7 @@ class _CharacterPosable(PosableHand):
     def towards(
         self, context: bpy.types.Context, pose: Pose | None, blend: float, requested: RequestedFrames
     ) -> Posed:
-        """As `PosableHand.towards`; raises OptionError also where `put` could not key the pose."""
+        """What brings fingers towards a pose; raises OptionError where `put` could not key it."""
         check_own_keys(self._armature, "ACTION")
         posed = super().towards(context, pose, blend, requested)
         check_unlocked(self.rig, joints=np.flatnonzero(posed.moved).tolist(), location=False)

@@ -177,7 +177,7 @@ class Detections(Batch):
         )
 
     def moved(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
-        """The same hands with all their points in the picture changed, (..., 2) pixels to (..., 2) pixels;
+        """These hands with all their points in the picture changed, (..., 2) pixels to (..., 2) pixels;
         depths and expected errors stay."""
         columns = {name: getattr(self, name) for name in ("keypoints", "keypoints_2020", "corrected")}
         changed = {

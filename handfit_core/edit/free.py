@@ -105,7 +105,7 @@ def _starts(
         ]
     )
     shapes = (points - points[0]) @ turns.swapaxes(1, 2)
-    # As seen from afar, in the picture as complex numbers: a similarity there is a factor and a sum.
+    # Seen from afar, places in the picture are complex numbers: a similarity is a factor and a sum.
     centre, focal = (intrinsics.cx, intrinsics.cy), (intrinsics.fx, intrinsics.fy)
     aim = ((pins[at] - centre) / focal) @ [1.0, 1.0j]
     shown = shapes[:, at, :2] @ [1.0, 1.0j]

@@ -124,11 +124,11 @@ class _Clip(Media):
         self.source = Source("sequence", tuple(str(entry.picture) for entry in unit.entries))
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
-        """As `Media.numbers`: the pictures are counted."""
+        """The pictures of the part, counted from 0."""
         return range(len(self._entries))[first:][:count]
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """As `Media.frames`."""
+        """The frames of the part, None for a picture that cannot be read."""
         for row in self.numbers(first, count)[::step]:
             rgb, size = _read(self._entries[row])
             if row == len(self.sizes):  # some are read once more

@@ -23,7 +23,7 @@ class Flat:
 
 
 def flattened(detections: Detections, flat: Flat, seed: int = 0) -> Detections:
-    """The same hands by their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are.
+    """Detections with their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are.
     Their sides are those that the detector held for likelier."""
     rng = np.random.default_rng(seed)
     points, size = detections.keypoints_2d, detections.extent

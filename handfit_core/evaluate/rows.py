@@ -42,7 +42,7 @@ class Rows:
     """A row of `hands` each"""
     problems: list[Problem] = field(default_factory=list)
     tracks: list[TrackInView] = field(default_factory=list)
-    """Those that rows refer to"""
+    """The detected tracks that rows refer to by number"""
     pictures: int = 0
     extra_hands: int = 0
     """Detections in a kept track that belong to no labelled hand"""

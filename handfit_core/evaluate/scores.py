@@ -22,7 +22,7 @@ class Scores:
     """
 
     method: str
-    """As on the command line: `paper-a`, `fused`, `null-centroid`"""
+    """The name that the command line takes: `paper-a`, `fused`, `null-centroid`"""
     title: str
     """For people"""
     is_baseline: bool

@@ -196,7 +196,7 @@ class ViewSettings:
     good_residual: float = 1.8
     """Root mean square of residuals of both views, in sigmas, up to which views agree"""
     doubtful_residual: float = 2.1
-    """Likewise, beyond which they do not"""
+    """Root mean square of residuals of both views, in sigmas, beyond which views do not agree"""
     worst_residual: float = 4.0
     """sigmas; larger residuals count as this one when agreement is judged"""
     least_hand_frames: int = 8

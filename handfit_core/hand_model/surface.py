@@ -46,7 +46,7 @@ PAIRS: Final = np.array(
 """(P, 2) bones that can touch, the lower first"""
 _COMPRESSION: Final = np.select(
     [(PAIRS == (1, PALM)).all(axis=1), (PAIRS[:, 0] == 1) & (PAIRS[:, 1] > PALM)],
-    # As the web between thumb and index finger, and the palm in a fist around the thumb, are compressed
+    # How the web between thumb and index finger, and the palm in a fist around the thumb, are compressed
     [-0.0085, -0.006],
     0.0,
 )

@@ -61,11 +61,11 @@ class RecordedMedia(Media):
         return at_rows(self.recording, rows, self.recording.frame_numbers[rows])
 
     def numbers(self, first: int = 0, count: int | None = None) -> Sequence[int]:
-        """As `Media.numbers`."""
+        """The numbers of the wanted frames of the part."""
         return self._numbers[first:] if count is None else self._numbers[first : first + count]
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:
-        """As `Media.frames`; none has a picture."""
+        """The wanted frames of the part, without pictures."""
         for number in self.numbers(first, count)[::step]:
             yield Frame(number, (number - self._numbers[0]) / self.fps, None)
 

@@ -43,7 +43,7 @@ class ToldHands(Batch):
 
     @classmethod
     def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ToldHands:
-        """Those of N hands that have any point. `score`, NaN: the mean of the points' confidence; `told`
+        """The hands of N that have any point. `score`, NaN: the mean of the points' confidence; `told`
         (N, 21, 3) or, with confidences, (N, 21, 4), NaN: not told. Raises ValueError for points that no hand
         has."""
         row, side, hand = (np.array(each, dtype=int) for each in (row, side, hand))

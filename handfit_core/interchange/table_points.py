@@ -158,7 +158,7 @@ class HandTable:
     def _pointwise(
         self, frames: np.ndarray, axes: list[str], ours: bool
     ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """The same of a table with a point a row, and one row of each hand."""
+        """What `ToldHands.of` takes of the hands of a table with a point a row, and one row of each hand."""
         column = self._column(*_NAMES["point"])
         if column is None or len(axes) < 2:
             raise ValueError("its columns name no points of hands")

@@ -28,7 +28,7 @@ class Writer:
     """Writes it into a file that may not exist, and is moved to its place afterwards. Raises OutputError, and
     OptionError for a take that the format cannot hold"""
     write_wrist: Callable[[Take, Path], None] | None = None
-    """The same with how hands turn to their forearms, as far as that can be said; None: it is no question"""
+    """Writes the file with how hands turn to their forearms, as far as that can be said; None: no question"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"

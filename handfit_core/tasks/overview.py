@@ -38,7 +38,7 @@ _SECTIONS: Final = {
 }
 """Section -> its title and what stands below, in the order of the page"""
 _DONE: Final = ("doubtful", "unknown", "good")
-"""Those of what a task has made"""
+"""Sections of inputs of which a take was made"""
 
 _STYLE: Final = """
 :root{color-scheme:light dark;--ground:#f6f6f4;--card:#fff;--text:#1d1f21;--faint:#62666b;--line:#dcdcd8;

@@ -71,7 +71,7 @@ class Result:
             )
 
     def failed(self, attempts: Sequence[dict[str, Any]], warnings: Sequence[str]) -> Self:
-        """The same after these attempts, of which the last one failed, too."""
+        """The result after these attempts, of which the last one failed, too."""
         said = {"error": attempts[-1]["error"], "seconds": attempts[-1]["seconds"]}
         return replace(self, status="failed", attempts=[*attempts], warnings=[*warnings], **said)
 

@@ -80,7 +80,7 @@ class LocalProcesses(Workers):
         self._executor: Any = None
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
-        """As `Workers.submit`."""
+        """Have one of the processes do a task. Raises BrokenExecutor where one has died."""
         if self._executor is None:
             from loky import ProcessPoolExecutor, process_executor
             from loky.backend import get_context
@@ -98,11 +98,11 @@ class LocalProcesses(Workers):
         return self._executor.submit(self.run, task, output, settings)
 
     def renew(self) -> None:
-        """As `Workers.renew`."""
+        """End the processes; the next task starts others."""
         self.close()
 
     def close(self) -> None:
-        """As `Workers.close`."""
+        """End the processes."""
         if self._executor is not None:
             self._executor.shutdown(kill_workers=True)
             self._executor = None
@@ -203,7 +203,7 @@ class DaskWorkers(Workers):
             ) from error
 
     def submit(self, task: Task, output: Path, settings: Settings) -> Future[Result]:
-        """As `Workers.submit`."""
+        """Have the cluster do a task. Its future holds what the worker raised."""
         future = Future[Result]()
 
         def pass_on(theirs: Any) -> None:
@@ -219,7 +219,7 @@ class DaskWorkers(Workers):
         return future
 
     def close(self) -> None:
-        """As `Workers.close`."""
+        """Leave the cluster, and end one that was started here."""
         with contextlib.suppress(Exception):  # the scheduler has gone
             self._client.unregister_worker_plugin(CHECK)
         self._client.close()

@@ -12,7 +12,7 @@ import sys
 
 LOWEST = (3, 11)
 EXIT_UNFIT = 77
-"""As in interpreter.py, which cannot be imported here yet"""
+"""Exit code of a Python that cannot capture, as in interpreter.py, which cannot be imported yet"""
 
 
 def main():

@@ -39,7 +39,7 @@ _CONNECTION = "HANDFIT_CONNECTION"
 _NO_SIGNAL = getattr(socket, "MSG_NOSIGNAL", 0)
 """Has the system not kill Blender, which leaves SIGPIPE deadly, for writing to a child that is gone"""
 _SO_NOSIGPIPE = 0x1022
-"""The same on macOS, for a socket; Python has no name for it"""
+"""The option by which a socket on macOS raises no SIGPIPE; Python has no name for it"""
 
 _killed: list[subprocess.Popen[Any]] = []
 """Processes that were killed; the system keeps their numbers until somebody asks how they ended"""

@@ -104,7 +104,7 @@ def save_index(
 
 
 def _plain(value: Any) -> Any:
-    """The same in JSON's types."""
+    """A value in JSON's types, NaN as null."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, Mapping):
