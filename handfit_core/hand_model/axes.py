@@ -201,6 +201,13 @@ def _by_product(model: HandModel, frames: np.ndarray) -> np.ndarray:
     return points_to_rest(offsets)
 
 
+def posedirs_of(offsets: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """(V, 3, 135) posedirs from offsets (15, 9, V, 3): the inverse of `corrective_offsets`."""
+    elements = np.linalg.inv(_products_to_elements(frames))
+    posedirs = np.einsum("jpvc,jep->vcje", offsets @ REST_FROM_MODEL, elements, optimize=True)
+    return posedirs.reshape(len(posedirs), 3, -1)
+
+
 def _products_to_elements(frames: np.ndarray) -> np.ndarray:
     """(15, 9, 9): row p of a joint is B M_p B^T, row by row."""
     basis = REST_FROM_MODEL.T @ frames[1:]

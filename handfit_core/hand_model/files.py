@@ -153,10 +153,21 @@ def load_model_npz(path: str | os.PathLike[str], *, bundled: bool = False) -> Ha
     return checked_model(arrays, where=str(path), name=name, side=side, source="" if bundled else str(path))
 
 
-def save_model_npz(model: HandModel, path: str | os.PathLike[str]) -> Path:
-    """Write a model as `.npz` without pickles; the same model gives the same bytes. Raises OutputError."""
+def save_model_npz(
+    model: HandModel, path: str | os.PathLike[str], notes: dict[str, str] | None = None
+) -> Path:
+    """Write a model as `.npz` without pickles; `notes` (provenance, licence) go into its header.
+
+    The same model gives the same bytes. Raises OutputError.
+    """
     path = Path(path)
-    header = {"format": FORMAT_NAME, "version": FORMAT_VERSION, "name": model.name, "side": model.side}
+    header = {
+        "format": FORMAT_NAME,
+        "version": FORMAT_VERSION,
+        "name": model.name,
+        "side": model.side,
+        "notes": notes or {},
+    }
     arrays: dict[str, Any] = {"header": np.array(json.dumps(header, ensure_ascii=False))}
     for key, array in arrays_of(model).items():
         integer = np.issubdtype(array.dtype, np.integer)
