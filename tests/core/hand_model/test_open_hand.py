@@ -1,7 +1,11 @@
-"""The bundled open hand: that it is the same, and what it does when it is posed."""
+"""The bundled open hand: that it is the same, what it does when it is posed, and that the script makes it."""
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import subprocess
+import sys
 import zipfile
 from dataclasses import replace
 from hashlib import sha256
@@ -111,3 +115,24 @@ def test_files_are_the_ones_that_takes_were_made_with(model, side):
         assert "CC0" in str(archive["header"])
     with zipfile.ZipFile(path) as archive:
         assert {info.date_time for info in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+
+
+def test_script_builds_files():
+    """About a minute; needs anny, here or in the interpreter that HANDFIT_ANNY_PYTHON names."""
+    python = os.environ.get("HANDFIT_ANNY_PYTHON", "")
+    if not python and importlib.util.find_spec("anny") is not None:
+        python = sys.executable
+    if not python:
+        pytest.skip("anny is not installed and HANDFIT_ANNY_PYTHON names no interpreter that has it")
+    script = ROOT / "scripts" / "build_open_hand.py"
+    done = subprocess.run([python, str(script), "--check"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_script_says_how_to_get_anny(tmp_path):
+    (tmp_path / "anny.py").write_text("raise ImportError('hidden')")  # also where it is installed
+    script = ROOT / "scripts" / "build_open_hand.py"
+    env = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, check=False, env=env)
+    assert done.returncode == 2
+    assert "pip install" in done.stdout.splitlines()[-1]
