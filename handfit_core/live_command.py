@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.files import check_writable, path_of, shown, written_whole
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.pipeline import capture_to_file
@@ -62,7 +62,9 @@ def add_live_command(commands: Any) -> argparse.ArgumentParser:
         default="bar",
         help="how to show progress (default: bar)",
     )
-    add_options(live, ("hands", "hand_length", "model", "intrinsics", "threshold", "quality", "smoothing"))
+    add_options(
+        live, ("hands", "hand_length", "model", "intrinsics", "lens", "threshold", "quality", "smoothing")
+    )
     live.set_defaults(handler=_live, vmc=None, sender=None)
     return live
 
@@ -94,7 +96,10 @@ def _live(args: argparse.Namespace) -> int:
     if written is None or not written.frames:
         raise InputError(f"{shown(args.source)}: no picture came, and there is nothing to capture")
     report = None if args.progress == "none" else args.reporter.progress
-    args.reporter.done(capture_to_file(str(recording), args.output, capture, report))
+    try:
+        args.reporter.done(capture_to_file(str(recording), args.output, capture, report))
+    except OutputError as error:
+        raise OutputError(f"{error}; `capture {shown(str(recording))}` makes the take later") from error
     return 0
 
 

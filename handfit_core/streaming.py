@@ -25,6 +25,7 @@ from handfit_core.errors import OptionError
 from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.observation import Observation
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
@@ -88,7 +89,7 @@ class LiveOptions:
     """What a live run can be told. Raises OptionError for numbers that are none."""
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
-    """`hands`, `hand_length`, `model`, `intrinsics`, `threshold` and `landmark_model` count"""
+    """`hands`, `hand_length`, `model`, `intrinsics`, `lens`, `threshold` and `landmark_model` count"""
     online: bool = False
     """Whether addresses of other machines may be opened"""
     size: tuple[int, int] = (640, 480)
@@ -148,7 +149,7 @@ class LiveHand:
     transl: np.ndarray
     """(3,)"""
     keypoints: np.ndarray | None
-    """(21, 2) pixels; None where it is not seen"""
+    """(21, 2) pixels, as the picture shows it; None where it is not seen"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +164,7 @@ class LivePose:
     rgb: np.ndarray
     """(H, W, 3) uint8, the picture"""
     intrinsics: Intrinsics
-    """Of the camera that the hands are seen by"""
+    """Of the camera that the hands are seen by, without its distortion"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,8 +316,16 @@ class _SideFit:
         """Of the calibration that runs"""
         self._poses: list[np.ndarray] = []
 
-    def see(self, hands: Detections, intrinsics: Intrinsics, seconds: float, *, calibrating: bool) -> None:
-        """Fit the hand of one detection."""
+    def see(
+        self,
+        hands: Detections,
+        keypoints: np.ndarray,
+        intrinsics: Intrinsics,
+        seconds: float,
+        *,
+        calibrating: bool,
+    ) -> None:
+        """Fit the hand of one detection; `keypoints` (21, 2) is where the picture shows it."""
         fitter = self._fitter
         seen = fitter.observe(hands, intrinsics)
         start, iterations = fitter.start(seen, self._betas), LIVE.first_iterations
@@ -346,7 +355,7 @@ class _SideFit:
             float(hands.score[0]),
             betas[0],
             *self._parameters(turns, wrist, betas[0]),
-            keypoints=hands.keypoints_2d[0],
+            keypoints=keypoints,
         )
         self._lost_at = seconds
 
@@ -421,6 +430,7 @@ class HandFollower:
         self._hands = {side: _SideFit(side, options) for side in sides}
         self._size: tuple[int, int] | None = None
         self._intrinsics = Intrinsics.assumed(640, 480)
+        self._lens: Lens | None = None
         self._calibrating_until: float | None = None
         self.calibrations: list[tuple[Calibration, ...]] = []
         """Finished calibrations, empty ones of no open hand, that nobody has taken out yet"""
@@ -440,12 +450,15 @@ class HandFollower:
         self._calibrating_until = np.inf
 
     def follow(self, frame: Frame) -> LivePose:
-        """The hands in the next frame, whose time rises from frame to frame."""
+        """The hands in the next frame, whose time rises from frame to frame. Raises OptionError where a
+        camera was given that cannot have taken it."""
         rgb, seconds = frame.rgb, frame.time
         assert rgb is not None
         if rgb.shape[1::-1] != self._size:
             self._size = rgb.shape[1], rgb.shape[0]
-            self._intrinsics = self._options.capture.intrinsics or Intrinsics.assumed(*self._size)
+            given = self._options.capture
+            self._intrinsics = given.camera(*self._size) or Intrinsics.assumed(*self._size)
+            self._lens = given.measured_lens(*self._size)
             self._detector = self._new_detector()
         if self._calibrating_until == np.inf:
             self._calibrating_until = seconds + LIVE.calibration_seconds
@@ -456,7 +469,8 @@ class HandFollower:
         for side, hand in self._hands.items():
             if rows is not None and side in seen:
                 row = rows.select(np.array([seen[side]]))
-                hand.see(row, self._intrinsics, seconds, calibrating=calibrating)
+                pinhole = row if self._lens is None else row.moved(self._lens.undistorted)
+                hand.see(pinhole, row.keypoints_2d[0], self._intrinsics, seconds, calibrating=calibrating)
             else:
                 hand.lose(seconds)
         if self._calibrating_until is not None and seconds >= self._calibrating_until:
