@@ -18,8 +18,9 @@ import numpy as np
 
 from handfit_core.detect.clips import TrackedHand, overlaps, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.detect.networks import Networks
+from handfit_core.detect.networks import NETWORK, Networks
 from handfit_core.detect.search import Search, tiles
 from handfit_core.errors import OptionError
 from handfit_core.fit.fast import fitter_of
@@ -426,6 +427,7 @@ class HandFollower:
         self._options = options
         sides: list[Side] = [side for side in SIDES if given.hands in (side, "auto", "both")]
         self._networks = Networks(given.landmark_model)
+        self._warm_up()
         self._detector = self._new_detector()
         self._hands = {side: _SideFit(side, options) for side in sides}
         self._size: tuple[int, int] | None = None
@@ -440,6 +442,18 @@ class HandFollower:
 
     def __exit__(self, *_: object) -> None:
         self._networks.close()
+
+    def _warm_up(self) -> None:
+        """Run all networks once, those of the second hand's thread too: they load with that, for longer than
+        a frame has."""
+        networks, grey = self._networks, np.full((64, 64, 3), 128, dtype=np.uint8)
+        networks.threads = min(networks.threads, len(SIDES))
+        crop = Crop.of_square(np.full(2, 32.0), 64.0, NETWORK.hand_input_px)
+        networks.quality = "draft"  # which the other thread's keep
+        for _ in networks.map(lambda each, _: each.predict(grey, crop), SIDES):
+            pass
+        networks.quality = "standard"
+        networks.predict(grey, crop)
 
     def _new_detector(self) -> LiveDetector:
         # Two even where one is wanted, so that the other side's hand is not taken for it.
