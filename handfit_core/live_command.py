@@ -91,10 +91,12 @@ def _live(args: argparse.Namespace) -> int:
                 run.record(recording)
                 written = run.reader.recording
             _follow(run, args, send)
-    if recording is None or args.output is None:
+    if not run.reader.received:
+        raise InputError(f"{shown(args.source)}: no picture came")
+    if recording is None or written is None:
         return 0
-    if written is None or not written.frames:
-        raise InputError(f"{shown(args.source)}: no picture came, and there is nothing to capture")
+    if not written.frames:
+        raise OutputError(run.reader.problem or f"{shown(args.source)}: sends no pictures that can be read")
     report = None if args.progress == "none" else args.reporter.progress
     try:
         args.reporter.done(capture_to_file(str(recording), args.output, capture, report))

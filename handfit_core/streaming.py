@@ -362,7 +362,9 @@ class _SideFit:
 
     def _see_shape(self, seen: Observation) -> None:
         """Fit the hand's shape once enough frames were seen."""
-        if self._betas is None and self._fits % LIVE.shape_interval == 0:
+        # In other frames than those of the other hand, since it takes longer than a frame has.
+        turn = SIDES.index(self.side) * LIVE.shape_interval // len(SIDES)
+        if self._betas is None and self._fits % LIVE.shape_interval == turn:
             self._shape_seen.append(seen)
             if len(self._shape_seen) == LIVE.shape_frames:
                 self._take_shape(self._shape_seen)
