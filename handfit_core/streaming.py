@@ -520,28 +520,24 @@ class Live:
         options = options or LiveOptions()
         parsed = LiveSource.parse(source, online=options.online)
         self._follower = HandFollower(options)
-        self._reader = LiveReader(parsed, options.size, options.fps)
+        self.reader = LiveReader(parsed, options.size, options.fps)
+        """What reads the source: its counts, and what is wrong with it"""
         self._done: deque[tuple[float, float]] = deque()
         """When each frame of the last second was done, and how old it was then, seconds"""
         self.shown = 0
         """Frames whose hands were found"""
 
     def __enter__(self) -> Self:
-        self._reader.__enter__()
+        self.reader.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._reader.__exit__()
+        self.reader.__exit__()
         self._follower.__exit__()
-
-    @property
-    def reader(self) -> LiveReader:
-        """What reads the source: its counts, and what is wrong with it."""
-        return self._reader
 
     def next(self, wait: float = LIVE.wait_seconds) -> LivePose | None:
         """The hands of the newest frame; None where none came within `wait` seconds."""
-        frame = self._reader.newest(wait)
+        frame = self.reader.newest(wait)
         if frame is None:
             return None
         pose = self._follower.follow(frame)
@@ -553,7 +549,7 @@ class Live:
         return pose
 
     def __iter__(self) -> Iterator[LivePose]:
-        while not self._reader.ended:
+        while not self.reader.ended:
             pose = self.next()
             if pose is not None:
                 yield pose
@@ -581,11 +577,11 @@ class Live:
 
     def record(self, path: str | os.PathLike[str]) -> None:
         """Write every frame that comes from now on, with its time, to a new file. Raises OutputError."""
-        self._reader.record(path)
+        self.reader.record(path)
 
     def stop_recording(self) -> ClipWriter | None:
         """End the recording; what was written, None where nothing was. `capture` reads the file."""
-        return self._reader.stop_recording()
+        return self.reader.stop_recording()
 
 
 def live(source: str, options: LiveOptions | None = None) -> Iterator[LivePose]:

@@ -192,11 +192,14 @@ class LiveReader:
         return recorder.close() if recorder is not None else None
 
     def _read(self) -> None:
+        source, stop = self._source, self._stop
         try:
             with contextlib.closing(
-                _pictures(self._source, self._size, self._fps, self._stop, self._say)
-            ) as all:
-                for decode in all:
+                _captured(source, self._size, self._fps, stop, self._say)
+                if source.file is None
+                else _played(source.file, stop)
+            ) as pictures:
+                for decode in pictures:
                     self._put(decode)
         except Exception as error:  # whoever takes the next frame gets it
             self._error = error
@@ -218,15 +221,8 @@ class LiveReader:
             recorder.put(picture)
 
 
-def _pictures(
-    source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
-) -> Generator[Decode, None, None]:
-    """What decodes each picture of a source as it comes, until `stop`."""
-    return _played(source.file, stop) if source.file is not None else _captured(source, size, fps, stop, say)
-
-
 def _played(file: str, stop: threading.Event) -> Generator[Decode, None, None]:
-    """The pictures of a file, each at its time. Raises InputError."""
+    """What decodes each picture of a file, at its time, until `stop`. Raises InputError."""
     media = open_media(file)
     began: float | None = None
     with contextlib.closing(media):
@@ -241,8 +237,8 @@ def _played(file: str, stop: threading.Event) -> Generator[Decode, None, None]:
 def _captured(
     source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
 ) -> Generator[Decode, None, None]:
-    """The pictures of a camera or an address. Raises InputError for a camera that cannot be opened at
-    first."""
+    """What decodes each picture of a camera or an address, until `stop`. Raises InputError for a camera
+    that cannot be opened at first."""
     first = True
     while not stop.is_set():
         with contextlib.closing(_opened(source, size, fps, stop)) as pictures:
