@@ -93,15 +93,15 @@ def _live(args: argparse.Namespace) -> int:
             _follow(run, args, send)
     if not run.reader.received:
         raise InputError(f"{shown(args.source)}: no picture came")
-    if recording is None or written is None:
+    if args.output is None or written is None:
         return 0
     if not written.frames:
         raise OutputError(run.reader.problem or f"{shown(args.source)}: sends no pictures that can be read")
-    report = None if args.progress == "none" else args.reporter.progress
+    path, report = str(written.path), None if args.progress == "none" else args.reporter.progress
     try:
-        args.reporter.done(capture_to_file(str(recording), args.output, capture, report))
+        args.reporter.done(capture_to_file(path, args.output, capture, report))
     except OutputError as error:
-        raise OutputError(f"{error}; `capture {shown(str(recording))}` makes the take later") from error
+        raise OutputError(f"{error}; `capture {shown(path)}` makes the take later") from error
     return 0
 
 
