@@ -312,7 +312,10 @@ def _decoded(data: np.ndarray, *, encoded: bool) -> np.ndarray | None:
     """The picture (H, W, 3) uint8 RGB of an encoded JPEG (1, N) or of BGR; None for a damaged one."""
     import cv2
 
-    bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if encoded else data
+    try:
+        bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if encoded else data
+    except cv2.error:
+        return None
     return None if bgr is None else cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 

@@ -130,7 +130,8 @@ class ClipWriter:
             self._put(head + _element("1F43B675", cluster))
         except OSError as error:
             self.failed = True
-            self._file.truncate(end)
+            with contextlib.suppress(OSError):
+                self._file.truncate(end)
             self.close()
             raise OutputError(
                 f"{shown(str(self.path))}: the recording ended after {self.frames} frames, which are kept "
@@ -150,10 +151,11 @@ class ClipWriter:
         return (self.frames - 1) / self.seconds if self.seconds > 0.0 else self._fps
 
     def close(self) -> None:
-        """Write the rate and the length, and close it; an empty file is removed."""
+        """Write the rate and the length, and close it; an empty file is removed. Where the disk is gone, the
+        rate that was named first stays."""
         if self._file.closed:
             return
-        with self._file:
+        with contextlib.suppress(OSError), self._file:
             if self.frames and self._size is not None:
                 self._file.seek(0)
                 self._put(_head(*self._size, 1.0 / self.fps, self.frames))
