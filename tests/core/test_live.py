@@ -379,7 +379,7 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
         waited(lambda: run.reader.received)
         if size is not None:
             station.server.close()
-        wanted = 3 if pause == 1.0 else 8
+        wanted = 8 if pause < 1.0 and size is None else 3
 
         def is_enough() -> bool:
             pose = run.next()
