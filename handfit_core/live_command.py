@@ -78,10 +78,10 @@ def _live(args: argparse.Namespace) -> int:
     options = LiveOptions(capture, args.online, size, args.rate, **given)
     if args.seconds is not None and not 0.0 < args.seconds < math.inf:
         raise OptionError(f"--seconds must be above 0, not {args.seconds:g}")
-    recording = None
-    if args.output is not None:
-        recording = Path(args.output).with_suffix(".mkv")
-        check_writable(args.output, [args.source.removeprefix("file:")])
+    output, recording = args.output, None
+    if output is not None:
+        recording = Path(output).with_suffix(".mkv")
+        check_writable(output, [args.source.removeprefix("file:")])
     written = None
     with contextlib.ExitStack() as opened:
         send = opened.enter_context(args.sender(args, capture)) if args.vmc is not None else None
@@ -93,13 +93,13 @@ def _live(args: argparse.Namespace) -> int:
             _follow(run, args, send)
     if not run.reader.received:
         raise InputError(f"{shown(args.source)}: no picture came")
-    if args.output is None or written is None:
+    if output is None or written is None:
         return 0
     if not written.frames:
         raise OutputError(run.reader.problem or f"{shown(args.source)}: sends no pictures that can be read")
     path, report = str(written.path), None if args.progress == "none" else args.reporter.progress
     try:
-        args.reporter.done(capture_to_file(path, args.output, capture, report))
+        args.reporter.done(capture_to_file(path, output, capture, report))
     except OutputError as error:
         raise OutputError(f"{error}; `capture {shown(path)}` makes the take later") from error
     return 0
