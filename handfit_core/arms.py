@@ -24,7 +24,7 @@ from handfit_core.media.source import Media
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.solvers import ShouldStop
-from handfit_core.sources import Found, measured_lens
+from handfit_core.sources import Found
 from handfit_core.take import HandTrack, Take
 
 
@@ -125,7 +125,7 @@ def with_bodies(
         for track in found.tracks
     ]
     bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
-    if (lens := measured_lens(options, media)) is not None:  # as of the hands
+    if (lens := options.measured_lens(media.width, media.height)) is not None:  # as of the hands
         bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
     if found.fits is None and not should_stop():
         found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))

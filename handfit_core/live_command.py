@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from handfit_core.errors import HandfitError, InputError, OptionError
+from handfit_core.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.files import check_writable, path_of, shown, written_whole
 from handfit_core.options import OPTIONS, CaptureOptions, add_options
 from handfit_core.pipeline import capture_to_file
@@ -62,7 +62,9 @@ def add_live_command(commands: Any) -> argparse.ArgumentParser:
         default="bar",
         help="how to show progress (default: bar)",
     )
-    add_options(live, ("hands", "hand_length", "model", "intrinsics", "threshold", "quality", "smoothing"))
+    add_options(
+        live, ("hands", "hand_length", "model", "intrinsics", "lens", "threshold", "quality", "smoothing")
+    )
     live.set_defaults(handler=_live, vmc=None, sender=None)
     return live
 
@@ -76,10 +78,10 @@ def _live(args: argparse.Namespace) -> int:
     options = LiveOptions(capture, args.online, size, args.rate, **given)
     if args.seconds is not None and not 0.0 < args.seconds < math.inf:
         raise OptionError(f"--seconds must be above 0, not {args.seconds:g}")
-    recording = None
-    if args.output is not None:
-        recording = Path(args.output).with_suffix(".mkv")
-        check_writable(args.output, [args.source.removeprefix("file:")])
+    output, recording = args.output, None
+    if output is not None:
+        recording = Path(output).with_suffix(".mkv")
+        check_writable(output, [args.source.removeprefix("file:")])
     written = None
     with contextlib.ExitStack() as opened:
         send = opened.enter_context(args.sender(args, capture)) if args.vmc is not None else None
@@ -89,12 +91,17 @@ def _live(args: argparse.Namespace) -> int:
                 run.record(recording)
                 written = run.reader.recording
             _follow(run, args, send)
-    if recording is None or args.output is None:
+    if not run.reader.received:
+        raise InputError(f"{shown(args.source)}: no picture came")
+    if output is None or written is None:
         return 0
-    if written is None or not written.frames:
-        raise InputError(f"{shown(args.source)}: no picture came, and there is nothing to capture")
-    report = None if args.progress == "none" else args.reporter.progress
-    args.reporter.done(capture_to_file(str(recording), args.output, capture, report))
+    if not written.frames:
+        raise OutputError(run.reader.problem or f"{shown(args.source)}: sends no pictures that can be read")
+    path, report = str(written.path), None if args.progress == "none" else args.reporter.progress
+    try:
+        args.reporter.done(capture_to_file(path, output, capture, report))
+    except OutputError as error:
+        raise OutputError(f"{error}; `capture {shown(path)}` makes the take later") from error
     return 0
 
 

@@ -40,6 +40,11 @@ FARTHEST: Final = 1e6
 CLIP_HANDS: Final = 2
 """How many hands of a clip are kept where nobody says how many; further ones are not even searched"""
 
+NEAREST_FOCAL: Final = 0.05
+FARTHEST_FOCAL: Final = 1000.0
+"""Times the picture's longer side: a view of 169 degrees, and one of three minutes of arc, as a crop of a
+telescope's picture may have"""
+
 CROWD: Final = 10
 """More hands than this are not built without asking: each is a rig"""
 
@@ -493,6 +498,28 @@ class CaptureOptions:
                     f"there is no option {shortly(name)} of a capture; choose from {', '.join(OPTIONS)}"
                 )
         return cls(**options)
+
+    def measured_lens(self, width: int, height: int) -> Lens | None:
+        """The measured lens in pictures of that size; None where none is chosen. Raises OptionError for
+        pictures of another shape."""
+        return self.lens.scaled(width, height) if isinstance(self.lens, Lens) else None
+
+    def camera(self, width: int, height: int) -> Intrinsics | None:
+        """The camera that was given, for pictures of that size; None where none was. Raises OptionError for
+        one that cannot have taken such pictures."""
+        camera = self.intrinsics
+        if isinstance(self.lens, tuple):
+            focal, x, y = self.lens
+            camera = Intrinsics(focal * width, focal * width, x * width, y * height)
+        elif (lens := self.measured_lens(width, height)) is not None:
+            camera = lens.intrinsics
+        low, high = (times * max(width, height) for times in (NEAREST_FOCAL, FARTHEST_FOCAL))
+        if camera is not None and not all(low <= focal <= high for focal in (camera.fx, camera.fy)):
+            raise OptionError(
+                f"the camera's focal length must lie between {low:g} and {high:g} pixels for a picture of "
+                f"{width}x{height}; got fx={camera.fx:g}, fy={camera.fy:g}"
+            )
+        return camera
 
     def most_hands(self, *, clip: bool) -> int | None:
         """How many hands of one picture are wanted, be it of a clip or a photo; None: all."""

@@ -20,7 +20,6 @@ from handfit_core.detect.tracks import link_and_count
 from handfit_core.detection import detect_frames
 from handfit_core.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
@@ -43,11 +42,6 @@ from handfit_core.take import TAKE_LIMITS
 Chosen = TypeVar("Chosen", Track, HandMotion)
 
 log = logging.getLogger("handfit")
-
-NEAREST_FOCAL: Final = 0.05
-FARTHEST_FOCAL: Final = 1000.0
-"""Times the picture's longer side: a view of 169 degrees, and one of three minutes of arc, as a crop of a
-telescope's picture may have"""
 
 NONE_SEEN: Final = (
     "no hand was found; draw a box around one that you see (--region on the command line, Find Hands in "
@@ -171,36 +165,11 @@ def opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsi
     """The input and the camera that took it, None where nobody tells. Raises InputError and OptionError, and
     HandModelError for a model of neither side: before the long part, which a wrong path should not cost."""
     media = open_input(source, options)
-    intrinsics, lens = options.intrinsics, measured_lens(options, media)
-    if lens is not None:
-        intrinsics = lens.intrinsics
-    elif isinstance(options.lens, tuple):
-        focal, x, y = options.lens
-        intrinsics = Intrinsics(focal * media.width, focal * media.width, x * media.width, y * media.height)
-    if intrinsics is not None:
-        _check_camera(intrinsics, media)
+    intrinsics = options.camera(media.width, media.height)
     if options.model is not None:
         _check_some_side(options.model)
     known = media.recording.intrinsics if isinstance(media, RecordedMedia) else known_intrinsics(media)
     return media, intrinsics or known
-
-
-def measured_lens(options: CaptureOptions, media: Media) -> Lens | None:
-    """The lens that was measured for this camera, in pictures of the input's size; None where none is chosen.
-    Raises OptionError for pictures of another shape."""
-    given = options.lens
-    return given.scaled(media.width, media.height) if isinstance(given, Lens) else None
-
-
-def _check_camera(intrinsics: Intrinsics, media: Media) -> None:
-    """Raise OptionError for a camera that cannot have taken those pictures."""
-    longer = max(media.width, media.height)
-    low, high = NEAREST_FOCAL * longer, FARTHEST_FOCAL * longer
-    if not all(low <= focal <= high for focal in (intrinsics.fx, intrinsics.fy)):
-        raise OptionError(
-            f"the camera's focal length must lie between {low:g} and {high:g} pixels for a picture of "
-            f"{media.width}x{media.height}; got fx={intrinsics.fx:g}, fy={intrinsics.fy:g}"
-        )
 
 
 def _check_some_side(model: str | os.PathLike[str]) -> None:
@@ -277,7 +246,7 @@ def _tracked(
 ) -> Found:
     """Detections linked to tracks, and the camera that they tell where nobody else does. A measured lens'
     distortion is taken out of them first: all that follows knows a pinhole camera."""
-    if (lens := measured_lens(options, media)) is not None:
+    if (lens := options.measured_lens(media.width, media.height)) is not None:
         seen = replace(seen, hands=seen.hands.moved(lens.undistorted))
     tracks = [replace(track, calibrated=calibrated) for track in _linked(media, options, seen, stop)]
     if known is None:

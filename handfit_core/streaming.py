@@ -18,13 +18,15 @@ import numpy as np
 
 from handfit_core.detect.clips import TrackedHand, overlaps, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
+from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.detect.networks import Networks
+from handfit_core.detect.networks import NETWORK, Networks
 from handfit_core.detect.search import Search, tiles
 from handfit_core.errors import OptionError
 from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.observation import Observation
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
@@ -88,7 +90,7 @@ class LiveOptions:
     """What a live run can be told. Raises OptionError for numbers that are none."""
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
-    """`hands`, `hand_length`, `model`, `intrinsics`, `threshold` and `landmark_model` count"""
+    """`hands`, `hand_length`, `model`, `intrinsics`, `lens`, `threshold` and `landmark_model` count"""
     online: bool = False
     """Whether addresses of other machines may be opened"""
     size: tuple[int, int] = (640, 480)
@@ -148,7 +150,7 @@ class LiveHand:
     transl: np.ndarray
     """(3,)"""
     keypoints: np.ndarray | None
-    """(21, 2) pixels; None where it is not seen"""
+    """(21, 2) pixels, as the picture shows it; None where it is not seen"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +165,7 @@ class LivePose:
     rgb: np.ndarray
     """(H, W, 3) uint8, the picture"""
     intrinsics: Intrinsics
-    """Of the camera that the hands are seen by"""
+    """Of the camera that the hands are seen by, without its distortion"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,8 +317,16 @@ class _SideFit:
         """Of the calibration that runs"""
         self._poses: list[np.ndarray] = []
 
-    def see(self, hands: Detections, intrinsics: Intrinsics, seconds: float, *, calibrating: bool) -> None:
-        """Fit the hand of one detection."""
+    def see(
+        self,
+        hands: Detections,
+        keypoints: np.ndarray,
+        intrinsics: Intrinsics,
+        seconds: float,
+        *,
+        calibrating: bool,
+    ) -> None:
+        """Fit the hand of one detection; `keypoints` (21, 2) is where the picture shows it."""
         fitter = self._fitter
         seen = fitter.observe(hands, intrinsics)
         start, iterations = fitter.start(seen, self._betas), LIVE.first_iterations
@@ -346,13 +356,15 @@ class _SideFit:
             float(hands.score[0]),
             betas[0],
             *self._parameters(turns, wrist, betas[0]),
-            keypoints=hands.keypoints_2d[0],
+            keypoints=keypoints,
         )
         self._lost_at = seconds
 
     def _see_shape(self, seen: Observation) -> None:
         """Fit the hand's shape once enough frames were seen."""
-        if self._betas is None and self._fits % LIVE.shape_interval == 0:
+        # In other frames than those of the other hand, since it takes longer than a frame has.
+        turn = SIDES.index(self.side) * LIVE.shape_interval // len(SIDES)
+        if self._betas is None and self._fits % LIVE.shape_interval == turn:
             self._shape_seen.append(seen)
             if len(self._shape_seen) == LIVE.shape_frames:
                 self._take_shape(self._shape_seen)
@@ -417,10 +429,12 @@ class HandFollower:
         self._options = options
         sides: list[Side] = [side for side in SIDES if given.hands in (side, "auto", "both")]
         self._networks = Networks(given.landmark_model)
+        self._warm_up()
         self._detector = self._new_detector()
         self._hands = {side: _SideFit(side, options) for side in sides}
         self._size: tuple[int, int] | None = None
         self._intrinsics = Intrinsics.assumed(640, 480)
+        self._lens: Lens | None = None
         self._calibrating_until: float | None = None
         self.calibrations: list[tuple[Calibration, ...]] = []
         """Finished calibrations, empty ones of no open hand, that nobody has taken out yet"""
@@ -431,6 +445,18 @@ class HandFollower:
     def __exit__(self, *_: object) -> None:
         self._networks.close()
 
+    def _warm_up(self) -> None:
+        """Run all networks once, those of the second hand's thread too: they load with that, for longer than
+        a frame has."""
+        networks, grey = self._networks, np.full((64, 64, 3), 128, dtype=np.uint8)
+        networks.threads = min(networks.threads, len(SIDES))
+        crop = Crop.of_square(np.full(2, 32.0), 64.0, NETWORK.hand_input_px)
+        networks.quality = "draft"  # which the other thread's keep
+        for _ in networks.map(lambda each, _: each.predict(grey, crop), SIDES):
+            pass
+        networks.quality = "standard"
+        networks.predict(grey, crop)
+
     def _new_detector(self) -> LiveDetector:
         # Two even where one is wanted, so that the other side's hand is not taken for it.
         return LiveDetector(self._networks, self._options.capture.threshold, len(SIDES))
@@ -440,12 +466,15 @@ class HandFollower:
         self._calibrating_until = np.inf
 
     def follow(self, frame: Frame) -> LivePose:
-        """The hands in the next frame, whose time rises from frame to frame."""
+        """The hands in the next frame, whose time rises from frame to frame. Raises OptionError where a
+        camera was given that cannot have taken it."""
         rgb, seconds = frame.rgb, frame.time
         assert rgb is not None
         if rgb.shape[1::-1] != self._size:
             self._size = rgb.shape[1], rgb.shape[0]
-            self._intrinsics = self._options.capture.intrinsics or Intrinsics.assumed(*self._size)
+            given = self._options.capture
+            self._intrinsics = given.camera(*self._size) or Intrinsics.assumed(*self._size)
+            self._lens = given.measured_lens(*self._size)
             self._detector = self._new_detector()
         if self._calibrating_until == np.inf:
             self._calibrating_until = seconds + LIVE.calibration_seconds
@@ -456,7 +485,8 @@ class HandFollower:
         for side, hand in self._hands.items():
             if rows is not None and side in seen:
                 row = rows.select(np.array([seen[side]]))
-                hand.see(row, self._intrinsics, seconds, calibrating=calibrating)
+                pinhole = row if self._lens is None else row.moved(self._lens.undistorted)
+                hand.see(pinhole, row.keypoints_2d[0], self._intrinsics, seconds, calibrating=calibrating)
             else:
                 hand.lose(seconds)
         if self._calibrating_until is not None and seconds >= self._calibrating_until:
@@ -490,28 +520,24 @@ class Live:
         options = options or LiveOptions()
         parsed = LiveSource.parse(source, online=options.online)
         self._follower = HandFollower(options)
-        self._reader = LiveReader(parsed, options.size, options.fps)
+        self.reader = LiveReader(parsed, options.size, options.fps)
+        """What reads the source: its counts, and what is wrong with it"""
         self._done: deque[tuple[float, float]] = deque()
         """When each frame of the last second was done, and how old it was then, seconds"""
         self.shown = 0
         """Frames whose hands were found"""
 
     def __enter__(self) -> Self:
-        self._reader.__enter__()
+        self.reader.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._reader.__exit__()
+        self.reader.__exit__()
         self._follower.__exit__()
-
-    @property
-    def reader(self) -> LiveReader:
-        """What reads the source: its counts, and what is wrong with it."""
-        return self._reader
 
     def next(self, wait: float = LIVE.wait_seconds) -> LivePose | None:
         """The hands of the newest frame; None where none came within `wait` seconds."""
-        frame = self._reader.newest(wait)
+        frame = self.reader.newest(wait)
         if frame is None:
             return None
         pose = self._follower.follow(frame)
@@ -523,7 +549,7 @@ class Live:
         return pose
 
     def __iter__(self) -> Iterator[LivePose]:
-        while not self._reader.ended:
+        while not self.reader.ended:
             pose = self.next()
             if pose is not None:
                 yield pose
@@ -551,11 +577,11 @@ class Live:
 
     def record(self, path: str | os.PathLike[str]) -> None:
         """Write every frame that comes from now on, with its time, to a new file. Raises OutputError."""
-        self._reader.record(path)
+        self.reader.record(path)
 
     def stop_recording(self) -> ClipWriter | None:
         """End the recording; what was written, None where nothing was. `capture` reads the file."""
-        return self._reader.stop_recording()
+        return self.reader.stop_recording()
 
 
 def live(source: str, options: LiveOptions | None = None) -> Iterator[LivePose]:

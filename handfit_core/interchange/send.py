@@ -55,25 +55,30 @@ def add_send_command(commands: Any) -> None:
         help=f"where that program listens (default: 127.0.0.1:{_PORT}, this machine)",
     )
     send.add_argument("--loop", action="store_true", help="begin anew at the end, until Ctrl+C")
-    send.add_argument(
-        "--wrist",
-        action="store_true",
-        help="turn the hands too: straight in their first frame, with forearms that keep still",
-    )
+    _add_wrist(send)
     send.set_defaults(handler=_send)
 
 
 def add_vmc_option(live: argparse.ArgumentParser) -> None:
     """Let the command `live` send the hands that it follows."""
     live.add_argument("--vmc", metavar="HOST:PORT", help="send the fingers to a program that speaks VMC")
+    _add_wrist(live)
     live.set_defaults(sender=_sender)
+
+
+def _add_wrist(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--wrist",
+        action="store_true",
+        help="turn the hands too: straight in their first frame, with forearms that keep still",
+    )
 
 
 @contextlib.contextmanager
 def _sender(args: argparse.Namespace, options: CaptureOptions) -> Iterator[Callable[[LivePose], None]]:
     """What sends a pose to where `--vmc` says."""
     models: dict[Side, HandModel] = {side: load_model(options.model, side) for side in SIDES}
-    with LiveSender(*host_and_port(args.vmc), models) as sender:
+    with LiveSender(*host_and_port(args.vmc), models, wrist=args.wrist) as sender:
         yield sender.send
 
 
@@ -174,10 +179,15 @@ class VmcMotion:
 class LiveSender:
     """Sends the hands of a live run as they come. Use it as a context manager."""
 
-    def __init__(self, host: str, port: int, models: Mapping[Side, HandModel]) -> None:
-        """`models`: those that the hands are posed with. Raises OptionError for a host that there is not."""
+    def __init__(
+        self, host: str, port: int, models: Mapping[Side, HandModel], *, wrist: bool = False
+    ) -> None:
+        """`models`: those that the hands are posed with. `wrist`: take a hand as straight in the first frame
+        that shows it, and the forearm as still. Raises OptionError for a host that there is not."""
         self._address, self._out = _socket_to(host, port)
-        self._models = models
+        self._models, self._wrist = models, wrist
+        self._straight: dict[Side, np.ndarray] = {}
+        """(3, 3) rotation of each side's hand where it is straight, in the camera frame"""
         self._hands: dict[Side, tuple[bytes, SourceHand]] = {}
         """The shape for which each side's hand at rest was made, and that hand"""
         self._began: float | None = None
@@ -189,7 +199,7 @@ class LiveSender:
         self._out.close()
 
     def send(self, pose: LivePose) -> None:
-        """Send the fingers of the hands of a frame, and its number and age as `/handfit/frame`. Raises
+        """Send the bones of the hands of a frame, and its number and age as `/handfit/frame`. Raises
         OutputError."""
         self._began = pose.time if self._began is None else self._began
         hands = [self._humanoid(hand) for hand in pose.hands]
@@ -207,9 +217,11 @@ class LiveSender:
         if self._hands.get(hand.side, (b"",))[0] != shape:
             shaped = self._models[hand.side].shaped(hand.betas)
             self._hands[hand.side] = shape, SourceHand.of(shaped, hand.side)
-        turns = rotvec_to_rotmat(np.concatenate([np.zeros(3), hand.hand_pose]).reshape(1, NUM_JOINTS, 3))
+        pose = np.concatenate([hand.global_orient, hand.hand_pose]).reshape(1, NUM_JOINTS, 3)
+        turns = rotvec_to_rotmat(pose)
+        turns[0, 0] = self._straight.setdefault(hand.side, turns[0, 0].copy()).T @ turns[0, 0]
         turns = REST_FROM_MODEL @ turns @ REST_FROM_MODEL.T
-        return HumanoidHand.of(self._hands[hand.side][1], np.zeros(1), turns)
+        return HumanoidHand.of(self._hands[hand.side][1], np.zeros(1), turns, wrist=self._wrist)
 
 
 def _socket_to(host: str, port: int) -> tuple[Any, socket.socket]:

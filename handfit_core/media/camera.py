@@ -1,7 +1,7 @@
 """Live sources: cameras, network cameras and phones by address, and files played at their own speed.
 
-A thread reads; one slot keeps the newest frame, so that whoever is slower than the source loses frames and
-never lags behind.
+A thread reads; one slot keeps the newest frame, which is decoded once somebody takes it, so that whoever is
+slower than the source loses frames and never lags behind. A recording has a thread of its own, and gets all.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from handfit_core.errors import InputError, OptionError, OutputError
+from handfit_core.errors import InputError, OptionError
 from handfit_core.files import shown
 from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
 from handfit_core.media.headers import read_picture_header
 from handfit_core.media.opening import open_media
-from handfit_core.media.recording import ClipWriter
+from handfit_core.media.recording import ClipWriter, Decode, LivePicture, Recorder
 from handfit_core.media.source import Frame
 
 
@@ -135,9 +136,8 @@ class LiveReader:
         self._source, self._size, self._fps = source, size, fps
         self._changed = threading.Condition()
         self._stop = threading.Event()
-        self._newest: Frame | None = None
-        self._writer: ClipWriter | None = None
-        self._writing = threading.Lock()
+        self._newest: LivePicture | None = None
+        self._recorder: Recorder | None = None
         self._error: Exception | None = None
         self._ended = False
         self.received = 0
@@ -159,13 +159,16 @@ class LiveReader:
 
     def newest(self, wait: float = 0.0) -> Frame | None:
         """Take the newest frame: its number counts what came, its time is `time.perf_counter`'s. Waits up to
-        `wait` seconds for one; None where none came. Raises the HandfitError that ended the source."""
+        `wait` seconds for one; None where none came, or a damaged one. Raises the HandfitError that ended the
+        source."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._ended, wait)
-            frame, self._newest = self._newest, None
-        if frame is None and self._error is not None:
-            raise self._error
-        return frame
+            picture, self._newest = self._newest, None
+        if picture is None:
+            if self._error is not None:
+                raise self._error
+            return None
+        return None if picture.rgb is None else Frame(picture.number, picture.time, picture.rgb)
 
     @property
     def ended(self) -> bool:
@@ -175,29 +178,29 @@ class LiveReader:
     @property
     def recording(self) -> ClipWriter | None:
         """What the frames are written to; None: nothing."""
-        return self._writer
+        return self._recorder.writer if self._recorder is not None else None
 
     def record(self, path: str | os.PathLike[str]) -> None:
         """Write every frame that comes from now on to a file. Raises OutputError."""
-        writer = ClipWriter(path, self._fps)
+        recorder = Recorder(path, self._fps, self._say)
         self.stop_recording()
-        self._writer = writer
+        self._recorder = recorder
 
     def stop_recording(self) -> ClipWriter | None:
         """Close the file; returns what was written to it, None where nothing was."""
-        with self._writing:
-            writer, self._writer = self._writer, None
-            if writer is not None:
-                writer.close()
-        return writer
+        recorder, self._recorder = self._recorder, None
+        return recorder.close() if recorder is not None else None
 
     def _read(self) -> None:
+        source, stop = self._source, self._stop
         try:
             with contextlib.closing(
-                _pictures(self._source, self._size, self._fps, self._stop, self._say)
-            ) as all:
-                for rgb in all:
-                    self._put(rgb)
+                _captured(source, self._size, self._fps, stop, self._say)
+                if source.file is None
+                else _played(source.file, stop)
+            ) as pictures:
+                for decode in pictures:
+                    self._put(decode)
         except Exception as error:  # whoever takes the next frame gets it
             self._error = error
         finally:
@@ -208,31 +211,18 @@ class LiveReader:
     def _say(self, problem: str) -> None:
         self.problem = problem
 
-    def _put(self, rgb: np.ndarray) -> None:
-        now = time.perf_counter()
-        _check_size(self._source, *rgb.shape[1::-1])
+    def _put(self, decode: Decode) -> None:
         with self._changed:
             self.received += 1
             self.dropped += self._newest is not None
-            self._newest = Frame(self.received, now, rgb)
+            self._newest = picture = LivePicture(self.received, time.perf_counter(), decode)
             self._changed.notify_all()
-        with self._writing:
-            if self._writer is not None:
-                try:
-                    self._writer.write(rgb, now)
-                except OutputError as error:
-                    self.problem = str(error)
+        if (recorder := self._recorder) is not None:
+            recorder.put(picture)
 
 
-def _pictures(
-    source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
-) -> Generator[np.ndarray, None, None]:
-    """The pictures (H, W, 3) uint8 RGB of a source as they come, until `stop`."""
-    return _played(source.file, stop) if source.file is not None else _captured(source, size, fps, stop, say)
-
-
-def _played(file: str, stop: threading.Event) -> Generator[np.ndarray, None, None]:
-    """The pictures of a file, each at its time. Raises InputError."""
+def _played(file: str, stop: threading.Event) -> Generator[Decode, None, None]:
+    """What decodes each picture of a file, at its time, until `stop`. Raises InputError."""
     media = open_media(file)
     began: float | None = None
     with contextlib.closing(media):
@@ -241,24 +231,23 @@ def _played(file: str, stop: threading.Event) -> Generator[np.ndarray, None, Non
             began = now if began is None else began
             if stop.wait(max(0.0, began + frame.time - now)):
                 return
-            if frame.rgb is not None:
-                yield frame.rgb
+            yield partial(getattr, frame, "rgb")
 
 
 def _captured(
     source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event, say: Say
-) -> Generator[np.ndarray, None, None]:
-    """The pictures of a camera or an address. Raises InputError for a camera that cannot be opened at
-    first."""
+) -> Generator[Decode, None, None]:
+    """What decodes each picture of a camera or an address, until `stop`. Raises InputError for a camera
+    that cannot be opened at first."""
     first = True
     while not stop.is_set():
         with contextlib.closing(_opened(source, size, fps, stop)) as pictures:
             found = False
-            for rgb in pictures:
+            for decode in pictures:
                 if not found:
                     say("")
                 found, first = True, False
-                yield rgb
+                yield decode
         if stop.is_set():
             return
         if source.camera is not None and first:
@@ -274,7 +263,7 @@ def _captured(
 
 def _opened(
     source: LiveSource, size: tuple[int, int], fps: float, stop: threading.Event
-) -> Generator[np.ndarray, None, None]:
+) -> Generator[Decode, None, None]:
     """The pictures of a source from opening it until it ends, fails or is to stop; none where it cannot be
     opened."""
     # OpenCV reads it when it loads; its own value is 10 seconds.
@@ -290,13 +279,13 @@ def _opened(
     try:
         while capture.isOpened() and not stop.is_set():
             found, bgr = capture.read()
-            if found and bgr is not None and len(bgr) == 1:
-                bgr = _decoded(cv2, bgr, source)
-                if bgr is None:
-                    continue
             if not found or bgr is None:
                 return
-            yield cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+            encoded = len(bgr) == 1
+            width, height = _jpeg_size(bgr) if encoded else bgr.shape[1::-1]
+            _check_size(source, width, height)
+            if width:
+                yield partial(_decoded, bgr, encoded=encoded)
     finally:
         capture.release()
 
@@ -313,15 +302,21 @@ def _opened_camera(cv2: Any, number: int, size: tuple[int, int], fps: float) -> 
     return capture
 
 
-def _decoded(cv2: Any, jpeg: np.ndarray, source: LiveSource) -> np.ndarray | None:
-    """The picture (H, W, 3) uint8 BGR of an encoded JPEG (1, N); None for a damaged one. Raises
-    InputError for one that claims too many pixels."""
-    data = jpeg.reshape(-1)
+def _jpeg_size(data: np.ndarray) -> tuple[int, int]:
+    """Width and height that an encoded JPEG (1, N) claims; 0 for what is none."""
     header = read_picture_header(io.BytesIO(data.tobytes()))
-    if header is None:
+    return (0, 0) if header is None else (header.width, header.height)
+
+
+def _decoded(data: np.ndarray, *, encoded: bool) -> np.ndarray | None:
+    """The picture (H, W, 3) uint8 RGB of an encoded JPEG (1, N) or of BGR; None for a damaged one."""
+    import cv2
+
+    try:
+        bgr = cv2.imdecode(data, cv2.IMREAD_COLOR) if encoded else data
+    except cv2.error:
         return None
-    _check_size(source, header.width, header.height)
-    return cv2.imdecode(data, cv2.IMREAD_COLOR)
+    return None if bgr is None else cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
 
 def _check_size(source: LiveSource, width: int, height: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import queue
+import resource
 import socket
 import subprocess
 import sys
@@ -21,7 +22,9 @@ import pytest
 from handfit_core import capture, live
 from handfit_core.arrays import unpack
 from handfit_core.errors import HandfitError, InputError, OptionError, OutputError
-from handfit_core.geometry.rotations import rotvec_to_rotmat
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
 from handfit_core.media import camera
@@ -32,6 +35,7 @@ from handfit_core.media.source import Frame
 from handfit_core.options import CaptureOptions
 from handfit_core.retiming import evenly_timed
 from handfit_core.streaming import LIVE, HandFilter, HandFollower, Live, LiveOptions, LivePose, OneEuro
+from handfit_core.take import Take
 from handfit_core.worker.client import Worker
 from scripts.measure_live import pictures, stamp_of, stamped
 from tests.conftest import ROOT
@@ -123,6 +127,26 @@ def test_preview_is_near_the_full_capture(frames, take):
         laid = align(posed[0], whole, with_scale=True).apply(posed[0])
         apart.append(np.linalg.norm(laid - whole, axis=1).mean())
     assert np.mean(apart) < 0.006
+
+
+def test_measured_lens_is_that_of_the_capture(frames):
+    """The hand lies where the recording's capture will put it, and is drawn where the picture shows it."""
+    lens = Lens(Intrinsics(400.0, 400.0, 330.0, 235.0), (-0.3, 0.1, 0.0, 0.0, 0.0), 640, 480)
+    whole = capture(PATTERN, lens=lens).hands[0]
+    plain = followed(frames)
+    for pose, other in list(
+        zip(followed(frames, LiveOptions(CaptureOptions(lens=lens))), plain, strict=True)
+    )[8:]:
+        (hand,), true = pose.hands, whole.transl[pose.sequence - 1]
+        assert np.linalg.norm(hand.transl - true) < 0.12 * np.linalg.norm(true)
+        assert pose.intrinsics == lens.intrinsics
+        np.testing.assert_allclose(hand.keypoints, other.hands[0].keypoints, atol=1e-6)
+
+
+def test_lens_of_another_shape_is_one_sentence(frames):
+    lens = Lens(Intrinsics(400.0, 400.0, 330.0, 235.0), (0.0,) * 5, 640, 360)
+    with pytest.raises(OptionError, match="640x360"):
+        followed(frames[:1], LiveOptions(CaptureOptions(lens=lens)))
 
 
 def test_lost_hand_is_held_then_rests(frames):
@@ -268,12 +292,12 @@ def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
 
 
 class Station:
-    """A camera on 127.0.0.1 that can be silent: `answer` is sent to whoever connects, then pictures."""
+    """A camera on 127.0.0.1 that can be silent, slow and fast, and sends all pictures to whoever connects."""
 
-    def __init__(self, pictures: list[np.ndarray]) -> None:
+    def __init__(self, pictures: list[np.ndarray | bytes], pause: float = 0.02) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         self.address = f"http://127.0.0.1:{self.server.getsockname()[1]}/x"
-        self.pictures, self.silent = pictures, True
+        self.pictures, self.pause, self.silent = pictures, pause, True
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self) -> None:
@@ -286,11 +310,11 @@ class Station:
                     client.sendall(head)
                     while self.silent and client.recv(1):
                         pass
-                    for rgb in self.pictures:
-                        jpeg = cv2.imencode(".jpg", rgb)[1].tobytes()
+                    for one in self.pictures:
+                        jpeg = one if isinstance(one, bytes) else cv2.imencode(".jpg", one)[1].tobytes()
                         part = b"--b\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
                         client.sendall(part + jpeg + b"\r\n")
-                        time.sleep(0.02)
+                        time.sleep(self.pause)
 
 
 @pytest.fixture
@@ -322,6 +346,79 @@ def test_pictures_of_an_address_may_change_their_size(station, frames):
             shapes.add(frame.rgb.shape)
             if frame.rgb.shape == small.shape:
                 assert np.abs(frame.rgb.astype(int) - small).mean() < 20.0
+
+
+def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
+    """They are neither followed nor recorded."""
+    good = cv2.imencode(".jpg", frames[0].rgb)[1].tobytes()
+    station.pictures, station.silent = [b"junk", good[:1000], good], False
+    with LiveReader(LiveSource(address=station.address)) as reader:
+        reader.record(tmp_path / "a.mkv")
+        waited(lambda: (frame := reader.newest(0.1)) is not None and frame.rgb.any())
+        waited(lambda: reader.recording.frames > 1)
+        written = reader.stop_recording()
+    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames()]
+    assert len(read) == written.frames
+    assert all(np.abs(rgb.astype(int) - frames[0].rgb[..., ::-1]).mean() < 20.0 for rgb in read)
+
+
+@pytest.mark.parametrize(
+    ("pause", "scales", "size"),
+    [(1.0, (1.0,), None), (1.0 / 240.0, (1.0,), None), (0.02, (1.0, 0.5, 2.0), None), (0.02, (1.0,), 8)],
+    ids=["1 a second", "240 a second", "sizes", "unplugged"],
+)
+def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
+    station, frames, tmp_path, pause, scales, size
+):
+    bgr = [frame.rgb[..., ::-1] for frame in frames[:size]]
+    shown = [cv2.resize(one, None, fx=scale, fy=scale) for scale in scales for one in bgr]
+    station.pictures, station.pause, station.silent = shown, pause, False
+    states = set()
+    with Live(station.address) as run:
+        run.record(tmp_path / "a.mkv")
+        waited(lambda: run.reader.received)
+        if size is not None:
+            station.server.close()
+        wanted = 8 if pause < 1.0 and size is None else 3
+
+        def is_enough() -> bool:
+            pose = run.next()
+            states.update(hand.state for hand in pose.hands) if pose is not None else None
+            return run.reader.recording.frames >= wanted and "seen" in states
+
+        waited(is_enough)
+        if size is not None:
+            waited(lambda: "sends no pictures any more" in run.reader.problem)
+        written = run.stop_recording()
+    found = capture(tmp_path / "a.mkv")
+    assert len(found.frame_numbers) == written.frames
+    assert found.hands
+    assert (found.width, found.height) == (640, 480)
+
+
+def test_hand_comes_back_after_a_minute(frames):
+    grey = np.full_like(frames[0].rgb, 128)
+    none = [Frame(25 + i, frames[-1].time + 1.0 + i, grey) for i in range(60)]
+    again = [replace(frame, number=100 + frame.number, time=70.0 + frame.time) for frame in frames[:6]]
+    poses = followed([*frames, *none, *again])
+    assert [pose.hands[0].state for pose in poses[24:84]] == ["resting"] * 60
+    assert poses[-1].hands[0].state == "seen"
+
+
+@pytest.mark.parametrize(
+    ("system", "allowed", "said"),
+    [
+        ("darwin", True, "System Settings > Privacy & Security > Camera"),
+        ("win32", True, "close other programs that use it"),
+        ("linux", True, "close other programs that use it"),
+        ("linux", False, "group 'video'"),
+    ],
+)
+def test_why_a_camera_does_not_open(monkeypatch, system, allowed, said):
+    monkeypatch.setattr(camera.sys, "platform", system)
+    monkeypatch.setattr(camera.Path, "exists", lambda _: True)
+    monkeypatch.setattr(camera.os, "access", lambda *_: allowed)
+    assert said in camera._why_no_camera(0)
 
 
 def test_playlists_are_not_followed(tmp_path, monkeypatch):
@@ -409,27 +506,18 @@ def test_recorded_clip_is_captured_as_the_file(tmp_path):
     assert found.fps == pytest.approx(23 / times[-1], rel=1e-3)
 
 
-def test_full_disk_keeps_what_was_written(tmp_path, frames):
-    code = (
-        "import sys, resource, signal; from handfit_core.media.opening import open_media;"
-        "from handfit_core.media.recording import ClipWriter;"
-        "from handfit_core.errors import OutputError;"
-        "frames = list(open_media(sys.argv[1]).frames());"
-        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000));"
-        "writer = ClipWriter(sys.argv[2], 30.0)\n"
-        "try:\n"
-        "    for f in frames * 4: writer.write(f.rgb, f.number / 30)\n"
-        "except OutputError as error: print(writer.frames, error)\n"
-    )
-    path = tmp_path / "a.mkv"
+def test_full_disk_keeps_what_was_written_and_captures_it(tmp_path):
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
+
+    command = [sys.executable, "-m", "handfit_core", "live", CLIP, "--progress", "json", "-o"]
+    path = tmp_path / "a.npz"
     done = subprocess.run(
-        [sys.executable, "-c", code, PATTERN, str(path)], capture_output=True, text=True, cwd=ROOT, check=True
+        [*command, str(path)], capture_output=True, text=True, cwd=ROOT, preexec_fn=limit, check=True
     )
-    count, _, said = done.stdout.partition(" ")
-    assert "which are kept" in said
-    media = open_media(path)
-    assert len(list(media.frames())) == media.expected_frames == int(count) > 0
+    assert "which are kept" in done.stdout
+    media = open_media(path.with_suffix(".mkv"))
+    assert 0 < len(list(media.frames())) == media.expected_frames == len(Take.load(path).frame_numbers) < 24
 
 
 def test_recordings_replace_nothing(tmp_path):
@@ -530,7 +618,8 @@ def test_no_process_stays_when_its_client_is_gone(station):
 # Other programs
 
 
-def test_osc_server_reads_what_is_sent(frames):
+@pytest.mark.parametrize("wrist", [False, True])
+def test_osc_server_reads_what_is_sent(frames, wrist):
     from pythonosc.dispatcher import Dispatcher
     from pythonosc.osc_server import BlockingOSCUDPServer
 
@@ -543,7 +632,8 @@ def test_osc_server_reads_what_is_sent(frames):
     with BlockingOSCUDPServer(("127.0.0.1", 0), dispatcher) as server:
         server.timeout = 1.0
         models = {side: load_model(None, side) for side in ("left", "right")}
-        with LiveSender("127.0.0.1", server.server_address[1], models) as sender:
+        with LiveSender("127.0.0.1", server.server_address[1], models, wrist=wrist) as sender:
+            sender.send(poses[0])
             sender.send(poses[-1])
         while came.empty() or server.socket in _readable(server.socket):
             server.handle_request()
@@ -551,17 +641,24 @@ def test_osc_server_reads_what_is_sent(frames):
     while not came.empty():
         address, *values = came.get()
         messages.setdefault(address, []).append(tuple(values))
-    assert messages["/VMC/Ext/OK"][0] == (1,)
+    assert messages["/VMC/Ext/OK"] == [(1,), (1,)]
     assert messages["/VMC/Ext/T"][0] == (0.0,)
-    ((number, age),) = messages["/handfit/frame"]
-    assert number == poses[-1].sequence
-    assert isinstance(age, float)
-    bones = {name: values for name, *values in messages["/VMC/Ext/Bone/Pos"]}
+    numbers, ages = zip(*messages["/handfit/frame"], strict=True)
+    assert numbers == (poses[0].sequence, poses[-1].sequence)
+    assert all(isinstance(age, float) for age in ages)
+    sent = messages["/VMC/Ext/Bone/Pos"]
+    assert len(sent) == 2 * (15 + wrist)
     side = poses[-1].hands[0].side.title()
-    assert {f"{side}IndexProximal", f"{side}ThumbDistal"} <= set(bones)
-    assert len(bones) == 15
-    for values in bones.values():
+    assert {f"{side}IndexProximal", f"{side}ThumbDistal"} <= {name for name, *_ in sent}
+    for _, *values in sent:
         assert np.linalg.norm(values[3:]) == pytest.approx(1.0, abs=1e-5)
+    hands = [values[3:] for name, *values in sent if name == f"{side}Hand"]
+    assert len(hands) == 2 * wrist
+    if wrist:
+        first, last = (rotvec_to_rotmat(pose.hands[0].global_orient) for pose in (poses[0], poses[-1]))
+        np.testing.assert_allclose(np.abs(hands[0]), [0.0, 0.0, 0.0, 1.0], atol=1e-6)
+        assert abs(hands[1][3]) == pytest.approx(abs(rotmat_to_quat(first.T @ last)[0]), abs=1e-5)
+        assert abs(hands[1][3]) < 1.0 - 1e-6
 
 
 def _readable(sock: socket.socket) -> list[socket.socket]:

@@ -73,6 +73,17 @@ BATCHES: dict[str, tuple[list[str], int]] = {
     "frames": (["kept.npz", "-o", "result", "--frames", "9" * 5000], 2),
 }
 """Arguments, and the exit code"""
+LIVE: dict[str, list[str]] = {
+    "nothing": [""], "nul": ["a\0b"], "surrogate": ["\udcff"], "long": ["x" * 5000], "digits": ["9" * 5000], "minus": ["-1"],
+    "local-file": ["file:///etc/passwd"], "ftp": ["ftp://127.0.0.1/x"], "concat": ["concat:a|b"], "no-host": ["http://"],
+    "bracket": ["http://[::1"], "port": ["http://127.0.0.1:99999/x"], "elsewhere": ["http://192.0.2.1/x"],
+    "name-and-password": ["http://127.0.0.1@192.0.2.1/x"], "like-here": ["http://127.0.0.1.example.org/x"],
+    "words": ["file:a.mp4"], "device": ["file:/dev/zero"], "gone": ["file:nowhere.mp4"], "seconds": ["0", "--seconds", "nan"],
+    "size": ["0", "--size", "9e99x1"], "rate": ["0", "--rate", "1e999"], "cutoff": ["0", "--min-cutoff", "nan"],
+    "lens": ["0", "--lens", "nan,1,1"], "vmc": ["0", "--vmc", "127.0.0.1:99999"], "onto": ["file:a.mp4", "-o", "a.mp4"],
+    "record-onto": ["file:kept.npz", "-o", "kept.npz"],
+}  # fmt: skip
+"""A live source, and options; none is opened"""
 NODES = ("pipe", "socket", "device")
 
 
@@ -182,6 +193,8 @@ def cases() -> Iterator[Case]:
             name = name.encode("ascii", "replace").decode()
             yield _line(f"command-{name}", ["capture", file, "-o", output], {file: data})
         yield _line(f"process-{kind}", ["capture", file, "-o", "kept.npz"], {file: data}, "core.process")
+    for name, argv in LIVE.items():
+        yield _line(f"live-{name}", ["live", *argv], {"a.mp4": lambda: b"words"})
     for name, options in OPTIONS.items():
         argv = ["capture", "a.png", "-o", "result/out.npz", *options]
         yield _line(f"command-option-{name}", argv, {"a.png": BAD["picture"][1]}, refused=False)
