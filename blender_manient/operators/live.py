@@ -15,6 +15,7 @@ from ..common import screen
 from ..common.block_reference import BlockReference
 from ..scene.timing import frame_rate
 from ..session import jobs, live, shared_worker
+from ..session.live_takes import LiveTake, takes
 from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 from .capture import lens_of, model_of
 from .modes.view import FrontView, first_viewport
@@ -133,7 +134,7 @@ class MANIENT_OT_live_keep(InternalOperator, bpy.types.Operator):
     index: bpy.props.IntProperty()  # type: ignore
 
     def run(self, context):
-        live.takes.remove(_take(self.index))
+        takes.remove(_take(self.index))
 
 
 class MANIENT_OT_live_throw_away(ManientOperator, bpy.types.Operator):
@@ -221,10 +222,10 @@ def _session() -> live.LiveSession:
     return session
 
 
-def _take(index: int) -> live.LiveTake:
-    if not 0 <= index < len(live.takes):
+def _take(index: int) -> LiveTake:
+    if not 0 <= index < len(takes):
         raise OptionError("there is no such take any more")
-    return live.takes[index]
+    return takes[index]
 
 
 def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:

@@ -15,6 +15,7 @@ from blender_manient.panels.live import MANIENT_PT_live
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, live
+from blender_manient.session.live_takes import takes
 from handfit_core.errors import HandfitError
 from tests.capturing import needs_capture
 from tests.drawn import drawn
@@ -146,7 +147,7 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     if onto == "character":
         assert character.animation_data.action == before
         assert not character.animation_data.nla_tracks
-    assert live.takes == []
+    assert takes == []
 
 
 def test_a_snapshot_keys_one_pose(settings, character):
@@ -225,7 +226,7 @@ def test_a_killed_worker_keeps_what_was_recorded(settings):
     session.worker._child.kill()
     until(session, lambda: session.over)
     assert session.error is not None
-    (take,) = live.takes
+    (take,) = takes
     assert Path(take.path).stat().st_size > 0
     operators.queue_recorded(bpy.context, session)
     (job,) = jobs.run()

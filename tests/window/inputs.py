@@ -97,6 +97,12 @@ class Inputs:
         path = self.folder / "robot.png"
         return {"source": path, "truth": write_robot_hand(path).tolist()}
 
+    @property
+    def two_hands_acting(self) -> Path:
+        """A minute of the bundled hand and its mirror image, which are held open and still for a third of it,
+        then move to and fro."""
+        return self._written("acting.mp4", _WRITE_ACTING, RENDERED_HAND)
+
     def _written(self, name: str, code: str, *arguments: object) -> Path:
         """A file that Python code writes, to sys.argv[2], where OpenCV is."""
         python, path = os.environ.get("HANDFIT_PYTHON", sys.executable), self.folder / name
@@ -113,6 +119,18 @@ from handfit_core.geometry.lens import Lens
 from tests.films import all_around, film
 lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0), 640, 480)
 film(sys.argv[2], lens, all_around(lens, 20))
+"""
+_WRITE_ACTING = """
+import pathlib
+pictures = [cv2.imread(str(p)) for p in sorted(pathlib.Path(sys.argv[1]).glob("*.jpg"))]
+pictures += pictures[-2:0:-1]
+writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
+for i in range(1500):
+    shown = cv2.resize(pictures[0 if i < 500 else i // 2 % len(pictures)], None, fx=0.5, fy=0.5)
+    both = np.full((480, 640, 3), shown[0, 0], np.uint8)
+    both[120 : 120 + len(shown)] = np.hstack([shown, shown[:, ::-1]])
+    writer.write(both)
+writer.release()
 """
 _WRITE_CLIP = """
 import pathlib
