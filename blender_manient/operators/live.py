@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import bpy
@@ -177,11 +176,7 @@ def start(context: bpy.types.Context) -> live.LiveSession:
         lens=None if settings.camera == "ACTIVE" else lens_of(settings, context.scene),
         hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
     )
-    width, height = re.findall(r"\d+", wanted.size)
-    what = live.LiveInput(
-        wanted.source, (int(width), int(height)), wanted.fps, wanted.mirror, wanted.countdown, wanted.play
-    )
-    return live.start(context.scene, what, options, followed)
+    return live.start(context.scene, options, followed)
 
 
 def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> None:

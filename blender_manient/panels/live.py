@@ -31,6 +31,7 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         column.prop(settings, "mirror")
         for side in SIDES:
             self._hand(column, getattr(settings, side), side)
+        column = split(layout.column())
         column.prop(settings, "countdown")
         column.prop(settings, "play")
         column.prop(settings, "folder")

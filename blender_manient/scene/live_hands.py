@@ -93,7 +93,8 @@ class CharacterHand(LiveHand):
     def __init__(self, target: Target, model: str, of: HandMotion, anchors: dict[Target, Anchor]) -> None:
         """Prepare a character's hand for motions of the person's hand `of`, which anchors it where it has no
         anchor yet. Raises HandModelError and OptionError."""
-        self._armature, self._side = target
+        self._armature = target[0]
+        self._side: Side = target[1]
         armature = self._found()
         check_unlayered(armature)
         self._as_source = AsSource(model, of)

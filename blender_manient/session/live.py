@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -51,44 +51,30 @@ _ENDING_SECONDS = 3.0
 _SAID_SECONDS = 6.0
 """seconds for which a sentence is shown while poses come"""
 _REFUSED_SECONDS = 2.0
-"""seconds without a recorded frame after which the worker cannot record"""
+"""seconds after which a frame that came is recorded, unless the worker cannot"""
 _MEASURED = 60
 """events over which the latency is measured: two seconds"""
-
-
-@dataclass(frozen=True)
-class LiveInput:
-    """What is followed, and how."""
-
-    source: str
-    size: tuple[int, int]
-    fps: int
-    mirror: bool
-    countdown: float
-    play: bool
 
 
 class LiveSession:
     """Hands that follow a source, from Start to Stop."""
 
-    def __init__(
-        self, scene: bpy.types.Scene, what: LiveInput, options: CaptureOptions, followed: Followed
-    ) -> None:
+    def __init__(self, scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> None:
         """Raises HandfitError. The source is opened in the worker."""
-        self.scene, self.what, self.options = BlockReference.of("scenes", scene), what, options
-        self.followed = followed
+        self.scene, self.options, self.followed = BlockReference.of("scenes", scene), options, followed
+        wanted = scene.manient.live
         for side in followed:
             kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
-        size, online = list(what.size), bpy.app.online_access
-        live = {"online": online, "size": size, "fps": what.fps}
+        size = [int(pixels) for pixels in wanted.size.split("x")]
+        live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps}
         self._request = self.worker.submit(
             "live",
-            source=what.source,
+            source=wanted.source,
             options=options.to_message(),
             live=live,
             picture=PICTURE_WIDTH,
-            mirror=what.mirror,
+            mirror=wanted.mirror,
         )
         self._watch = ChangeWatch()
         self._hands: dict[Side, LiveHand] = {}
@@ -117,6 +103,11 @@ class LiveSession:
     def over(self) -> bool:
         """Whether the worker has ended, and nothing is left to be done."""
         return self._closed and self._previewing is None
+
+    @property
+    def _settings(self) -> Any:
+        """Those that can be changed meanwhile."""
+        return (self.scene.find() or bpy.context.scene).manient.live
 
     @property
     def _follows(self) -> bool:
@@ -162,7 +153,7 @@ class LiveSession:
         elif self._recording is not None:
             self._end_recording()
         elif self._follows:
-            self._record_at = time.monotonic() + self.what.countdown
+            self._record_at = time.monotonic() + self._settings.countdown
 
     def calibrate(self) -> None:
         """Have the worker look at an open hand for a second."""
@@ -307,7 +298,7 @@ class LiveSession:
                 self._recording.frame = _frame_at(event["time"])
             self._recording.poses.append((event["time"], dict(self._newest)))
             self._recording.seconds = event["time"] - self._recording.poses[0][0]
-        elif self._recording is not None and time.monotonic() - self._recording_since > _REFUSED_SECONDS:
+        elif self._recording is not None and event["time"] > self._recording_since + _REFUSED_SECONDS:
             self._recording = None  # a warning has said why
             self._play(False)
         if event["picture"] is not None:
@@ -327,7 +318,7 @@ class LiveSession:
     def _begin_recording(self) -> None:
         take = new_take(self.scene, self.options, self.followed)
         self.worker.tell(self._request, "live-record", output=str(take.path))
-        self._recording, self._recording_since = take, time.monotonic()
+        self._recording, self._recording_since = take, time.perf_counter()
         self._play(True)
 
     def _end_recording(self) -> None:
@@ -336,7 +327,7 @@ class LiveSession:
 
     def _play(self, on: bool) -> None:
         screen_now = bpy.context.screen
-        if self.what.play and screen_now is not None and screen_now.is_animation_playing != on:
+        if self._settings.play and screen_now is not None and screen_now.is_animation_playing != on:
             bpy.ops.screen.animation_play()
 
     def _recorded(self, event: Event) -> None:
@@ -381,14 +372,12 @@ current: LiveSession | None = None
 """What goes on"""
 
 
-def start(
-    scene: bpy.types.Scene, what: LiveInput, options: CaptureOptions, followed: Followed
-) -> LiveSession:
+def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> LiveSession:
     """Begin to follow a source. Raises HandfitError."""
     global current
     if current is not None and not current.over:
         raise OptionError("Live runs already: stop it first")
-    current = LiveSession(scene, what, options, followed)
+    current = LiveSession(scene, options, followed)
     return current
 
 
@@ -410,11 +399,9 @@ class _Pictures:
             self._all.new("live")
         height, width = rgb.shape[:2]
         side = max(height, width)
+        top, left = (side - height) // 2, (side - width) // 2
         pixels = np.zeros((side, side, 4), dtype=np.uint8)  # icons are square
-        top = (side - height) // 2
-        left = (side - width) // 2
-        pixels[top : top + height, left : left + width, :3] = rgb
-        pixels[top : top + height, left : left + width, 3] = 255
+        pixels[top : top + height, left : left + width] = np.insert(rgb, 3, 255, axis=-1)
         preview = self._all["live"]
         preview.image_size = (side, side)
         preview.image_pixels.foreach_set(pixels[::-1].copy().view(np.int32).ravel())

@@ -69,7 +69,8 @@ def content():
     """Names of what is in the file, and every pose bone's channels."""
     poses = {
         (o.name, b.name): [
-            tuple(getattr(b, f"rotation_{kind}")) for kind in ("quaternion", "euler", "axis_angle")
+            tuple(getattr(b, kind))
+            for kind in ("rotation_quaternion", "rotation_euler", "rotation_axis_angle", "location")
         ]
         for o in bpy.data.objects
         if o.pose is not None
@@ -91,10 +92,12 @@ def record(session, seconds=1.2, *, by_stop=False):
     return take
 
 
-@pytest.mark.parametrize("onto", ["open hand", "character"])
+@pytest.mark.parametrize("onto", ["open hand", "character", "moved character"])
 def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
-    if onto == "character":
+    if onto != "open hand":
         settings.right.character = character
+    if onto == "moved character":
+        character.manient.character.wrist = "PLACED"
     bpy.context.view_layer.update()
     before = content()
     session = operators.start(bpy.context)
@@ -108,12 +111,13 @@ def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
     assert content() == before
 
 
-@pytest.mark.parametrize("onto", ["open hand", "character"])
+@pytest.mark.parametrize("onto", ["open hand", "character", "moved character"])
 def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     before = bpy.data.actions.new("body")
-    if onto == "character":
+    if onto != "open hand":
         settings.right.character = character
         assign_action(character, before)
+    character.manient.character.wrist = "PLACED" if onto == "moved character" else "FINGERS"
     bpy.context.scene.frame_set(11)
     session = operators.start(bpy.context)
     seen(session)
@@ -134,20 +138,59 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     assert take.path.exists()
     assert take.take_path.exists()
     own = {before.name, hand.armature.animation_data.action.name}
-    if onto == "character":
+    if onto != "open hand":
         assert character.animation_data.action == preview
         bones = {c.data_path.split('"')[1] for c in action_curves(preview)}
-        assert bones <= {joint_name(j, "right") for j in range(1, 16)}
+        first = 0 if onto == "moved character" else 1
+        assert bones == {joint_name(j, "right") for j in range(first, 16)}
         own |= {preview.name}
     assert {a.name for a in bpy.data.actions} == own
     take.throw_away()
     assert not take.path.exists()
     assert not take.take_path.exists()
     assert bpy.data.actions[:] == [before]
-    if onto == "character":
+    if onto != "open hand":
         assert character.animation_data.action == before
         assert not character.animation_data.nla_tracks
     assert takes == []
+
+
+def test_a_moved_hand_is_keyed_as_it_was_shown(settings, character):
+    settings.right.character = character
+    character.manient.character.wrist = "PLACED"
+    hand = character.pose.bones[joint_name(0, "right")]
+    session = operators.start(bpy.context)
+    seen(session)
+    start = hand.matrix_basis.copy()
+    assert np.allclose(start, np.eye(4), atol=1e-5)  # it begins where the character's hand is
+    session.toggle_recording()
+    until(session, lambda: session._recording is not None and len(session._recording.poses) > 20)
+    shown = {time: hand.matrix_basis.copy() for time in [session._recording.poses[-1][0]]}
+    took = session._recording.poses[-1][0] - session._recording.poses[0][0]
+    session.stop()
+    until(session, lambda: session.over)
+    ((_, last),) = shown.items()
+    assert (last.to_translation() - start.to_translation()).length > 1e-3
+    bpy.context.scene.frame_set(1 + round(took * 24.0))
+    assert np.abs(np.array(hand.matrix_basis) - np.array(last)).max() < 0.05
+
+
+def test_takes_of_the_run_are_hidden_while_hands_follow(settings):
+    session = operators.start(bpy.context)
+    seen(session)
+    take = record(session)
+    (preview,) = take.collections
+    until(session, lambda: preview.hide_viewport)
+    assert "hidden" in drawn(MANIENT_PT_live).said
+    preview.hide_viewport = False  # the artist looks at it
+    count = session._sequence
+    until(session, lambda: session._sequence > count + 3)
+    assert not preview.hide_viewport
+    (job,) = jobs.run()
+    assert job.state == "done", job.message
+    until(session, lambda: take.collections[0].hide_viewport)
+    ended(session)
+    assert not take.collections[0].hide_viewport
 
 
 def test_a_snapshot_keys_one_pose(settings, character):
@@ -192,7 +235,8 @@ def test_the_panel_tells_how_it_goes(settings):
     session = operators.start(bpy.context)
     seen(session)
     page = drawn(MANIENT_PT_live)
-    assert {"source", "folder"} <= set(page.grey)
+    assert "source" in page.grey
+    assert not {"countdown", "play", "folder"} & set(page.grey)
     assert "manient.live_stop" in page.rows
     assert {"Record", "manient.live_snapshot"} <= set(page.rows) - set(page.grey)
     assert "fps" in page.said

@@ -57,6 +57,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
     "live.recorded": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
+    "live.acted": lambda i: {"source": i.two_hands_acting, "take": i.take},
 }
 
 
