@@ -17,6 +17,9 @@ from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, live
 from blender_manient.session.live_takes import takes
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from handfit_core.media.lenses import MeasuredLens, save_lens
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 
@@ -24,6 +27,9 @@ from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves
 
 pytestmark = [pytest.mark.usefixtures("registered"), needs_capture]
+
+
+LENS = Lens(Intrinsics(700.0, 700.0, 330.0, 176.0), (-0.1, 0.0, 0.0, 0.0, 0.0), 640, 360)
 
 
 @pytest.fixture
@@ -191,6 +197,21 @@ def test_takes_of_the_run_are_hidden_while_hands_follow(settings):
     until(session, lambda: take.collections[0].hide_viewport)
     ended(session)
     assert not take.collections[0].hide_viewport
+
+
+def test_the_measured_lens_counts_live_and_in_the_take(settings, tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
+    save_lens("webcam", MeasuredLens(LENS, 0.2, 1.0, 20))
+    bpy.context.scene.manient.camera, bpy.context.scene.manient.measured_lens = "LENS", "webcam"
+    session = operators.start(bpy.context)
+    assert session.options.lens == LENS
+    seen(session)
+    record(session, 0.5, by_stop=True)
+    until(session, lambda: session.over)
+    (job,) = jobs.run()
+    assert job.state == "done", job.message
+    seen_by = hand_of(captured_hands(bpy.context.scene)[0]).take.intrinsics
+    assert seen_by == LENS.scaled(1280, 720).intrinsics
 
 
 def test_a_snapshot_keys_one_pose(settings, character):

@@ -121,8 +121,13 @@ def acted(stage, source, take):
         yield from stage.open_sidebar()
         session = yield from _started(stage, source, Path(source).parent / "takes", left=character)
         yield from stage.until(lambda: session.hand_states().get("left") == "seen", 20.0, "the left hand")
-        yield from press(stage, "bpy.ops.manient.live_calibrate(")
-        yield from stage.until(lambda: "cm long" in session.message, 20.0, lambda: session.message)
+        for _ in range(8):  # a busy machine sees too few frames in a second
+            yield from stage.invoke("manient.live_calibrate")
+            yield from stage.until(lambda: "old" in session.message, 5.0, "what to do")
+            yield from stage.until(lambda: "still" not in session.message, 20.0, "what came of it")
+            if "cm long" in session.message:
+                break
+        assert "cm long" in session.message
         yield from stage.screenshot("live_calibrated")
         yield from stage.until(lambda: before.rotation_difference(place()).angle > 0.1, 60.0, "a turn")
         bpy.context.scene.manient.live.play = True
@@ -143,7 +148,7 @@ def acted(stage, source, take):
         assert preview
         bpy.context.view_layer.objects.active = captured
         bpy.context.scene.frame_set(400)
-        yield from press(stage, "bpy.ops.manient.live_snapshot(")
+        yield from stage.invoke("manient.live_snapshot")
         yield from stage.until(lambda: keys_of(captured) > keyed, 10.0, "the snapshot")
         assert keys_of(character) > preview
         yield from stage.screenshot("live_snapped")
