@@ -23,6 +23,7 @@ from ..scene.actions import channels_of
 from ..scene.build import BuiltTake
 from ..scene.characters import hand_map_of
 from ..scene.hand_motion import record_written_keys
+from ..scene.keys import remove_pose_keys
 from ..scene.live_hands import (
     AsSource,
     Followed,
@@ -73,6 +74,8 @@ class LiveTake:
     """Why there is no preview, a sentence"""
     _made: list[BlockReference] = field(default_factory=list)
     """Collections: of the preview, or of what was captured"""
+    _last: float = 0.0
+    """The scene frame on which the preview ends"""
     _actions: dict[BlockReference, BlockReference] = field(default_factory=dict)
     """By the character"""
 
@@ -119,6 +122,7 @@ class LiveTake:
             self.trouble = "no hand was seen while it was recorded"
             return
         frames, motions = self.motions(frame_rate(scene))
+        self._last = float(frames[-1])
         self.poses.clear()
         onto: _Moved = {}
         model = str(self.options.model)
@@ -173,7 +177,8 @@ class LiveTake:
             holder = channels_of(data) if data is not None and data.action == action else None
             if holder is None:  # the artist has another one in use
                 holder = channels(action, first_slot(action), make=True)
-            holder.fcurves.clear()
+            for one in keys:  # what the artist has keyed on other frames stays
+                remove_pose_keys(one.rig, self.frame, self._last, holder=holder)
             yield from writing(keys, holder)
             for one in keys:
                 record_written_keys(armature, action, action_slot(data) if data is not None else None, one)

@@ -131,6 +131,9 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     assert not take.trouble
     (preview,) = set(bpy.data.actions) - {before}
     ended(session)
+    if onto != "open hand":  # what the artist keys meanwhile on other frames stays
+        for curve in action_curves(preview):
+            curve.keyframe_points.insert(500, 0.5)
     (job,) = jobs.run()
     assert job.state == "done", job.message
     hand = hand_of(captured_hands(bpy.context.scene)[0])
@@ -150,6 +153,7 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
         first = 0 if onto == "moved character" else 1
         assert bones == {joint_name(j, "right") for j in range(first, 16)}
         own |= {preview.name}
+        assert {c.keyframe_points[-1].co[0] for c in action_curves(preview)} == {500.0}
     assert {a.name for a in bpy.data.actions} == own
     take.throw_away()
     assert not take.path.exists()
