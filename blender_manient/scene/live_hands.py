@@ -69,6 +69,7 @@ class OpenHand(LiveHand):
         """Raises HandModelError."""
         collection, rig = build_open_hand(scene, "Live", model, side, betas)
         collection.manient.is_live = True
+        scene.collection.children.link(collection)
         self._collection = BlockReference.of("collections", collection)
         self._armature = BlockReference.of("objects", rig.armature)
         self._rest = rig.rest
@@ -192,7 +193,7 @@ class _Place:
 def build_open_hand(
     scene: bpy.types.Scene, name: str, model: str, side: Side, betas: np.ndarray
 ) -> tuple[bpy.types.Collection, CapturedHandRig]:
-    """An open hand in a new collection of that name. Raises HandModelError."""
+    """An open hand in a new collection of that name, which is not linked yet. Raises HandModelError."""
     loaded = with_wrist(kept_model(model, side), "forearm")
     shaped = loaded.shaped(betas)
     collection = bpy.data.collections.new(name)
@@ -202,7 +203,6 @@ def build_open_hand(
     mesh = build_mesh(f"mesh of {rig.armature.name}", loaded, shaped, rig)
     for thing in (rig.armature, mesh):
         collection.objects.link(thing)
-    scene.collection.children.link(collection)
     return collection, rig
 
 
@@ -218,6 +218,7 @@ def building_preview(
     keys = yield from map_yields(computing_keys(motion, shaped, rig.rest, frames), lambda: None)
     for _ in animating(rig, keys):
         yield
+    scene.collection.children.link(collection)
     return made
 
 

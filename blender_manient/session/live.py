@@ -295,7 +295,7 @@ class LiveSession:
         self._latencies = [*self._latencies[1 - _MEASURED :], 1000.0 * (time.perf_counter() - event["time"])]
         if self._recording is not None and event["recorded"] is not None:
             if not self._recording.poses:
-                self._recording.frame = _frame_at(event["time"])
+                self._recording.frame = max(self._recording.frame, _frame_at(event["time"]))
             self._recording.poses.append((event["time"], dict(self._newest)))
             self._recording.seconds = event["time"] - self._recording.poses[0][0]
         elif self._recording is not None and event["time"] > self._recording_since + _REFUSED_SECONDS:

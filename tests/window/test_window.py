@@ -57,7 +57,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
     "live.recorded": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
-    "live.acted": lambda i: {"source": i.two_hands_acting, "take": i.take},
 }
 
 
@@ -78,6 +77,10 @@ def test_a_small_window_frames_all_of_the_picture(small_blender: BlenderWindow, 
 
 def test_a_rigify_character_follows_live(small_blender: BlenderWindow, inputs: Inputs):
     small_blender.play("live.on_rigify", source=inputs.clip(VERY_LONG_CLIP))
+
+
+def test_both_hands_act_live(small_blender: BlenderWindow, inputs: Inputs):
+    small_blender.play("live.acted", source=inputs.two_hands_acting, take=inputs.take)
 
 
 @pytest.mark.parametrize("scenario", ["capture.unhindered", "refine.follows_the_mouse"])
