@@ -99,8 +99,8 @@ class Inputs:
 
     @property
     def two_hands_acting(self) -> Path:
-        """Two minutes of the bundled hand and its mirror image, which are held open and still for a third of
-        them, then move to and fro."""
+        """Three minutes of the bundled hand and its mirror image, which are held open and still at first,
+        then move to and fro."""
         return self._written("acting.mp4", _WRITE_ACTING, RENDERED_HAND)
 
     def _written(self, name: str, code: str, *arguments: object) -> Path:
@@ -122,14 +122,15 @@ film(sys.argv[2], lens, all_around(lens, 20))
 """
 _WRITE_ACTING = """
 import pathlib
-pictures = [cv2.imread(str(p)) for p in sorted(pathlib.Path(sys.argv[1]).glob("*.jpg"))]
-pictures += pictures[-2:0:-1]
-writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 25.0, (640, 480))
-for i in range(3000):
-    shown = cv2.resize(pictures[0 if i < 1000 else i // 2 % len(pictures)], None, fx=0.5, fy=0.5)
-    both = np.full((480, 640, 3), shown[0, 0], np.uint8)
-    both[120 : 120 + len(shown)] = np.hstack([shown, shown[:, ::-1]])
-    writer.write(both)
+shown = []
+for path in sorted(pathlib.Path(sys.argv[1]).glob("*.jpg")):
+    one = cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5)
+    shown.append(np.full((480, 640, 3), one[0, 0], np.uint8))
+    shown[-1][120 : 120 + len(one)] = np.hstack([one, one[:, ::-1]])
+shown += shown[-2:0:-1]
+writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 12.0, (640, 480))
+for i in range(2400):
+    writer.write(shown[0 if i < 480 else i // 2 % len(shown)])
 writer.release()
 """
 _WRITE_CLIP = """
