@@ -96,7 +96,7 @@ class LiveTake:
         if job is None or job.state == "waiting":
             return f"{name}, preview"
         if job.running:
-            return f"{name}, preview  {100.0 * job.fraction:.0f} %"
+            return f"{name}, {100.0 * job.fraction:.0f} %"
         return name if job.state == "done" else f"{name}, preview: {job.message}"
 
     def motions(self, rate: float) -> tuple[np.ndarray, dict[Side, HandMotion]]:
