@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import bpy
@@ -15,6 +14,7 @@ from ..common import screen
 from ..common.block_reference import BlockReference
 from ..scene.timing import frame_rate
 from ..session import jobs, live, shared_worker
+from ..session.live_takes import LiveTake, takes
 from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 from .capture import lens_of, model_of
 from .modes.view import FrontView, first_viewport
@@ -133,7 +133,7 @@ class MANIENT_OT_live_keep(InternalOperator, bpy.types.Operator):
     index: bpy.props.IntProperty()  # type: ignore
 
     def run(self, context):
-        live.takes.remove(_take(self.index))
+        takes.remove(_take(self.index))
 
 
 class MANIENT_OT_live_throw_away(ManientOperator, bpy.types.Operator):
@@ -176,11 +176,7 @@ def start(context: bpy.types.Context) -> live.LiveSession:
         lens=None if settings.camera == "ACTIVE" else lens_of(settings, context.scene),
         hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
     )
-    width, height = re.findall(r"\d+", wanted.size)
-    what = live.LiveInput(
-        wanted.source, (int(width), int(height)), wanted.fps, wanted.mirror, wanted.countdown, wanted.play
-    )
-    return live.start(context.scene, what, options, followed)
+    return live.start(context.scene, options, followed)
 
 
 def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> None:
@@ -221,10 +217,10 @@ def _session() -> live.LiveSession:
     return session
 
 
-def _take(index: int) -> live.LiveTake:
-    if not 0 <= index < len(live.takes):
+def _take(index: int) -> LiveTake:
+    if not 0 <= index < len(takes):
         raise OptionError("there is no such take any more")
-    return live.takes[index]
+    return takes[index]
 
 
 def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:

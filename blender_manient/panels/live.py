@@ -9,6 +9,7 @@ from handfit_core.skeleton import SIDES
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised
 from ..session import live
+from ..session.live_takes import takes
 from .steady import is_pressable
 
 _PICTURE = 10.0
@@ -30,6 +31,7 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         column.prop(settings, "mirror")
         for side in SIDES:
             self._hand(column, getattr(settings, side), side)
+        column = split(layout.column())
         column.prop(settings, "countdown")
         column.prop(settings, "play")
         column.prop(settings, "folder")
@@ -56,6 +58,9 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         part.prop(hand, "character", text="")
         if hand.character is not None:
             part.prop(hand, "other_side", text="", icon="MOD_MIRROR")
+            part = column.row()
+            part.enabled = hand.use
+            part.prop(hand.character.manient.character, "wrist", text="")
 
     def _running(self, context, session: live.LiveSession) -> None:
         layout = self.layout
@@ -74,9 +79,14 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
             layout.template_icon(live.pictures.icon, scale=_PICTURE)
 
     def _takes(self, context) -> None:
-        for index, take in enumerate(live.takes):
+        session = live.running()
+        if session is not None and session.has_set_aside:
+            sentence(self.layout, context, "Takes are hidden while the hands follow", "HIDE_ON")
+        for index, take in enumerate(takes):
             row = self.layout.row(align=True)
-            row.label(text=fitted(context, take.text(), buttons=2), icon="FILE_MOVIE", translate=False)
+            row.label(text=fitted(context, take.text(), buttons=3), icon="FILE_MOVIE", translate=False)
+            for collection in take.collections[:1]:
+                row.prop(collection, "hide_viewport", text="")
             row.operator("manient.live_keep", text="", icon="CHECKMARK").index = index
             row.operator("manient.live_throw_away", text="", icon="TRASH").index = index
             if take.trouble:

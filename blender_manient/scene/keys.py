@@ -162,13 +162,20 @@ def writing_pose_keys(
 
 
 def remove_pose_keys(
-    rig: PosedBones, first: float, last: float, *, joints: list[int] | None = None, location: bool = True
+    rig: PosedBones,
+    first: float,
+    last: float,
+    *,
+    joints: list[int] | None = None,
+    location: bool = True,
+    holder: Any = None,
 ) -> None:
     """Take away the rotation keys of `joints` (None: all), and the first bone's location keys, from frame
-    `first` to `last`, both included."""
-    check_unlocked(rig, joints=joints, location=location)
-    own_action(rig.armature)
-    curves = _Curves(rig.armature)
+    `first` to `last`, both included; of the present action, or of what `holder` holds."""
+    if holder is None:
+        check_unlocked(rig, joints=joints, location=location)
+        own_action(rig.armature)
+    curves = _Curves(rig.armature, holder)
     names = _bones(rig)
     found = [c for j in (range(len(names)) if joints is None else joints) for c in curves.rotation(names[j])]
     if location:

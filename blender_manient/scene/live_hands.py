@@ -6,7 +6,7 @@ They are posed without keys, and gone, or as they were, afterwards. Objects are 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 
 import bpy
 import numpy as np
@@ -19,7 +19,7 @@ from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.retarget.transfer import SourceHand
 from handfit_core.skeleton import NUM_JOINTS, Side
-from handfit_core.slices import run_to_completion
+from handfit_core.slices import map_yields
 
 from ..common.blender_versions import action_slot
 from ..common.block_reference import BlockReference
@@ -31,9 +31,23 @@ from .characters import hand_map_of
 from .editable import check_unlayered
 from .keys import animating, computing_keys, set_pose
 from .mesh import build_mesh
-from .onto_character import Motion, prepared, within_locks
+from .onto_character import (
+    Anchor,
+    Motion,
+    TransferOptions,
+    channels_of,
+    check_movable,
+    is_located,
+    moved,
+    prepared,
+    within_locks,
+)
 
-_ROTATIONS = ("rotation_quaternion", "rotation_euler", "rotation_axis_angle")
+Target = tuple[BlockReference, Side]
+"""A character, and which of its hands"""
+Followed = Mapping[Side, Target | None]
+"""What follows, by the person's side; None: an open hand"""
+_CHANNELS = ("rotation_quaternion", "rotation_euler", "rotation_axis_angle", "location")
 
 
 class LiveHand(ABC):
@@ -55,6 +69,7 @@ class OpenHand(LiveHand):
         """Raises HandModelError."""
         collection, rig = build_open_hand(scene, "Live", model, side, betas)
         collection.manient.is_live = True
+        scene.collection.children.link(collection)
         self._collection = BlockReference.of("collections", collection)
         self._armature = BlockReference.of("objects", rig.armature)
         self._rest = rig.rest
@@ -74,35 +89,61 @@ class OpenHand(LiveHand):
 
 
 class CharacterHand(LiveHand):
-    """The fingers of a character's hand."""
+    """The fingers of a character's hand, and the hand itself where the character's panel asks for it."""
 
-    def __init__(self, armature: bpy.types.Object, side: Side, model: str, of: HandMotion) -> None:
-        """Prepare `armature`'s hand of that side for motions of the person's hand `of`. Raises HandModelError
-        and OptionError."""
+    def __init__(self, target: Target, model: str, of: HandMotion, anchors: dict[Target, Anchor]) -> None:
+        """Prepare a character's hand for motions of the person's hand `of`, which anchors it where it has no
+        anchor yet. Raises HandModelError and OptionError."""
+        self._armature = target[0]
+        self._side: Side = target[1]
+        armature = self._found()
         check_unlayered(armature)
-        self._armature = BlockReference.of("objects", armature)
-        self._side: Side = side
         self._as_source = AsSource(model, of)
-        source = self._as_source.motion(of, np.zeros(1)).on(side).source
+        motion = self._as_source.motion(of, np.zeros(1)).on(self._side)
+        self._onto = TransferOptions.of(armature)
         self._target, keyed, self.left_alone = prepared(
-            armature, hand_map_of(armature, side), source, fingers_only=True
+            armature, hand_map_of(armature, self._side), motion.source, fingers_only=not self._turns
         )
         self._not_keyed = ~keyed
+        names, hand_map = [*self._target.bones], self._target.hand_map
+        if self._turns:
+            check_movable(armature, hand_map.moved_by)
+            if target not in anchors:
+                bpy.context.view_layer.update()  # the pose before may just have been given back
+                hand = np.array(armature.pose.bones[hand_map.bones[0]].matrix, dtype=np.float64)
+                anchors[target] = Anchor(motion.turns[0, 0], motion.places[0], hand)
+            self._anchor = anchors[target]
+            names.append(hand_map.moved_by)
         bones = armature.pose.bones
-        self._before = {
-            name: {kind: tuple(getattr(bones[name], kind)) for kind in _ROTATIONS}
-            for name in self._target.bones
-        }
+        self._before = {name: {k: tuple(getattr(bones[name], k)) for k in _CHANNELS} for name in names}
 
-    def show(self, motion):
-        """Take the fingers' pose."""
+    @property
+    def _turns(self) -> bool:
+        return self._onto.wrist != "FINGERS"
+
+    def _found(self) -> bpy.types.Object:
         armature = self._armature.find()
         if armature is None:
-            raise OptionError(f"{self._armature.name!r}, which followed the live source, was deleted")
-        turns = self._as_source.motion(motion, np.zeros(1)).on(self._side).turns
-        quats = within_locks(armature, self._target.bones, rotmat_to_quat(self._target.local(turns)))[0]
+            raise OptionError(f"{self._armature.name!r}, which follows the live source, was deleted")
+        return armature
+
+    def show(self, motion):
+        """Take the pose."""
+        armature = self._found()
+        shown = self._as_source.motion(motion, np.zeros(1)).on(self._side)
+        quats = within_locks(armature, self._target.bones, rotmat_to_quat(self._target.local(shown.turns)))[0]
         quats[self._not_keyed] = np.nan
         set_pose(CharacterBones(armature, self._target.bones), quats)
+        if self._turns:
+            control = self._target.hand_map.moved_by
+            bone = armature.data.bones[control]
+            parent = np.array(armature.pose.bones[bone.parent.name].matrix) if bone.parent else np.eye(4)
+            travel = self._onto.travel
+            standing = moved(armature, self._target, self._anchor, shown.turns[:, 0], shown.places, travel)
+            basis = channels_of(bone, standing[0], parent)
+            located = is_located(bone, self._onto.wrist)
+            place = np.array(basis.to_translation()) if located else None
+            set_pose(CharacterBones(armature, [control]), np.array([basis.to_quaternion()]), place)
 
     def take_away(self):
         """Give the bones back what their channels had."""
@@ -152,7 +193,7 @@ class _Place:
 def build_open_hand(
     scene: bpy.types.Scene, name: str, model: str, side: Side, betas: np.ndarray
 ) -> tuple[bpy.types.Collection, CapturedHandRig]:
-    """An open hand in a new collection of that name. Raises HandModelError."""
+    """An open hand in a new collection of that name, which is not linked yet. Raises HandModelError."""
     loaded = with_wrist(kept_model(model, side), "forearm")
     shaped = loaded.shaped(betas)
     collection = bpy.data.collections.new(name)
@@ -162,21 +203,23 @@ def build_open_hand(
     mesh = build_mesh(f"mesh of {rig.armature.name}", loaded, shaped, rig)
     for thing in (rig.armature, mesh):
         collection.objects.link(thing)
-    scene.collection.children.link(collection)
     return collection, rig
 
 
-def build_preview(
+def building_preview(
     scene: bpy.types.Scene, name: str, model: str, motion: HandMotion, frames: np.ndarray
-) -> BlockReference:
-    """An open hand that does a motion (T) on scene frames (T,); returns its collection. Raises
+) -> Generator[None, None, BlockReference]:
+    """An open hand that does a motion (T) on scene frames (T,), in steps; returns its collection. Raises
     HandModelError."""
     collection, rig = build_open_hand(scene, name, model, motion.side, motion.betas)
+    made = BlockReference.of("collections", collection)
+    yield
     shaped = kept_model(model, motion.side).shaped(motion.betas)
-    keys = run_to_completion(computing_keys(motion, shaped, rig.rest, frames))
+    keys = yield from map_yields(computing_keys(motion, shaped, rig.rest, frames), lambda: None)
     for _ in animating(rig, keys):
-        pass
-    return BlockReference.of("collections", collection)
+        yield
+    scene.collection.children.link(collection)
+    return made
 
 
 def remove_collection(collection: bpy.types.Collection | None) -> None:
@@ -210,11 +253,18 @@ def remove_action(armature: bpy.types.Object, action: bpy.types.Action) -> None:
     return None
 
 
+def set_aside(collection: bpy.types.Collection | None, aside: bool) -> None:
+    """Hide a recorded take in viewports while hands follow, which stand where it does, or show it again. What
+    the artist shows or hides meanwhile stays so."""
+    if collection is not None and collection.manient.is_aside != aside:
+        collection.manient.is_aside = collection.hide_viewport = aside
+
+
 def remove_leftovers() -> None:
-    """Remove what followed a live source in a file that was saved, or a step that was made, meanwhile."""
-    for collection in [c for c in bpy.data.collections if c.manient.is_live]:
-        remove_collection(collection)
-
-
-Followed = Mapping[Side, tuple[BlockReference, Side] | None]
-"""By the person's side: the character and which of its hands follows; None: an open hand"""
+    """Remove what followed a live source in a file that was saved, or a step that was made, meanwhile, and
+    show what was set aside."""
+    for collection in list(bpy.data.collections):
+        if collection.manient.is_live:
+            remove_collection(collection)
+        else:
+            set_aside(collection, False)

@@ -119,6 +119,18 @@ class Motion:
         return Motion(self.source.mirrored(), self.frames, turns, self.places @ MIRROR_X, skins, arm)
 
 
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """A moment in which a character's hand is as it is to be in the captured pose."""
+
+    wrist: np.ndarray
+    """(3, 3) how the captured wrist is turned from its rest, in rest space"""
+    place: np.ndarray
+    """(3,) metres: where it is"""
+    hand: np.ndarray
+    """(4, 4) the character's hand in the armature's space"""
+
+
 @dataclass(frozen=True)
 class TransferOptions:
     """How captured motion is transferred to a character."""
@@ -135,6 +147,8 @@ class TransferOptions:
     """frames before and after that are averaged in how the hand itself turns and moves"""
     offsets: Mapping[Side, np.ndarray] = field(default_factory=dict)
     """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
+    anchors: Mapping[Side, Anchor] = field(default_factory=dict)
+    """What stands for the marked frame, by the character's side; such hands get no offset"""
     arms: bool = False
     """Whether the arms of hands that have one are put on the character's, instead of `wrist`"""
     arms_influence: float = 1.0
@@ -419,22 +433,13 @@ def within_locks(armature: bpy.types.Object, names: Sequence[str], quats: np.nda
 def _moving(
     armature: bpy.types.Object, target: TargetHand, motion: Motion, onto: TransferOptions
 ) -> Generator[float, None, BoneKeys]:
-    """Keys of the bone that moves the whole hand, in steps.
-
-    Let the captured wrist be turned by O and lie at p, and the character's hand bone, in the armature's
-    space, be turned by Q from its rest and lie at x. In the marked frame the two are to look alike, which
-    makes K = Q A O^T the rotation from the capture's space to the armature's. Then Q(t) = K O(t) A^T, and
-    x(t) = x + d + s K (p(t) - p), with the palms' ratio s times the travel, and the offset d. What is in keys
-    that were written with an offset before has that taken out of x.
-    """
-    control = target.hand_map.moved_by
-    why = why_not_turned(armature, control)
-    if why is not None:
-        raise OptionError(
-            f"the hand of {armature.name!r} cannot be moved: {why.removesuffix(': it was left alone')}"
-        )
+    """Keys of the bone that moves the whole hand, in steps, as `moved` has it. What is in keys that were
+    written with an offset before has that taken out of where the hand is in the marked frame."""
+    side, control = target.hand_map.side, target.hand_map.moved_by
+    check_movable(armature, control)
+    anchor = onto.anchors.get(side)
     first, last = float(motion.frames[0]), float(motion.frames[-1])
-    if not first - SAME_FRAME <= onto.reference <= last + SAME_FRAME:
+    if anchor is None and not first - SAME_FRAME <= onto.reference <= last + SAME_FRAME:
         raise OptionError(
             f"the marked frame {onto.reference:g} is not among those of the motion, {first:g} to {last:g}: "
             "go to a frame in which the character's hand is as it is to be, and mark it"
@@ -450,32 +455,77 @@ def _moving(
             some = slice(start, start + _SAMPLED)
             parents[some] = posed_bones(armature, motion.frames[some], [parent.name])[:, 0]
             yield 0.5 * start / len(parents)
-    rest = np.array(armature.data.bones[own].matrix_local, dtype=np.float64)
-    turned = rotations_of(marked[0]) @ rotations_of(rest).T
     places, wrist = smoothed_travel(motion.frames, motion.places, motion.turns[:, 0], onto.smoothing)
-    space = turned @ target.aligned @ wrist[at].T
-    turns = space @ wrist @ target.aligned.T
-    located = onto.wrist == "PLACED" and not bone.use_connect
-    offset, before = np.zeros(3), written_keys(armature, target.hand_map.side)
-    if located:
-        offset = np.asarray(onto.offsets.get(target.hand_map.side, offset), dtype=np.float64)
-    moved = onto.travel * target.scale * (places - places[at]) @ space.T
-    moved += offset - (before.offset if before is not None else 0.0)
-    own_rest = np.array(bone.matrix_local, dtype=np.float64)
-    wanted = np.broadcast_to(np.eye(4), (len(turns), 4, 4)).copy()
-    wanted[:, :3, :3] = turns @ own_rest[:3, :3]
-    wanted[:, :3, 3] = marked[0][:3, 3] + moved + turns @ (own_rest[:3, 3] - rest[:3, 3])
-    quats, locations = np.empty((len(turns), 1, 4)), np.empty((len(turns), 3))
+    located = is_located(bone, onto.wrist)
+    noted, offset, shift = None, np.zeros(3), np.zeros(3)
+    if anchor is None:
+        anchor, noted = Anchor(wrist[at], places[at], marked[0]), side
+        before = written_keys(armature, side)
+        if located:
+            offset = np.asarray(onto.offsets.get(side, offset), dtype=np.float64)
+        shift = offset - (before.offset if before is not None else 0.0)
+    wanted = moved(armature, target, anchor, wrist, places, onto.travel)
+    wanted[:, :3, 3] += shift
+    quats, locations = np.empty((len(wanted), 1, 4)), np.empty((len(wanted), 3))
     for row, matrix in enumerate(wanted):
-        above = {}
-        if parent is not None:
-            above = {"parent_matrix": Matrix(parents[row]), "parent_matrix_local": parent.matrix_local}
-        basis = bone.convert_local_to_pose(Matrix(matrix), bone.matrix_local, invert=True, **above)
+        basis = channels_of(bone, matrix, parents[row])
         quats[row, 0], locations[row] = basis.to_quaternion(), basis.to_translation()
     keys = PoseKeys.everywhere(motion.frames, quats, locations if located else None)
-    rig = CharacterBones(armature, [control])
     settings = onto.travel, onto.smoothing, onto.reference
-    return BoneKeys(rig, keys, target.hand_map.side, offset, settings)
+    return BoneKeys(CharacterBones(armature, [control]), keys, noted, offset, settings)
+
+
+def check_movable(armature: bpy.types.Object, control: str) -> None:
+    """Raises OptionError where keys of the bone that moves a whole hand would be for nothing."""
+    why = why_not_turned(armature, control)
+    if why is not None:
+        raise OptionError(
+            f"the hand of {armature.name!r} cannot be moved: {why.removesuffix(': it was left alone')}"
+        )
+
+
+def is_located(bone: bpy.types.Bone, wrist: Wrist) -> bool:
+    """Whether the bone that moves a whole hand is moved, and not only turned."""
+    return wrist == "PLACED" and not bone.use_connect
+
+
+def moved(
+    armature: bpy.types.Object,
+    target: TargetHand,
+    anchor: Anchor,
+    wrist: np.ndarray,
+    places: np.ndarray,
+    travel: float,
+) -> np.ndarray:
+    """(T, 4, 4) how the bone that moves the whole hand is to stand in the armature's space.
+
+    Let the captured wrist be turned by O (T, 3, 3) and lie at p (T, 3), and the character's hand bone be
+    turned by Q from its rest and lie at x. In the anchor's moment the two are to look alike, which makes
+    K = Q A O^T the rotation from the capture's space to the armature's. Then Q(t) = K O(t) A^T, and
+    x(t) = x + s K (p(t) - p), with the palms' ratio s times the travel.
+    """
+    bones = armature.data.bones
+    rest, own = (
+        np.array(bones[name].matrix_local, dtype=np.float64)
+        for name in (target.hand_map.bones[0], target.hand_map.moved_by)
+    )
+    turned = rotations_of(anchor.hand) @ rotations_of(rest).T
+    space = turned @ target.aligned @ anchor.wrist.T
+    turns = space @ wrist @ target.aligned.T
+    found = np.broadcast_to(np.eye(4), (len(turns), 4, 4)).copy()
+    found[:, :3, :3] = turns @ own[:3, :3]
+    way = travel * target.scale * (places - anchor.place) @ space.T
+    found[:, :3, 3] = anchor.hand[:3, 3] + way + turns @ (own[:3, 3] - rest[:3, 3])
+    return found
+
+
+def channels_of(bone: bpy.types.Bone, standing: np.ndarray, parent: np.ndarray) -> Matrix:
+    """What a bone that stands so in the armature's space (4, 4) has in its channels, where its parent, if it
+    has one, stands so."""
+    above = {}
+    if bone.parent is not None:
+        above = {"parent_matrix": Matrix(parent), "parent_matrix_local": bone.parent.matrix_local}
+    return bone.convert_local_to_pose(Matrix(standing), bone.matrix_local, invert=True, **above)
 
 
 def offsets_of(armature: bpy.types.Object) -> dict[Side, np.ndarray]:

@@ -1,8 +1,7 @@
-"""Live: hands of the scene follow a camera, and what is recorded becomes takes.
+"""Live: hands of the scene follow a camera, and what is recorded becomes takes (`live_takes.py`).
 
 A worker of its own opens the source and follows the hands, so that captures go on beside it in the shared
-one. Poses are shown without keys. A recording gets keys at once from the poses that were shown, its
-*preview*, and is captured as any other clip; that takes the preview's place.
+one. Poses are shown without keys.
 """
 
 from __future__ import annotations
@@ -10,48 +9,40 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import bpy
 import numpy as np
 
 from handfit_core.arrays import unpack
-from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.errors import HandfitError, OptionError
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES, Side
-from handfit_core.slices import map_yields, run_to_completion
+from handfit_core.skeleton import Side
+from handfit_core.slices import run_to_completion, slice_clock
 from handfit_core.worker.events import Event, as_error
 
-from ..common import preferences
-from ..common.blender_versions import action_slot, channels, first_slot
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted
-from ..scene import captures
-from ..scene.actions import channels_of
 from ..scene.apply import apply_pose
-from ..scene.build import BuiltTake, ChangeWatch
+from ..scene.build import ChangeWatch
 from ..scene.characters import hand_map_of
-from ..scene.hand_motion import record_written_keys
 from ..scene.live_hands import (
     AsSource,
     CharacterHand,
     Followed,
     LiveHand,
     OpenHand,
-    build_preview,
-    remove_action,
-    remove_collection,
+    Target,
     remove_leftovers,
 )
-from ..scene.onto_character import Motion, TransferOptions, applying, computing, reading_motion, writing
+from ..scene.onto_character import Anchor, applying
 from ..scene.store import hand_of
 from ..scene.timing import frame_rate
-from . import jobs, shared_worker
-from .cache import folder_path
+from . import shared_worker
+from .live_takes import LiveTake, live_transfer, new_take, takes
 
 PICTURE_WIDTH = 320
 """pixels of the small picture"""
@@ -60,193 +51,30 @@ _ENDING_SECONDS = 3.0
 _SAID_SECONDS = 6.0
 """seconds for which a sentence is shown while poses come"""
 _REFUSED_SECONDS = 2.0
-"""seconds without a recorded frame after which the worker cannot record"""
+"""seconds after which a frame that came is recorded, unless the worker cannot"""
 _MEASURED = 60
 """events over which the latency is measured: two seconds"""
-
-
-@dataclass(eq=False)
-class LiveTake:
-    """A recording, and what came of it."""
-
-    number: int
-    path: Path
-    """The recorded frames"""
-    scene: BlockReference
-    frame: float
-    """The scene frame on which it begins"""
-    options: CaptureOptions
-    followed: Followed
-    frames: int = 0
-    seconds: float = 0.0
-    poses: list[tuple[float, dict[Side, HandMotion]]] = field(default_factory=list)
-    """Seconds, and the hands that were shown then"""
-    job: jobs.Job | None = None
-    trouble: str = ""
-    """Why there is no preview, a sentence"""
-    _previews: list[BlockReference] = field(default_factory=list)
-    _actions: dict[BlockReference, BlockReference] = field(default_factory=dict)
-    """By the character"""
-    _built: BlockReference | None = None
-
-    @property
-    def take_path(self) -> Path:
-        """Where its take is kept, beside the recording."""
-        return self.path.with_suffix(".take.npz")
-
-    def text(self) -> str:
-        """What it is, and how far."""
-        job = self.job
-        name = f"Take {self.number}: {self.seconds:.1f} s"
-        if job is None or job.state == "waiting":
-            return f"{name}, preview"
-        if job.running:
-            return f"{name}, preview  {100.0 * job.fraction:.0f} %"
-        return name if job.state == "done" else f"{name}, preview: {job.message}"
-
-    def motions(self, rate: float) -> tuple[np.ndarray, dict[Side, HandMotion]]:
-        """The scene frames (T,), and what the hands did that were shown, at `rate` frames per second."""
-        times = np.array([time for time, _ in self.poses])
-        frames = self.frame + np.arange(max(1, round(float(times[-1] - times[0]) * rate) + 1))
-        wanted = times[0] + (frames - self.frame) / rate
-        rows = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
-        found = {}
-        for side in SIDES:
-            there = [self.poses[row][1].get(side) for row in rows.tolist()]
-            first = next((hand for hand in there if hand is not None), None)
-            if first is not None:
-                gone = HandMotion(side, first.betas, *(np.full((1, n), np.nan) for n in (3, 45, 3)))
-                pose = zip(*((hand or gone).pose for hand in there), strict=True)
-                found[side] = HandMotion(side, first.betas, *(np.concatenate(parts) for parts in pose))
-        return frames, found
-
-    def show_preview(self) -> None:
-        """Key what was shown while it was recorded."""
-        scene = self.scene.find()
-        if not self.poses or scene is None:
-            self.trouble = "no hand was seen while it was recorded"
-            return
-        frames, motions = self.motions(frame_rate(scene))
-        self.poses.clear()
-        onto: dict[BlockReference, list[tuple[Side, Motion]]] = {}
-        model = str(self.options.model)
-        try:
-            for side, motion in motions.items():
-                target = self.followed[side]
-                if target is None:
-                    name = f"Take {self.number} preview"
-                    self._previews.append(build_preview(scene, name, model, motion, frames))
-                else:
-                    there = motion.present
-                    seen = motion.with_pose(*(rows[there] for rows in motion.pose))
-                    moved = AsSource(model, seen).motion(seen, frames[there])
-                    onto.setdefault(target[0], []).append((target[1], moved))
-            for character, moved in onto.items():
-                run_to_completion(self._keying(character, moved))
-        except HandfitError as error:
-            self.trouble = str(error)
-
-    def replacing(self, built: BuiltTake) -> Generator[float, None, None]:
-        """Put what was captured in place of the preview, in slices."""
-        self._built = BlockReference.of("collections", built.collection)
-        self._remove_previews()
-        onto: dict[BlockReference, list[tuple[Side, Motion]]] = {}
-        for one in built.hands:
-            target, hand = self.followed.get(one.side), hand_of(one.armature)
-            if target is not None and hand is not None:
-                motion = yield from map_yields(reading_motion(hand), lambda: 0.5)
-                onto.setdefault(target[0], []).append((target[1], motion))
-        for character, moved in onto.items():
-            try:
-                yield from self._keying(character, moved)
-            except HandfitError as error:  # the hands themselves are there
-                self.trouble = str(error)
-
-    def _keying(
-        self, character: BlockReference, moved: Sequence[tuple[Side, Motion]]
-    ) -> Generator[float, None, None]:
-        """Key the fingers of a character in this take's own action."""
-        armature = character.find()
-        if armature is None:
-            raise OptionError(f"the character {character.name!r} was deleted")
-        hands = [(hand_map_of(armature, side), motion) for side, motion in moved]
-        action = self._actions[character].find() if character in self._actions else None
-        if action is None:
-            yield from applying(armature, hands, TransferOptions())
-            self._actions[character] = BlockReference.of("actions", armature.animation_data.action)
-            return
-        keys = (yield from computing(armature, hands, TransferOptions())).keys
-        data = armature.animation_data
-        holder = channels_of(data) if data is not None and data.action == action else None
-        if holder is None:  # the artist has another one in use
-            holder = channels(action, first_slot(action), make=True)
-        holder.fcurves.clear()
-        yield from writing(keys, holder)
-        for one in keys:
-            record_written_keys(armature, action, action_slot(data) if data is not None else None, one)
-
-    def _remove_previews(self) -> None:
-        for preview in self._previews:
-            remove_collection(preview.find())
-        self._previews.clear()
-
-    def throw_away(self) -> None:
-        """Remove what came of it, and its files. Raises OutputError where a file cannot be removed."""
-        while self.job is not None and not self.job.finished:
-            jobs.cancel(self.job)  # the second time without keeping what is finished
-        self._remove_previews()
-        scene, built = self.scene.find(), self._built.find() if self._built is not None else None
-        if scene is not None and built is not None:
-            captures.remove(scene, built)
-        for character, action in self._actions.items():
-            armature, there = character.find(), action.find()
-            if armature is not None and there is not None:
-                remove_action(armature, there)
-        takes.remove(self)
-        for path in (self.path, self.take_path):
-            try:
-                path.unlink(missing_ok=True)
-            except OSError as error:
-                raise OutputError(f"{path}: could not be removed ({error.strerror or error})") from error
-
-
-takes: list[LiveTake] = []
-"""Recorded takes that were neither kept nor thrown away yet, the oldest first"""
-
-
-@dataclass(frozen=True)
-class LiveInput:
-    """What is followed, and how."""
-
-    source: str
-    size: tuple[int, int]
-    fps: int
-    mirror: bool
-    countdown: float
-    play: bool
 
 
 class LiveSession:
     """Hands that follow a source, from Start to Stop."""
 
-    def __init__(
-        self, scene: bpy.types.Scene, what: LiveInput, options: CaptureOptions, followed: Followed
-    ) -> None:
+    def __init__(self, scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> None:
         """Raises HandfitError. The source is opened in the worker."""
-        self.scene, self.what, self.options = BlockReference.of("scenes", scene), what, options
-        self.followed = followed
+        self.scene, self.options, self.followed = BlockReference.of("scenes", scene), options, followed
+        wanted = scene.manient.live
         for side in followed:
             kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
-        size, online = list(what.size), bpy.app.online_access
-        live = {"online": online, "size": size, "fps": what.fps}
+        size = [int(pixels) for pixels in wanted.size.split("x")]
+        live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps}
         self._request = self.worker.submit(
             "live",
-            source=what.source,
+            source=wanted.source,
             options=options.to_message(),
             live=live,
             picture=PICTURE_WIDTH,
-            mirror=what.mirror,
+            mirror=wanted.mirror,
         )
         self._watch = ChangeWatch()
         self._hands: dict[Side, LiveHand] = {}
@@ -256,17 +84,34 @@ class LiveSession:
         self._latencies: list[float] = []
         self._ending_until: float | None = None
         self._record_at: float | None = None
+        self._anchors: dict[Target, Anchor] = {}
         self._recording: LiveTake | None = None
         self._recording_since = 0.0
+        self._taken: list[LiveTake] = []
+        self._previewing: Generator[None, None, None] | None = None
+        self._closed = False
         self.recorded: list[LiveTake] = []
-        """Recordings that are over and wait for `take_recorded`"""
+        """Recordings that are over and wait to be captured"""
         self._said = 0.0
         self.message = "Starting"
         """What is to be known, a sentence; empty: nothing"""
         self.error: HandfitError | None = None
         """What has ended it"""
-        self.over = False
         self.fps, self.dropped = 0.0, 0
+
+    @property
+    def over(self) -> bool:
+        """Whether the worker has ended, and nothing is left to be done."""
+        return self._closed and self._previewing is None
+
+    @property
+    def _settings(self) -> Any:
+        """Those that can be changed meanwhile."""
+        return (self.scene.find() or bpy.context.scene).manient.live
+
+    @property
+    def _follows(self) -> bool:
+        return self._ending_until is None and not self._closed
 
     # What the panel shows
 
@@ -290,6 +135,11 @@ class LiveSession:
             return "Starting"
         return f"{self.fps:.0f} fps, {self.latency:.0f} ms, {counted(self.dropped, 'frame')} dropped"
 
+    @property
+    def has_set_aside(self) -> bool:
+        """Whether takes are hidden, since hands that follow stand where they do."""
+        return bool(self._hands) and any(c.hide_viewport for take in self._taken for c in take.collections)
+
     def hand_states(self) -> dict[Side, str]:
         """By the person's side: seen, held or resting."""
         return self._states
@@ -302,8 +152,8 @@ class LiveSession:
             self._record_at = None
         elif self._recording is not None:
             self._end_recording()
-        elif self._ending_until is None:
-            self._record_at = time.monotonic() + self.what.countdown
+        elif self._follows:
+            self._record_at = time.monotonic() + self._settings.countdown
 
     def calibrate(self) -> None:
         """Have the worker look at an open hand for a second."""
@@ -321,7 +171,7 @@ class LiveSession:
             target = self.followed[side]
             if target is None:
                 active = context.active_object
-                hand = hand_of(active) if active is not None else None
+                hand = hand_of(active) if active is not None and active.visible_get() else None
                 if hand is None:
                     raise OptionError(
                         "select the captured hand that gets the pose, or choose a character in Live"
@@ -330,32 +180,32 @@ class LiveSession:
                     apply_pose(hand.armature, motion, frame)
             elif (armature := target[0].find()) is not None:
                 moved = AsSource(str(self.options.model), motion).motion(motion, np.array([frame]))
-                hand_map = hand_map_of(armature, target[1])
-                run_to_completion(applying(armature, [(hand_map, moved)], TransferOptions(into="ACTION")))
+                how = live_transfer(armature, target[0], [target[1]], self._anchors, "ACTION")
+                run_to_completion(applying(armature, [(hand_map_of(armature, target[1]), moved)], how))
 
     def stop(self, why: str = "") -> None:
         """End it: the scene is as before at once, the worker ends within the next steps."""
-        if self._ending_until is None:
+        if self._follows:
             self._record_at = None
             if self._recording is not None:
                 self._end_recording()
-            self._take_away()
+            self.hide()
             self.message = why
             self._ending_until = time.monotonic() + _ENDING_SECONDS
             self.worker.cancel(self._request)
 
     def abandon(self) -> None:
         """End it and its process now."""
-        self.over = True
-        self._take_away()
+        self._closed, self._previewing = True, None
+        self.hide()
         self.worker.stop()
 
     # Every few milliseconds
 
     def step(self) -> bool:
         """Take in what the worker says, and show the newest pose. Returns whether anything changed."""
-        if self.over:
-            return False
+        if self._closed:
+            return self._preview()
         if self._watch.changed:
             self.stop("Live has ended, since the scene was undone or replaced")
         events = self.worker.events(self._request)
@@ -365,30 +215,45 @@ class LiveSession:
                 newest = event
             else:
                 self._take_in(event)
-        if self._ending_until is None and not self.over:
-            try:
-                if newest is not None and newest["sequence"] > self._sequence:
-                    self._show(newest)
-                if self._record_at is not None and time.monotonic() >= self._record_at:
-                    self._record_at = None
-                    self._begin_recording()
-            except (HandfitError, ReferenceError) as error:
-                self.error = error if isinstance(error, HandfitError) else OptionError(str(error))
-                self.stop()
-        if self._ending_until is not None and not self.over and time.monotonic() > self._ending_until:
+        try:
+            if self._follows and newest is not None and newest["sequence"] > self._sequence:
+                self._show(newest)
+            if self._follows and self._record_at is not None and time.monotonic() >= self._record_at:
+                self._record_at = None
+                self._begin_recording()
+        except (HandfitError, ReferenceError) as error:
+            self.error = error if isinstance(error, HandfitError) else OptionError(str(error))
+            self.stop()
+        if self._ending_until is not None and not self._closed and time.monotonic() > self._ending_until:
             self._close()
-        return bool(events)
+        return self._preview() or bool(events)
 
     def show_again(self) -> None:
         """Put the hands back where they were shown last: a change of the frame shows keys."""
-        if self._ending_until is None and not self.over:
+        if self._follows:
             for side, hand in self._hands.items():
                 with contextlib.suppress(HandfitError):  # the next step says so
                     hand.show(self._newest[side])
 
     def hide(self) -> None:
         """Leave the scene as it was before until the next pose comes."""
-        self._take_away()
+        for hand in self._hands.values():
+            hand.take_away()
+        self._hands.clear()
+        for take in self._taken:
+            take.set_aside(False)
+
+    def _preview(self) -> bool:
+        """One slice of the last recording's preview. Returns whether there was anything to do."""
+        if self._previewing is None:
+            return False
+        is_over = slice_clock()
+        try:
+            while not is_over():
+                next(self._previewing)
+        except StopIteration:
+            self._previewing = None
+        return True
 
     def _say(self, sentence: str) -> None:
         self.message, self._said = capitalised(sentence), time.monotonic()
@@ -416,21 +281,24 @@ class LiveSession:
         if not self._sequence or time.monotonic() - self._said > _SAID_SECONDS:
             self.message = ""
         self._sequence, self.fps, self.dropped = event["sequence"], event["fps"], event["dropped"]
+        made = False
         for told in event["hands"]:
             side, motion = told["side"], _motion(told)
             if side not in self._hands:
-                if told["state"] == "resting":
-                    continue  # none was seen yet
-                self._hands[side] = self._made(side, motion)
+                if made or told["state"] == "resting":
+                    continue  # one at a time takes long enough; or none was seen yet
+                self._hands[side], made = self._made(side, motion), True
             self._hands[side].show(motion)
             self._newest[side], self._states[side] = motion, told["state"]
+        for take in self._taken if self._hands else ():
+            take.set_aside(True)
         self._latencies = [*self._latencies[1 - _MEASURED :], 1000.0 * (time.perf_counter() - event["time"])]
         if self._recording is not None and event["recorded"] is not None:
             if not self._recording.poses:
-                self._recording.frame = _frame_at(event["time"])
+                self._recording.frame = max(self._recording.frame, _frame_at(event["time"]))
             self._recording.poses.append((event["time"], dict(self._newest)))
             self._recording.seconds = event["time"] - self._recording.poses[0][0]
-        elif self._recording is not None and time.monotonic() - self._recording_since > _REFUSED_SECONDS:
+        elif self._recording is not None and event["time"] > self._recording_since + _REFUSED_SECONDS:
             self._recording = None  # a warning has said why
             self._play(False)
         if event["picture"] is not None:
@@ -442,27 +310,15 @@ class LiveSession:
             raise OptionError("the scene that Live was started in was deleted")
         if target is None:
             return OpenHand(scene, str(self.options.model), side, motion.betas)
-        armature = target[0].find()
-        if armature is None:
-            raise OptionError(f"the character {target[0].name!r} was deleted")
-        made = CharacterHand(armature, target[1], str(self.options.model), motion)
+        made = CharacterHand(target, str(self.options.model), motion, self._anchors)
         if made.left_alone:
             self._say(made.left_alone[0])
         return made
 
     def _begin_recording(self) -> None:
-        folder = recordings_folder()
-        number = 1 + max([0, *(int(p.stem[5:]) for p in folder.glob("take-*.mkv") if p.stem[5:].isdecimal())])
-        take = LiveTake(
-            number,
-            folder / f"take-{number:03d}.mkv",
-            self.scene,
-            float(bpy.context.scene.frame_current),
-            self.options,
-            self.followed,
-        )
+        take = new_take(self.scene, self.options, self.followed)
         self.worker.tell(self._request, "live-record", output=str(take.path))
-        self._recording, self._recording_since = take, time.monotonic()
+        self._recording, self._recording_since = take, time.perf_counter()
         self._play(True)
 
     def _end_recording(self) -> None:
@@ -471,7 +327,7 @@ class LiveSession:
 
     def _play(self, on: bool) -> None:
         screen_now = bpy.context.screen
-        if self.what.play and screen_now is not None and screen_now.is_animation_playing != on:
+        if self._settings.play and screen_now is not None and screen_now.is_animation_playing != on:
             bpy.ops.screen.animation_play()
 
     def _recorded(self, event: Event) -> None:
@@ -479,30 +335,33 @@ class LiveSession:
         if take is None:
             return
         self._play(False)
-        take.frames, take.seconds = event["frames"], event["seconds"]
-        if not take.frames:
+        take.seconds = event["seconds"]
+        if not event["frames"]:
             self._say("nothing was recorded: no picture came meanwhile")
             return
+        take.anchors.update(self._anchors)
         takes.append(take)
+        self._taken.append(take)
+        if self._previewing is not None:
+            run_to_completion(self._previewing)
+        self._previewing = self._finishing(take)
+
+    def _finishing(self, take: LiveTake) -> Generator[None, None, None]:
+        yield from take.previewing()
         self.recorded.append(take)
-        take.show_preview()
 
     def _calibrated(self, hands: Sequence[dict[str, Any]]) -> None:
         if hands:
             length = float(np.mean([hand["hand_length"] for hand in hands]))
             self.options = replace(self.options, hand_length=length)
             self._say(f"your hand is {100.0 * length:.1f} cm long")
-            self._take_away()  # the next pose makes hands of the shape
-
-    def _take_away(self) -> None:
-        for hand in self._hands.values():
-            hand.take_away()
-        self._hands.clear()
+            self._anchors.clear()
+            self.hide()  # the next pose makes hands of the shape
 
     def _close(self) -> None:
         """The worker has ended, or has to."""
-        self.over = True
-        self._take_away()
+        self._closed = True
+        self.hide()
         self.worker.stop()
         take = self._recording
         if take is not None and take.path.exists():  # frames that were written before it died can be read
@@ -513,40 +372,18 @@ current: LiveSession | None = None
 """What goes on"""
 
 
-def start(
-    scene: bpy.types.Scene, what: LiveInput, options: CaptureOptions, followed: Followed
-) -> LiveSession:
+def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> LiveSession:
     """Begin to follow a source. Raises HandfitError."""
     global current
     if current is not None and not current.over:
         raise OptionError("Live runs already: stop it first")
-    current = LiveSession(scene, what, options, followed)
+    current = LiveSession(scene, options, followed)
     return current
 
 
 def running() -> LiveSession | None:
     """The session that is neither over nor ending."""
     return current if current is not None and not current.over else None
-
-
-def recordings_folder() -> Path:
-    """The folder of recordings and their takes, made if need be. Raises OutputError."""
-    path = planned_folder()
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: recordings cannot be written here ({error.strerror or error}); choose another folder"
-        ) from error
-    return path
-
-
-def planned_folder() -> Path:
-    """Where recordings will be written."""
-    folder = bpy.context.scene.manient.live.folder
-    if folder and (bpy.data.filepath or not folder.startswith("//")):
-        return Path(preferences.full_path(folder))
-    return folder_path().with_name("recordings")
 
 
 class _Pictures:
@@ -562,11 +399,9 @@ class _Pictures:
             self._all.new("live")
         height, width = rgb.shape[:2]
         side = max(height, width)
+        top, left = (side - height) // 2, (side - width) // 2
         pixels = np.zeros((side, side, 4), dtype=np.uint8)  # icons are square
-        top = (side - height) // 2
-        left = (side - width) // 2
-        pixels[top : top + height, left : left + width, :3] = rgb
-        pixels[top : top + height, left : left + width, 3] = 255
+        pixels[top : top + height, left : left + width] = np.insert(rgb, 3, 255, axis=-1)
         preview = self._all["live"]
         preview.image_size = (side, side)
         preview.image_pixels.foreach_set(pixels[::-1].copy().view(np.int32).ravel())

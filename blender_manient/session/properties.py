@@ -676,6 +676,9 @@ class ManientCapture(bpy.types.PropertyGroup):
     is_live: BoolProperty(  # type: ignore
         default=False, description="Whether it holds hands that follow a live source (scene/live_hands.py)"
     )
+    is_aside: BoolProperty(  # type: ignore
+        default=False, description="Whether it is hidden while hands follow a live source"
+    )
     take: StringProperty(description="The take as base64 text (scene/store.py)")  # type: ignore
     digest: StringProperty()  # type: ignore
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore

@@ -15,7 +15,11 @@ from blender_manient.panels.live import MANIENT_PT_live
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, live
+from blender_manient.session.live_takes import takes
 from handfit_core.errors import HandfitError
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from handfit_core.media.lenses import MeasuredLens, save_lens
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 
@@ -23,6 +27,9 @@ from .characters import build_armature, hand_specs, joint_name, map_of
 from .conftest import action_curves
 
 pytestmark = [pytest.mark.usefixtures("registered"), needs_capture]
+
+
+LENS = Lens(Intrinsics(700.0, 700.0, 330.0, 176.0), (-0.1, 0.0, 0.0, 0.0, 0.0), 640, 360)
 
 
 @pytest.fixture
@@ -68,7 +75,8 @@ def content():
     """Names of what is in the file, and every pose bone's channels."""
     poses = {
         (o.name, b.name): [
-            tuple(getattr(b, f"rotation_{kind}")) for kind in ("quaternion", "euler", "axis_angle")
+            tuple(getattr(b, kind))
+            for kind in ("rotation_quaternion", "rotation_euler", "rotation_axis_angle", "location")
         ]
         for o in bpy.data.objects
         if o.pose is not None
@@ -90,10 +98,12 @@ def record(session, seconds=1.2, *, by_stop=False):
     return take
 
 
-@pytest.mark.parametrize("onto", ["open hand", "character"])
+@pytest.mark.parametrize("onto", ["open hand", "character", "moved character"])
 def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
-    if onto == "character":
+    if onto != "open hand":
         settings.right.character = character
+    if onto == "moved character":
+        character.manient.character.wrist = "PLACED"
     bpy.context.view_layer.update()
     before = content()
     session = operators.start(bpy.context)
@@ -107,12 +117,13 @@ def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
     assert content() == before
 
 
-@pytest.mark.parametrize("onto", ["open hand", "character"])
+@pytest.mark.parametrize("onto", ["open hand", "character", "moved character"])
 def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     before = bpy.data.actions.new("body")
-    if onto == "character":
+    if onto != "open hand":
         settings.right.character = character
         assign_action(character, before)
+    character.manient.character.wrist = "PLACED" if onto == "moved character" else "FINGERS"
     bpy.context.scene.frame_set(11)
     session = operators.start(bpy.context)
     seen(session)
@@ -120,6 +131,9 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     assert not take.trouble
     (preview,) = set(bpy.data.actions) - {before}
     ended(session)
+    if onto != "open hand":  # what the artist keys meanwhile on other frames stays
+        for curve in action_curves(preview):
+            curve.keyframe_points.insert(500, 0.5)
     (job,) = jobs.run()
     assert job.state == "done", job.message
     hand = hand_of(captured_hands(bpy.context.scene)[0])
@@ -133,20 +147,75 @@ def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
     assert take.path.exists()
     assert take.take_path.exists()
     own = {before.name, hand.armature.animation_data.action.name}
-    if onto == "character":
+    if onto != "open hand":
         assert character.animation_data.action == preview
         bones = {c.data_path.split('"')[1] for c in action_curves(preview)}
-        assert bones <= {joint_name(j, "right") for j in range(1, 16)}
+        first = 0 if onto == "moved character" else 1
+        assert bones == {joint_name(j, "right") for j in range(first, 16)}
         own |= {preview.name}
+        assert {c.keyframe_points[-1].co[0] for c in action_curves(preview)} == {500.0}
     assert {a.name for a in bpy.data.actions} == own
     take.throw_away()
     assert not take.path.exists()
     assert not take.take_path.exists()
     assert bpy.data.actions[:] == [before]
-    if onto == "character":
+    if onto != "open hand":
         assert character.animation_data.action == before
         assert not character.animation_data.nla_tracks
-    assert live.takes == []
+    assert takes == []
+
+
+def test_a_moved_hand_is_keyed_as_it_was_shown(settings, character):
+    settings.right.character = character
+    character.manient.character.wrist = "PLACED"
+    hand = character.pose.bones[joint_name(0, "right")]
+    session = operators.start(bpy.context)
+    seen(session)
+    start = hand.matrix_basis.copy()
+    assert np.allclose(start, np.eye(4), atol=1e-5)  # it begins where the character's hand is
+    session.toggle_recording()
+    until(session, lambda: session._recording is not None and len(session._recording.poses) > 20)
+    shown = {time: hand.matrix_basis.copy() for time in [session._recording.poses[-1][0]]}
+    took = session._recording.poses[-1][0] - session._recording.poses[0][0]
+    session.stop()
+    until(session, lambda: session.over)
+    ((_, last),) = shown.items()
+    assert (last.to_translation() - start.to_translation()).length > 1e-3
+    bpy.context.scene.frame_set(1 + round(took * 24.0))
+    assert np.abs(np.array(hand.matrix_basis) - np.array(last)).max() < 0.05
+
+
+def test_takes_of_the_run_are_hidden_while_hands_follow(settings):
+    session = operators.start(bpy.context)
+    seen(session)
+    take = record(session)
+    (preview,) = take.collections
+    until(session, lambda: preview.hide_viewport)
+    assert "hidden" in drawn(MANIENT_PT_live).said
+    preview.hide_viewport = False  # the artist looks at it
+    count = session._sequence
+    until(session, lambda: session._sequence > count + 3)
+    assert not preview.hide_viewport
+    (job,) = jobs.run()
+    assert job.state == "done", job.message
+    until(session, lambda: take.collections[0].hide_viewport)
+    ended(session)
+    assert not take.collections[0].hide_viewport
+
+
+def test_the_measured_lens_counts_live_and_in_the_take(settings, tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
+    save_lens("webcam", MeasuredLens(LENS, 0.2, 1.0, 20))
+    bpy.context.scene.manient.camera, bpy.context.scene.manient.measured_lens = "LENS", "webcam"
+    session = operators.start(bpy.context)
+    assert session.options.lens == LENS
+    seen(session)
+    record(session, 0.5, by_stop=True)
+    until(session, lambda: session.over)
+    (job,) = jobs.run()
+    assert job.state == "done", job.message
+    seen_by = hand_of(captured_hands(bpy.context.scene)[0]).take.intrinsics
+    assert seen_by == LENS.scaled(1280, 720).intrinsics
 
 
 def test_a_snapshot_keys_one_pose(settings, character):
@@ -191,7 +260,8 @@ def test_the_panel_tells_how_it_goes(settings):
     session = operators.start(bpy.context)
     seen(session)
     page = drawn(MANIENT_PT_live)
-    assert {"source", "folder"} <= set(page.grey)
+    assert "source" in page.grey
+    assert not {"countdown", "play", "folder"} & set(page.grey)
     assert "manient.live_stop" in page.rows
     assert {"Record", "manient.live_snapshot"} <= set(page.rows) - set(page.grey)
     assert "fps" in page.said
@@ -225,7 +295,7 @@ def test_a_killed_worker_keeps_what_was_recorded(settings):
     session.worker._child.kill()
     until(session, lambda: session.over)
     assert session.error is not None
-    (take,) = live.takes
+    (take,) = takes
     assert Path(take.path).stat().st_size > 0
     operators.queue_recorded(bpy.context, session)
     (job,) = jobs.run()

@@ -97,6 +97,12 @@ class Inputs:
         path = self.folder / "robot.png"
         return {"source": path, "truth": write_robot_hand(path).tolist()}
 
+    @property
+    def two_hands_acting(self) -> Path:
+        """Three minutes of the bundled hand and its mirror image, which are held open and still at first,
+        then move to and fro."""
+        return self._written("acting.mp4", _WRITE_ACTING, RENDERED_HAND)
+
     def _written(self, name: str, code: str, *arguments: object) -> Path:
         """A file that Python code writes, to sys.argv[2], where OpenCV is."""
         python, path = os.environ.get("HANDFIT_PYTHON", sys.executable), self.folder / name
@@ -113,6 +119,19 @@ from handfit_core.geometry.lens import Lens
 from tests.films import all_around, film
 lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0), 640, 480)
 film(sys.argv[2], lens, all_around(lens, 20))
+"""
+_WRITE_ACTING = """
+import pathlib
+shown = []
+for path in sorted(pathlib.Path(sys.argv[1]).glob("*.jpg")):
+    one = cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5)
+    shown.append(np.full((480, 640, 3), one[0, 0], np.uint8))
+    shown[-1][120 : 120 + len(one)] = np.hstack([one, one[:, ::-1]])
+shown += shown[-2:0:-1]
+writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 12.0, (640, 480))
+for i in range(2400):
+    writer.write(shown[0 if i < 480 else i // 2 % len(shown)])
+writer.release()
 """
 _WRITE_CLIP = """
 import pathlib

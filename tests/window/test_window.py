@@ -79,6 +79,10 @@ def test_a_rigify_character_follows_live(small_blender: BlenderWindow, inputs: I
     small_blender.play("live.on_rigify", source=inputs.clip(VERY_LONG_CLIP))
 
 
+def test_both_hands_act_live(small_blender: BlenderWindow, inputs: Inputs):
+    small_blender.play("live.acted", source=inputs.two_hands_acting, take=inputs.take)
+
+
 @pytest.mark.parametrize("scenario", ["capture.unhindered", "refine.follows_the_mouse"])
 def test_the_window_never_freezes(small_blender: BlenderWindow, inputs: Inputs, scenario: str):
     small_blender.play(scenario, source=inputs.clip(60))

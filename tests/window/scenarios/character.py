@@ -156,6 +156,23 @@ def rigify_character(stage):
     yield 0.5
 
 
+def vroid_character(stage):
+    """Rigify's human at rest, its hands' and arms' bones called as VRoid calls those of its VRMs. Returns the
+    armature."""
+    addon_utils.enable("rigify", default_set=True, persistent=True)
+    called = {"hand": "Hand", "forearm": "LowerArm", "upper_arm": "UpperArm", "shoulder": "Shoulder"}
+    fingers = zip(FINGERS, ("Thumb", "Index", "Middle", "Ring", "Little"), strict=True)
+    called |= {f"{old}.0{i}": f"{new}{i}" for old, new in fingers for i in (1, 2, 3)}
+    with stage.override():
+        bpy.ops.object.armature_human_metarig_add()
+        armature = bpy.context.active_object
+        for side in "LR":
+            for old, new in called.items():
+                armature.data.bones[f"{old}.{side}"].name = f"J_Bip_{side}_{new}"
+    yield 0.5
+    return armature
+
+
 def _rig():
     return bpy.data.objects["rig"]
 
