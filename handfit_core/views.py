@@ -9,6 +9,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from handfit_core.arrays import array, array_dataclass
+from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.media.source import Source
 from handfit_core.skeleton import NUM_KEYPOINTS
 
@@ -72,3 +73,13 @@ class Cameras:
     """seconds from the take's first frame to the first one of the view"""
     views: tuple[View, ...] = field(default=())
     """The V - 1 further ones"""
+
+    def camera(self, view: int) -> PlacedCamera:
+        """The camera of a view, counted from 0."""
+        intrinsics = Intrinsics(*self.intrinsics[view].tolist())
+        return PlacedCamera(intrinsics, self.rotation[view], self.translation[view])
+
+    def seconds(self, view: int) -> np.ndarray:
+        """(S,) seconds from the take's first frame to those of a further view, counted from 1."""
+        of = self.views[view - 1]
+        return np.asarray(self.time_offset[view] + (of.frame_numbers - of.frame_numbers[0]) / of.fps)

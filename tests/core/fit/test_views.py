@@ -65,7 +65,7 @@ def viewed(state: State, times: np.ndarray, side: Side = "right") -> ViewedHand:
     table = Landmarked(seen.pixels, seen.pixel_sigma, 0.7 * seen.depth, seen.depth_sigma)
     bent = replace(state, angles=state.angles + 0.1, wrist=state.wrist * 1.1)
     return ViewedHand(
-        np.arange(len(times)), times, table, points, bent, chain.points(bent), side, FPS, CAMERA
+        times, table, FPS, np.arange(len(times)), points, bent, chain.points(bent), side, CAMERA
     )
 
 
