@@ -421,8 +421,8 @@ def _fit(
     fit = fit_observed(options.smoothing, tried.pairs[at].fitter, track, seen, guess=guess)
     times = (first.times - tried.found.offset)[seen.second.saw]
     near = np.abs(second.times[:, None] - times).min(axis=1, initial=np.inf)
-    # Of a faster view all of its frames count that lie between the first one's.
-    return fit, second.rows[near * min(first.fps, second.fps) <= 0.5 + 1e-6]
+    # Pixels between its frames come from both neighbours.
+    return fit, second.rows[near * min(first.fps, second.fps) < 1.0 - 1e-6]
 
 
 def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:
@@ -436,4 +436,5 @@ def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:
         hand.keypoints_depth,
         hand.world_landmarks,
         hand.keypoints_2020,
+        hand.overlapped,
     )

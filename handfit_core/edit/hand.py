@@ -9,13 +9,14 @@ import numpy as np
 from handfit_core.arrays import array, array_dataclass, check_arrays, value
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import Detections
+from handfit_core.edit.settings import EDITS
 from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
-from handfit_core.take import TAKE_LIMITS
+from handfit_core.take import TAKE_LIMITS, HandTrack, Take
 from handfit_core.values import Unfit, flag, listed, number, path, shortly, whole
 
 
@@ -71,6 +72,32 @@ class SecondSight:
     def camera(self) -> PlacedCamera:
         """The camera."""
         return PlacedCamera(self.intrinsics, self.rotation, self.translation)
+
+
+def second_sight(take: Take, hand: HandTrack, rows: np.ndarray, pins: np.ndarray) -> SecondSight | None:
+    """What the second view of a take saw of a hand around the frames `rows` (T,), with pins (T, 21, 2) there;
+    None where there is one view. Of a few frames it has some more at both ends, so that pixels between its
+    own frames are as in the whole take."""
+    if take.cameras is None:
+        return None
+    view, numbers = take.cameras.views[0], np.asarray(take.frame_numbers)
+    moments, times = (numbers[rows] - numbers[0]) / take.fps, take.cameras.seconds(1)
+    seen, found = hand.seen_by[0] if hand.seen_by else None, np.zeros(0, dtype=int)
+    if seen is not None:
+        around = EDITS.frames_around / view.fps
+        near = (times >= moments.min() - around) & (times <= moments.max() + around)
+        found = np.flatnonzero(near & seen.detected & seen.used)
+    camera = take.cameras.camera(1)
+    return SecondSight(
+        camera.intrinsics,
+        camera.rotation,
+        camera.translation,
+        moments=moments,
+        times=times[found],
+        detections=hand.detections(found) if seen is None else seen.detections(found, hand.side),
+        pins=pins,
+        fps=view.fps,
+    )
 
 
 def _check_pins(pins: np.ndarray, where: str = "") -> None:

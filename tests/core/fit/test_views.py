@@ -176,7 +176,8 @@ def test_two_takes_become_one(tmp_path):
     (seen,) = take.hands[0].seen_by
     assert seen is not None
     np.testing.assert_array_equal(seen.keypoints_2d, second.take.hands[0].keypoints_2d)
-    assert seen.used.sum() == FRAMES - 4
+    # Of 66 moments in common the pixels come from 67 frames.
+    assert seen.used.sum() == FRAMES - 3
     again = Take.load(take.save(tmp_path / "take.npz"))
     assert again.verdict == take.verdict
     assert again.cameras is not None
