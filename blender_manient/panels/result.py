@@ -128,7 +128,8 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         found, count = int(track.detected.sum()), len(track.detected)
         if track.added:
             frames = corrections.corrected_frames(armature)
-            placed = sum(len(one.pins) for one in corrections.corrections_of(armature).corrections.values())
+            held = corrections.corrections_of(armature).corrections.values()
+            placed = sum(len(one.pins) + len(one.second_pins) for one in held)
             text = f"Added by hand: {counted(placed, 'point')} placed"
             sentence(
                 box, context, text + (f" in {len(frames)} frames" if len(frames) > 1 else ""), "MOUSE_LMB"
