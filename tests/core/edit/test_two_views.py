@@ -1,4 +1,4 @@
-"""Corrections of a hand that two cameras saw: a re-fit keeps what both saw, and points are pinned in either."""
+"""Corrections of a hand that two cameras saw: a re-fit keeps what both saw; points are pinned in either."""
 
 from __future__ import annotations
 
