@@ -13,9 +13,9 @@ def dragged_in_the_second(stage, take):
     """V shows the other view. A point that is dragged there moves the hand in both views; a second viewport
     shows the points of the first one meanwhile. Undo, Esc and X do as in the first view."""
     armature = yield from import_take(stage, take)
-    before = {frame: pose_at(armature, frame) for frame in (15, 20)}
+    before = {frame: pose_at(armature, frame) for frame in (5, 20)}
     yield from edited(stage, armature, frame=20)
-    first = places()
+    first, fitted = places(), _mode().refiner.shown_landmarks(0)
     yield from stage.key("V")
     yield from stage.until(lambda: _mode().looking == 1, 3.0, "the second view")
     yield from warmed(stage)
@@ -29,14 +29,15 @@ def dragged_in_the_second(stage, take):
     yield from dragged(stage, [(x + 3 * i, y + 2 * i) for i in range(1, 16)])
     assert changed(armature, before) == [20]
     assert list(_mode().pins()) == [INDEX_TIP]
-    np.testing.assert_allclose(places()[INDEX_TIP], (x + 45, y + 30), atol=3.0)
+    # A drag begins at the fitted hand's point, which lies a little beside the detected one.
+    np.testing.assert_allclose(places()[INDEX_TIP], (x + 45, y + 30), atol=12.0)
     yield from stage.screenshot("second_view_dragged")
     yield from stage.key("V")
     yield from stage.until(lambda: _mode().looking == 0, 3.0, "the first view")
     yield 0.3
-    shown = places()
-    assert np.linalg.norm(np.subtract(shown[INDEX_TIP], first[INDEX_TIP])) > 3.0
-    np.testing.assert_allclose(shown[20], first[20], atol=3.0)
+    away = np.linalg.norm(_mode().refiner.shown_landmarks(0) - fitted, axis=1)
+    assert away[INDEX_TIP] > 2.0
+    assert away[[0, 12, 16, 20]].max() < 0.5
     assert _mode().pins() == {}
     yield from stage.screenshot("first_view_after")
     yield from stage.undo()  # back to the second view
