@@ -197,7 +197,8 @@ class KeypointMode(view.Overlay):
         """Show the capture's other view."""
         if len(self.refiner.cameras) > 1:
             self.view.switch(viewport, context.scene)
-            bpy.ops.ed.undo_push(message="Switch View")
+            if not viewport.space.use_local_camera:
+                bpy.ops.ed.undo_push(message="Switch View")
             self._follow_view(context)
 
     def _look(self) -> None:

@@ -5,14 +5,16 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenarios.capturing import changed, import_take, pose_at
+from scenarios.capturing import changed, import_take, part, pose_at
 from scenarios.refine import INDEX_TIP, dragged, edited, ended, operator, places, warmed
 
 
 def dragged_in_the_second(stage, take):
-    """V shows the other view. A point that is dragged there moves the hand in both views; a second viewport
-    shows the points of the first one meanwhile. Undo, Esc and X do as in the first view."""
+    """V shows the other view. A point that is dragged there moves the hand in both views. Undo, Esc and X do
+    as in the first view."""
     armature = yield from import_take(stage, take)
+    bpy.context.scene.camera = part("scene.store").hand_of(armature).camera
+    bpy.ops.ed.undo_push(message="Camera")
     before = {frame: pose_at(armature, frame) for frame in (5, 20)}
     yield from edited(stage, armature, frame=20)
     first, fitted = places(), _mode().refiner.shown_landmarks(0)
