@@ -282,9 +282,15 @@ class Refiner:
     def correct(self, row: int, pins: Sequence[Pins], poses: BonePoses, spread: float) -> None:
         """Put the one pose that was re-fitted to `pins`, a view's each, into the keys, and let it fade out
         over `spread` frames."""
-        kept = {"pins": [pins[0]], "second_pins": [pins[1]]}
-        pose = poses.quats, poses.locations
-        corrections.correct_frames(self.armature, [self.source_frame(row)], *pose, spread, **kept)
+        corrections.correct_frames(
+            self.armature,
+            [self.source_frame(row)],
+            poses.quats,
+            poses.locations,
+            spread,
+            pins=[pins[0]],
+            second_pins=[pins[1]],
+        )
 
     def unpin(self, row: int) -> None:
         """Free all pins of a row: its pose becomes what it was before them."""

@@ -418,7 +418,7 @@ def _corrected(
     displaced, beside, points = pinning.displacement(pins, seen.pixels), None, fitter.chain.points(plain)
     if second is not None:
         shown = second.shown(points)
-        there = np.isfinite(second.detected.pixels).all(axis=(1, 2))
+        there = np.asarray(np.isfinite(second.detected.pixels).all(axis=(1, 2)))
         beside = second.displacement(second.detected.where(there, shown), points)
         displaced = np.maximum(displaced, beside)
         beside = pinning.propagate_in_time(beside, rows, hand.fps)
@@ -501,13 +501,13 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _any_pin(pins: np.ndarray) -> np.ndarray:
     """(N, 21, 2) pins -> (N,) bool: frames with one."""
-    return np.asarray(np.isfinite(pins).all(axis=2).any(axis=1))
+    return np.asarray(np.isfinite(pins).all(axis=-1)).any(axis=1)
 
 
 def _mean_offset(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(B, 2) pixels from points (B, 21, 2) to their pins, in the mean; 0 where there is none."""
     off = pins - pixels
-    at = np.isfinite(off).all(axis=-1)
+    at = np.asarray(np.isfinite(off).all(axis=-1))
     return np.where(at[..., None], off, 0.0).sum(axis=1) / np.maximum(at.sum(axis=1), 1)[:, None]
 
 

@@ -211,8 +211,8 @@ class CaptureView:
         scene, space = bpy.context.scene, viewport.space
         camera = space.camera if space.use_local_camera or scene is None else scene.camera
         through = viewport.view.view_perspective == "CAMERA"
-        here = through and camera is not None and camera.name in self._cameras
-        return self._cameras.index(camera.name) if here else None
+        name = camera.name if through and camera is not None else ""
+        return self._cameras.index(name) if name in self._cameras else None
 
     def shows(self, viewport: Viewport) -> bool:
         """Whether the viewport looks through one of the cameras now."""
