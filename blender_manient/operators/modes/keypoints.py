@@ -587,7 +587,9 @@ class KeypointMode(view.Overlay):
             enough = ": three to six are enough, fingertips first" if placed < _SENSIBLE_POINTS else ""
             return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
         if self.refiner.is_corrected(row):
-            return f"{placed} pinned in this frame", False
+            beside = len(self.pins(1 - self.looking))
+            more = f", {beside} in the other view" if beside else ""
+            return f"{placed} pinned in this frame{more}", False
         if self._detected(row, self.looking) is None:
             return "No hand was found in this frame: drag points to where they belong", True
         if track.doubtful is not None and track.doubtful[row]:
