@@ -302,7 +302,7 @@ class KeypointMode(view.Overlay):
         if row is None:
             return {}
         pins = self.drag.pins[of_view] if self.drag is not None else self.refiner.pins(row, of_view)
-        drift = self._drift(row, of_view)
+        drift = self._drift(row, of_view) if pins else np.zeros((0, 2))
         return {k: (x + drift[k, 0], y + drift[k, 1]) for k, (x, y) in pins.items()}
 
     def _drift(self, row: int, of_view: int) -> np.ndarray:
