@@ -15,7 +15,7 @@ import numpy as np
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS
-from handfit_core.take import HandTrack
+from handfit_core.take import HandTrack, Take
 
 Quality = Literal["good", "fair", "poor"]
 
@@ -77,6 +77,29 @@ def relative_errors(track: HandTrack, intrinsics: Intrinsics) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         errors[rows] = track.reprojection_error[rows] / length_in_picture(track.joints_3d[rows], intrinsics)
     return errors
+
+
+def view_errors(take: Take, track: HandTrack) -> tuple[float, ...]:
+    """Pixels, in the mean over all detections that a fit took notice of, from the fitted hand's 21 keypoints
+    to the detected ones, view by view; NaN where there is none."""
+    found = [_mean(track.reprojection_error[track.detected])]
+    numbers = np.asarray(take.frame_numbers)
+    moments = (numbers - numbers[0]) / take.fps
+    for view, seen in enumerate(track.seen_by, start=1):
+        if seen is None or take.cameras is None or len(moments) < 2:
+            found.append(None)
+            continue
+        rows = np.flatnonzero(seen.detected & seen.used)
+        times = take.cameras.seconds(view)[rows]
+        after = np.clip(np.searchsorted(moments, times), 1, len(moments) - 1)
+        part = (times - moments[after - 1]) / (moments[after] - moments[after - 1])
+        points = np.asarray(track.joints_3d)
+        points = points[after - 1] + part[:, None, None] * (points[after] - points[after - 1])
+        within = (part >= 0.0) & (part <= 1.0) & np.isfinite(points).all(axis=(1, 2))
+        shown = take.cameras.camera(view).project(points[within])
+        off = np.linalg.norm(shown - seen.keypoints_2d[rows[within]], axis=-1)
+        found.append(_mean(off.mean(axis=1)))
+    return tuple(np.nan if error is None else error for error in found)
 
 
 def length_in_picture(joints: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:

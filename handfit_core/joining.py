@@ -11,7 +11,7 @@ import numpy as np
 from handfit_core.batch import slices
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.fast import FastFitter, Guess, fit_observed, fitter_of
-from handfit_core.fit.observation import Observation, SecondView
+from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import VIEWS
 from handfit_core.fit.terms import reprojection, second_view
 from handfit_core.fit.views.cameras import Adjusted, HandPair, Known, adjust
@@ -21,7 +21,7 @@ from handfit_core.fit.views.rig_file import Rig
 from handfit_core.fit.views.verdict import Evidence, degrees_apart, rotation_between, verdict_of
 from handfit_core.fit_quality import error_is_known, mean_expected_error
 from handfit_core.fitting import hand_track
-from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.length import flat_hand_length
@@ -242,23 +242,9 @@ def _common(pairs: list[HandPair], offset: float) -> int:
 def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
     """One pair's hand in all frames of the first view, as both cameras see it, and roughly its poses."""
     first, second, found = tried.pairs[at].first, tried.pairs[at].second, tried.found
-    count, times = len(first), first.times - found.offset
-    cameras = _cameras(tried)
-    plain, saw = first.observed(cameras[0]), second.seen_at(times)[:, None]
-    pixels, _ = second.at(times)
-    seen = replace(
-        plain,
-        pixel_sigma=np.where(saw[..., None], first.sigmas, plain.pixel_sigma),
-        depth_sigma=plain.depth_sigma * np.where(saw, VIEWS.fit_depth_factor, 1.0),
-        second=SecondView(
-            np.broadcast_to(found.rotation, (count, 3, 3)),
-            np.broadcast_to(found.translation, (count, 3)),
-            pixels,
-            second.sigmas_at(times),
-            np.broadcast_to((cameras[1].fx, cameras[1].fy), (count, 2)),
-            np.broadcast_to(second.centre, (count, 2)),
-        ),
-    )
+    own, other = _cameras(tried)
+    placed = PlacedCamera(other, found.rotation, found.translation)
+    seen = second.beside(first.observed(own), first.sigmas, first.times - found.offset, placed)
     start = first.placed(found.focal[0])
     return seen, replace(start, betas=np.broadcast_to(found.betas, start.betas.shape))
 
@@ -434,7 +420,9 @@ def _fit(
     guess = Guess(state, first.observed(_cameras(tried)[0]), error_factor)
     fit = fit_observed(options.smoothing, tried.pairs[at].fitter, track, seen, guess=guess)
     times = (first.times - tried.found.offset)[seen.second.saw]
-    return fit, second.rows[np.unique(second.nearest(times))]
+    near = np.abs(second.times[:, None] - times).min(axis=1, initial=np.inf)
+    # Pixels between its frames come from both neighbours.
+    return fit, second.rows[near * min(first.fps, second.fps) < 1.0 - 1e-6]
 
 
 def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:
@@ -448,4 +436,5 @@ def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:
         hand.keypoints_depth,
         hand.world_landmarks,
         hand.keypoints_2020,
+        hand.overlapped,
     )

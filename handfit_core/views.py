@@ -9,8 +9,10 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from handfit_core.arrays import array, array_dataclass
+from handfit_core.detect.keypoints import Detections
+from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.media.source import Source
-from handfit_core.skeleton import NUM_KEYPOINTS
+from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
 Agreement = Literal["good", "doubtful", "failed"]
 AGREEMENTS: Final[tuple[Agreement, ...]] = get_args(Agreement)
@@ -41,6 +43,23 @@ class SeenHand:
     world_landmarks: np.ndarray = array("S", NUM_KEYPOINTS, 3, finite="detected")
     """metres about the hand's centre, axes as that camera's"""
     keypoints_2020: np.ndarray | None = array("S", NUM_KEYPOINTS, 3, default=None)
+    overlapped: np.ndarray | None = array("S", NUM_KEYPOINTS, kind="b", default=None)
+    """Keypoints that lie where another hand is, as in the take's own arrays"""
+
+    def detections(self, rows: np.ndarray, side: Side) -> Detections:
+        """What the detector found in those of its frames `rows` in which it found the hand, which is of that
+        `side`. They count as frames 0, 1, ..."""
+        rows = rows[self.detected[rows]]
+        points = [self.keypoints_2d[rows], self.keypoints_depth[rows][..., None]]
+        return Detections(
+            frame=np.arange(len(rows)),
+            side=np.full(len(rows), SIDES.index(side)),
+            score=self.score[rows],
+            keypoints=np.concatenate(points, axis=2),
+            world=self.world_landmarks[rows],
+            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[rows],
+            overlapped=None if self.overlapped is None else self.overlapped[rows],
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,3 +91,13 @@ class Cameras:
     """seconds from the take's first frame to the first one of the view"""
     views: tuple[View, ...] = field(default=())
     """The V - 1 further ones"""
+
+    def camera(self, view: int) -> PlacedCamera:
+        """The camera of a view, counted from 0."""
+        intrinsics = Intrinsics(*self.intrinsics[view].tolist())
+        return PlacedCamera(intrinsics, self.rotation[view], self.translation[view])
+
+    def seconds(self, view: int) -> np.ndarray:
+        """(S,) seconds from the take's first frame to those of a further view, counted from 1."""
+        of = self.views[view - 1]
+        return np.asarray(self.time_offset[view] + (of.frame_numbers - of.frame_numbers[0]) / of.fps)

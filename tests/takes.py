@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
+from handfit_core.views import Cameras, SeenHand, Verdict, View
 
 
 def track_of(
@@ -56,6 +58,44 @@ def correctable(take: Take) -> Take:
         points = hand.joints_3d - hand.joints_3d[:, :1]
         hands.append(replace(hand, keypoints_depth=0.0 * points[..., 2], world_landmarks=points))
     return replace(take, hands=tuple(hands))
+
+
+def of_two_views(sources: tuple[Source, Source]) -> Take:
+    """A take of a hand that turns and goes aside, of two views: clips of 40 frames with 30 and 25 per second,
+    whose second one begins 0.143 s later, 640 x 480 pixels, from 63 degrees aside."""
+    model, count, offset = load_model("open-hand", "right"), 40, 0.143
+    lens, other = Intrinsics(600.0, 600.0, 320.0, 240.0), Intrinsics(500.0, 500.0, 300.0, 250.0)
+    turn = rotvec_to_rotmat(np.array([0.1, 1.1, 0.0]))
+    move = np.array([0.0, 0.0, 0.55]) - turn @ [0.0, 0.0, 0.5]
+
+    def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        orient = np.stack([-1.4 + 0.4 * np.sin(2.0 * t), 0.3 * t, 0.2 * np.cos(t)], axis=1)
+        place = np.stack([0.06 * np.sin(3.0 * t) - 0.1, 0.02 * t, 0.5 + 0.02 * np.cos(t)], axis=1)
+        return orient, (0.3 + 0.4 * np.sin(t) ** 2)[:, None] * model.hands_mean, place
+
+    numbers = np.arange(1, count + 1)
+    of_first = {"source": sources[0], "fps": 30.0, "frame_numbers": numbers}
+    hand = track_of("right", *motion((numbers - 1) / 30.0), lens)
+    take = correctable(take_of([hand], lens, 640, 480, **of_first))
+    cameras = Cameras(
+        np.stack([np.eye(3), turn]),
+        np.stack([np.zeros(3), move]),
+        np.array([list(vars(each).values()) for each in (lens, other)]),
+        np.array([0.0, offset]),
+        (View(sources[1], 25.0, 640, 480, numbers),),
+    )
+    seconds = cameras.seconds(1)
+    there = cameras.camera(1).seen_from(model.keypoints(None, *motion(seconds)))
+    seen = SeenHand(
+        other.project(there),
+        np.ones(count, dtype=bool),
+        seconds < (count - 1) / 30.0,
+        np.full(count, 0.9),
+        (there - there[:, :1])[..., 2] * other.fx / 0.55,
+        there - there.mean(axis=1, keepdims=True),
+    )
+    verdict = Verdict("good", "Offset 4.3 frames: good.")
+    return replace(take, hands=(replace(take.hands[0], seen_by=(seen,)),), cameras=cameras, verdict=verdict)
 
 
 def with_arms(take: Take, why_none: str = "") -> Take:

@@ -40,7 +40,7 @@ class _Mode(view.Overlay):
     def __init__(self, context, viewport: view.Viewport, capture: bpy.types.Collection) -> None:
         self.capture, self.take = capture.name, kept_take(capture)
         self.camera = capture.manient.camera.name
-        self.view = view.CaptureView(viewport, capture.manient.camera, context)
+        self.view = view.CaptureView(viewport, [capture.manient.camera], context)
         self.seen: Any = "back"
         self.ends: np.ndarray | None = None
         """(2, 2) pixels of the picture: wrist and knuckle"""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 
 from handfit_core.edit.corrections import Pins
 from handfit_core.errors import OptionError
@@ -19,6 +20,7 @@ _KEYS = (
     "Drag: Move Point    X or Ctrl Click: Remove Pin    H: Solid Hand    Ctrl Z: Undo    "
     "Left/Right: Frame    Wheel: Zoom    Home: Hand    Shift Home: Picture    Enter, Esc: Done"
 )
+_SWITCH = "    V: Other View"
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB", "ESC"}
 _TIMEOUT_SECONDS = 120.0
 """seconds for which Move Keypoint waits; the first answer may wait for the worker to start"""
@@ -53,7 +55,7 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
         _mode = mode.KeypointMode(context, Refiner(hand.armature), viewport)
         # So that undoing the first drag leads back to here.
         bpy.ops.ed.undo_push(message="Edit Keypoints")
-        self.show_status(context, _KEYS)
+        self.show_status(context, _KEYS + (_SWITCH if len(_mode.refiner.cameras) > 1 else ""))
 
     def run(self, context):
         raise OptionError("Keypoints are edited in a window; scripts use manient.move_keypoint")
@@ -124,6 +126,9 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
         if event.type in ("X", "DEL", "BACK_SPACE") and _mode.hovered is not None:
             _mode.unpin(_mode.hovered)
             return {"RUNNING_MODAL"}
+        if event.type == "V" and not (event.ctrl or event.shift or event.alt or event.oskey):
+            _mode.switch_view(context, viewport)
+            return {"RUNNING_MODAL"}
         if event.type == "H" and not (event.ctrl or event.shift or event.alt or event.oskey):
             _mode.toggle_solid()
             return {"RUNNING_MODAL"}
@@ -160,6 +165,11 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
     )
     x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")  # type: ignore
     y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")  # type: ignore
+    second: bpy.props.BoolProperty(  # type: ignore
+        name="Second View",
+        description="The place is in the second view's picture of this frame",
+        options={"SKIP_SAVE"},
+    )
     remove: bpy.props.BoolProperty(  # type: ignore
         name="Remove", description="Remove the point's pin instead", options={"SKIP_SAVE"}
     )
@@ -176,9 +186,17 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
         row = refiner.row_at(frame)
         if row is None:
             raise OptionError(f"frame {frame} was not captured: give a frame of the source")
-        pins = self._pins(refiner.pins(row))
-        if pins or refiner.touches(row):
-            fields = refiner.request([row], [pins], refiner.start_poses([row]))()
+        pins = refiner.pins(row), refiner.pins(row, 1)
+        if self.second:
+            shown = refiner.row_of_view(frame) if len(refiner.cameras) > 1 else None
+            if shown is None:
+                raise OptionError(f"no second view shows frame {frame}: give a place in the first one")
+            pins = pins[0], self._pins(pins[1], refiner.drift(row, shown)[self.keypoint])
+        else:
+            pins = self._pins(pins[0], np.zeros(2)), pins[1]
+        if any(pins) or refiner.touches(row):
+            args = [row], [pins[0]], refiner.start_poses([row])
+            fields = refiner.request(*args, second_pins=[pins[1]])()
             worker = shared_worker.worker()
             poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_TIMEOUT_SECONDS))
             if not poses.present[0]:
@@ -203,10 +221,11 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
             raise OptionError(why)
         return hand.armature
 
-    def _pins(self, pins: Pins) -> Pins:
+    def _pins(self, pins: Pins, drift: np.ndarray) -> Pins:
+        """The pins of a view with the new one, which moves by `drift` (2,) pixels until its picture."""
         others = {k: place for k, place in pins.items() if k != self.keypoint}
         if not self.remove:
-            return {**others, self.keypoint: (self.x, self.y)}
+            return {**others, self.keypoint: (self.x - float(drift[0]), self.y - float(drift[1]))}
         if self.keypoint not in pins:
             raise OptionError(f"keypoint {self.keypoint} has no pin in this frame")
         return others

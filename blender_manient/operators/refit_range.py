@@ -257,12 +257,13 @@ def replaced(context: bpy.types.Context, first: int, last: int) -> tuple[str, bo
         return str(error), True
     numbers = np.asarray(hand.take.frame_numbers)[rows]
     corrected = [field.corrections[g] for g in field.corrected if numbers[0] <= g <= numbers[-1]]
-    pinned = np.array([bool(field.pins(g) or field.touching(g)) for g in numbers.tolist()])
+    held = (field.corrections.get(g) for g in numbers.tolist())
+    pinned = np.array([one is not None and one.placed > 0 for one in held])
     # Frames without a hand get no new keys, locked joints keep theirs.
     own &= (hand.track.present[rows] | pinned)[:, None]
     own[:, :-1] &= ~np.array(hand.armature.manient.locked, dtype=bool)
     keys, frames = int(own.sum()), int(own.any(axis=1).sum())
-    poses, points = sum(c.posed for c in corrected), sum(bool(c.pins or c.touches) for c in corrected)
+    poses, points = sum(c.posed for c in corrected), sum(c.placed > 0 for c in corrected)
     lost = [f"{counted(keys, 'key')} set by hand, on {counted(frames, 'frame')}"] if keys else []
     lost += [counted(poses, "applied pose")] if poses else []
     summary = f"Fits {counted(len(rows), 'frame')} again. "

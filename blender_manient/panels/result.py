@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bpy
+import numpy as np
 
 from handfit_core.fit_quality import NOT_KNOWN
 
@@ -11,7 +12,7 @@ from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
 from ..rigs.arm import has_arm
 from ..scene import captures, corrections
-from ..scene.confidence import errors_of, is_marked
+from ..scene.confidence import errors_by_view, errors_of, is_marked
 from ..scene.plate import missing_picture
 from ..scene.retime import other_rate
 from ..scene.store import CapturedHand, captured_hands, hand_of
@@ -128,7 +129,8 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         found, count = int(track.detected.sum()), len(track.detected)
         if track.added:
             frames = corrections.corrected_frames(armature)
-            placed = sum(len(one.pins) for one in corrections.corrections_of(armature).corrections.values())
+            held = corrections.corrections_of(armature).corrections.values()
+            placed = sum(len(one.pins) + len(one.second_pins) for one in held)
             text = f"Added by hand: {counted(placed, 'point')} placed"
             sentence(
                 box, context, text + (f" in {len(frames)} frames" if len(frames) > 1 else ""), "MOUSE_LMB"
@@ -148,6 +150,10 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             said = f"{scale.title} {scale.said(errors.mean)}: {scale.quality(errors.mean)}"
             row.label(text=said, translate=False)
             row.operator("manient.jump_worst", text="", icon="INFO").hand = armature.name
+        if track.seen_by:
+            views = errors_by_view(hand.take, track)
+            said = ", ".join("not seen" if np.isnan(view) else f"{view:.1f} px" for view in views)
+            lines.label(text=f"Error by view: {said}", translate=False)
         doubtful = int(errors.doubtful.sum())
         if not errors.known:
             box.label(text=capitalised(NOT_KNOWN), translate=False)

@@ -358,19 +358,26 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
 def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None:
     """Have the hand know the points that a person has put in place or made to touch, so that they can be
     dragged on."""
-    if (track.placed is None and track.touches is None) or not has_properties():
+    if not has_properties():
         return
     count = len(take.frame_numbers)
-    placed = np.full((count, NUM_KEYPOINTS, 2), np.nan) if track.placed is None else track.placed
-    touches = np.full((count, NUM_KEYPOINTS), np.nan) if track.touches is None else track.touches
+    nothing = np.full((count, NUM_KEYPOINTS, 2), np.nan)
+    placed, second = (nothing if each is None else each for each in (track.placed, track.placed_second))
+    touches = nothing[..., 0] if track.touches is None else track.touches
+
+    def pins(places: np.ndarray) -> dict[int, tuple[float, float]]:
+        return {k: (x, y) for k, (x, y) in enumerate(places.tolist()) if isfinite(x + y)}
+
     kept: dict[float, Correction] = {}
-    own = np.isfinite(placed).all(axis=2) | np.isfinite(touches)
+    own = np.isfinite(placed).all(axis=2) | np.isfinite(second).all(axis=2) | np.isfinite(touches)
     for row in np.flatnonzero(own.any(axis=1) & track.present).tolist():
         kept[int(take.frame_numbers[row])] = Correction(
-            {k: (x, y) for k, (x, y) in enumerate(placed[row].tolist()) if isfinite(x + y)},
+            pins(placed[row]),
             touches={k: int(other) for k, other in enumerate(touches[row].tolist()) if isfinite(other)},
+            second_pins=pins(second[row]),
         )
-    keep_field(armature, CorrectionField(kept))
+    if kept:
+        keep_field(armature, CorrectionField(kept))
 
 
 class _Work:

@@ -25,6 +25,7 @@ from handfit_core.fit_quality import (
     expected_scale,
     length_in_picture,
     relative_errors,
+    view_errors,
 )
 from handfit_core.skeleton import JOINTS_BY_FINGER, KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
 from handfit_core.take import HandTrack, Take
@@ -96,6 +97,12 @@ def _errors(take: Take, track: HandTrack, field: CorrectionField) -> Errors:
         doubtful=captured & doubtful,
         known=error_is_known(track),
     )
+
+
+@lru_cache(maxsize=8)
+def errors_by_view(take: Take, track: HandTrack) -> tuple[float, ...]:
+    """`view_errors`, kept once they were computed."""
+    return view_errors(take, track)
 
 
 def bone_errors(take: Take, track: HandTrack) -> np.ndarray:

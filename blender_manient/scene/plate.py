@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator
 from dataclasses import dataclass
+from math import floor
 from pathlib import Path
 
 import bpy
@@ -181,11 +182,25 @@ def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int)
     number, first = int(take.frame_numbers[0]), _first_scene_frame(take, timing)
     start = first - int((number - 1) * timing.scale)
     duration = int((last - 1) * timing.scale) + 1
-    exact = float(timing.scene_frames(take.frame_numbers[:1])[0])  # a further view's lies between frames
-    at = first if abs(exact - first) < _WHOLE else round(exact, 6)
+    at = _beginning(take, timing)
     wanted = f"floor({number} + (frame - ({at})) / {timing.scale!r} + 0.5)"
     plain = f"max(0, min({duration}, frame - ({start - 1})))"
     return Plate(image, start, 0, duration, f"max(1, min({last}, {wanted})) - {plain}")
+
+
+def _beginning(take: Take, timing: Timing) -> float:
+    """The scene frame of the first picture; a further view's lies between two."""
+    first, exact = _first_scene_frame(take, timing), float(timing.scene_frames(take.frame_numbers[:1])[0])
+    return first if abs(exact - first) < _WHOLE else round(exact, 6)
+
+
+def shown_number(take: Take, timing: Timing, frame: int) -> int:
+    """The number of the picture that the plate of a take shows on a scene frame; one that the clip lacks,
+    before its beginning and after its end."""
+    number = int(take.frame_numbers[0])
+    if take.source.kind == "video" and timing.scale != 1.0:
+        return floor(number + (frame - _beginning(take, timing)) / timing.scale + 0.5)
+    return number + frame - _first_scene_frame(take, timing)
 
 
 def _first_scene_frame(take: Take, timing: Timing) -> int:

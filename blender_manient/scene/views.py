@@ -6,6 +6,7 @@ from collections.abc import Generator
 from dataclasses import dataclass, replace
 
 import bpy
+import numpy as np
 from mathutils import Matrix
 
 from handfit_core.hand_model import axes
@@ -14,7 +15,8 @@ from handfit_core.take import Take
 
 from ..common.wording import named_after
 from .camera import build_camera, put_before
-from .plate import Plate, loading_plate
+from .plate import Plate, loading_plate, shown_number
+from .store import captured_take, clip_timing
 from .timing import Timing, check_range
 
 
@@ -38,6 +40,15 @@ def view_timing(take: Take, clip: Timing) -> Timing:
     scale = rate / view.fps if is_other_rate(rate, view.fps) else 1.0
     began = float(clip.scene_frames(take.frame_numbers[:1])[0]) + rate * float(take.cameras.time_offset[1])
     return Timing(began - scale * float(view.frame_numbers[0]), scale)
+
+
+def row_of_view(collection: bpy.types.Collection, frame: float) -> int | None:
+    """The row, among the frames of a capture's second view, of the picture that its plate shows on a scene
+    frame; None where the clip has none. Raises TakeError."""
+    captured = captured_take(collection)
+    view, timing = captured.view(1), view_timing(captured, clip_timing(collection))
+    rows = np.flatnonzero(view.frame_numbers == shown_number(view, timing, int(np.floor(frame + 1e-3))))
+    return int(rows[0]) if len(rows) else None
 
 
 def building_view(

@@ -13,7 +13,14 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
-from handfit_core.edit import RefineHand, gaps_between, landmark_points, result_from_message, to_message
+from handfit_core.edit import (
+    RefineHand,
+    gaps_between,
+    landmark_points,
+    result_from_message,
+    second_sight,
+    to_message,
+)
 from handfit_core.edit.corrections import Pins, Touches, changed_quats, point_rows
 from handfit_core.errors import OptionError, TakeError
 from handfit_core.hand_model import HandModel, ShapedHand
@@ -21,15 +28,16 @@ from handfit_core.hand_model.files import kept_model
 from handfit_core.options import CaptureOptions
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.solvers import SOLVERS
-from handfit_core.take import HandTrack
+from handfit_core.take import HandTrack, Take
 
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised
-from ..scene import corrections
+from ..scene import captures, corrections
 from ..scene.editable import why_not_keyable
 from ..scene.keys import displayed_pose, pose_at
 from ..scene.own_keys import note_fitted
 from ..scene.store import CapturedHand, hand_of
+from ..scene.views import row_of_view
 from . import jobs
 
 _ON_ROW = 0.01
@@ -116,9 +124,45 @@ class Refiner:
         """A row's source frame number."""
         return int(self.take.frame_numbers[row])
 
-    def pins(self, row: int) -> Pins:
-        """The pins of a row. Raises TakeError where corrections cannot be read."""
-        return corrections.corrections_of(self.armature).pins(self.source_frame(row))
+    @property
+    def cameras(self) -> tuple[bpy.types.Object, ...]:
+        """The cameras that are there of the capture's views, the first one's before the second one's; none
+        where the first one's is gone. Raises OptionError where the hand is gone."""
+        hand = self.hand
+        if hand.camera is None:
+            return ()
+        second = hand.collection.manient.view_camera
+        there = self.take.cameras is not None and second in captures.cameras_of(hand.collection)
+        return (hand.camera, second) if there else (hand.camera,)
+
+    def clip(self, view: int) -> Take:
+        """The take, or the clip and camera of its second view."""
+        return self.take.view(view) if view else self.take
+
+    def row_of_view(self, frame: float) -> int | None:
+        """The row of the second view's picture that is shown on a scene frame; None where it has none."""
+        return row_of_view(self.hand.collection, frame)
+
+    def drift(self, row: int, shown: int) -> np.ndarray:
+        """(21, 2) pixels of the second view by which the captured hand moves from a row's moment to that of
+        the picture in row `shown` of that view, up to half a frame away."""
+        cameras = self.take.cameras
+        assert cameras is not None
+        there, camera = self.track.present, cameras.camera(1)
+        ends = [r if 0 <= r < len(there) and there[r] else row for r in (row - 1, row + 1)]
+        points = self.track.joints_3d[ends]
+        if ends[0] == ends[1] or not (camera.seen_from(points)[..., 2] > _NEAREST).all():
+            return np.zeros((NUM_KEYPOINTS, 2))
+        numbers = np.asarray(self.take.frame_numbers)
+        moments = (numbers[[*ends, row]] - numbers[0]) / self.take.fps
+        before, after = camera.project(points)
+        share = (cameras.seconds(1)[shown] - moments[2]) / (moments[1] - moments[0])
+        return np.asarray(share * (after - before))
+
+    def pins(self, row: int, view: int = 0) -> Pins:
+        """The pins of a row in a view, at the row's moment. Raises TakeError where corrections cannot be
+        read."""
+        return corrections.corrections_of(self.armature).pins(self.source_frame(row), second=view > 0)
 
     def touches(self, row: int) -> Touches:
         """The touches of a row. Raises TakeError where corrections cannot be read."""
@@ -148,20 +192,25 @@ class Refiner:
                 locations[at] += own.start_location - own.location
         return BonePoses(quats, locations, self.landmarks(quats, locations))
 
-    def landmarks(self, quats: np.ndarray, locations: np.ndarray) -> np.ndarray:
-        """(N, 21, 2) pixels: where the points of bones (N, 16, 4), (N, 3) lie; NaN behind the camera."""
+    def landmarks(self, quats: np.ndarray, locations: np.ndarray, view: int = 0) -> np.ndarray:
+        """(N, 21, 2) pixels of a view: where the points of bones (N, 16, 4), (N, 3) lie; NaN behind its
+        camera."""
         pose = self.hand.rig.from_bones(self.shaped(), quats, locations)
         # Wherever armature and camera have been moved: the take's own frame is the picture's.
         points = landmark_points(self.model, self.hand.betas, *pose)
+        intrinsics = self.take.intrinsics
+        if view and self.take.cameras is not None:
+            camera = self.take.cameras.camera(view)
+            points, intrinsics = camera.seen_from(points), camera.intrinsics
         behind = points[..., 2] < _NEAREST
         points[behind] = [0.0, 0.0, 1.0]
-        return np.where(behind[..., None], np.nan, self.take.intrinsics.project(points))
+        return np.where(behind[..., None], np.nan, intrinsics.project(points))
 
-    def shown_landmarks(self) -> np.ndarray:
-        """(21, 2) pixels: where the points of the bones lie as they stand now, keyed or not."""
+    def shown_landmarks(self, view: int = 0) -> np.ndarray:
+        """(21, 2) pixels of a view: where the points of the bones lie as they stand now, keyed or not."""
         rig = self.hand.rig
         location = np.array(rig.armature.pose.bones[rig.bones[0]].location, dtype=np.float64)
-        return self.landmarks(displayed_pose(rig)[None], location[None])[0]
+        return self.landmarks(displayed_pose(rig)[None], location[None], view)[0]
 
     def request(
         self,
@@ -171,9 +220,10 @@ class Refiner:
         mode: Literal["each", "draft", "range"] = "each",
         smoothing: float = CaptureOptions.smoothing,
         touches: Sequence[Touches] | None = None,
+        second_pins: Sequence[Pins] | None = None,
     ) -> Callable[[], dict[str, Any]]:
         """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
-        `touches`: None for those that are kept.
+        `touches` and `second_pins`: None for those that are kept.
 
         The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
         """
@@ -181,9 +231,10 @@ class Refiner:
         locked = np.array(self.armature.manient.locked, dtype=bool)
         rows = list(rows)
         touching = [self.touches(row) for row in rows] if touches is None else touches
+        beside = [self.pins(row, 1) for row in rows] if second_pins is None else second_pins
 
         def fields() -> dict[str, Any]:
-            places, others = point_rows(pins, touching)
+            (places, others), (second, _) = point_rows(pins, touching), point_rows(beside, touching)
             start = rest.from_bones(shaped, poses.quats, poses.locations)
             step, holes = _steps(np.asarray(self.take.frame_numbers), rows)
             hand = RefineHand(
@@ -202,6 +253,7 @@ class Refiner:
                 holes=holes,
                 added=self.track.added,
                 touches=others if np.isfinite(others).any() else None,
+                second=second_sight(self.take, self.track, np.array(rows), second),
             )
             return {"mode": mode, "hand": to_message(hand)}
 
@@ -227,17 +279,25 @@ class Refiner:
         gaps[there] = gaps_between(self.model, self.hand.betas, pose, pair)
         return gaps
 
-    def correct(self, row: int, pins: Pins, poses: BonePoses, spread: float) -> None:
-        """Put the one re-fitted pose into the keys, and let it fade out over `spread` frames."""
-        frames = [self.source_frame(row)]
-        corrections.correct_frames(self.armature, frames, poses.quats, poses.locations, spread, pins=[pins])
+    def correct(self, row: int, pins: Sequence[Pins], poses: BonePoses, spread: float) -> None:
+        """Put the one pose that was re-fitted to `pins`, a view's each, into the keys, and let it fade out
+        over `spread` frames."""
+        corrections.correct_frames(
+            self.armature,
+            [self.source_frame(row)],
+            poses.quats,
+            poses.locations,
+            spread,
+            pins=[pins[0]],
+            second_pins=[pins[1]],
+        )
 
     def unpin(self, row: int) -> None:
         """Free all pins of a row: its pose becomes what it was before them."""
         frame = self.source_frame(row)
         own = corrections.corrections_of(self.armature).corrections.get(frame)
         if own is not None and own.posed:
-            self.correct(row, {}, self.start_poses([row]), own.spread)
+            self.correct(row, ({}, {}), self.start_poses([row]), own.spread)
         else:
             corrections.clear_corrections(self.armature, [frame])
 

@@ -67,7 +67,7 @@ def point_rows(pins: Sequence[Pins], touches: Sequence[Touches]) -> tuple[np.nda
 
 
 def _pins(_: str, given: Any) -> dict[int, tuple[float, float]]:
-    pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in given.items()}
+    pins = {int(k): (round(float(x), 3), round(float(y), 3)) for k, (x, y) in dict(given).items()}
     # Only finite numbers of the right shape ever reach keys.
     if not all(0 <= k < NUM_KEYPOINTS for k in pins) or not np.all(np.isfinite(list(pins.values()))):
         raise Unfit(f"pins belong to keypoints 0 to {NUM_KEYPOINTS - 1}, at finite places")
@@ -120,11 +120,18 @@ class Correction:
     """Whether a pose begins here that the frames after it may go on with"""
     touches: Touches = value(_touches, default=())
     """Keypoints that were made to touch"""
+    second_pins: Pins = value(_pins, default=())
+    """Keypoints that were dragged in a second view, and where they belong there at the frame's moment"""
+
+    @property
+    def placed(self) -> int:
+        """How many points are held: pinned in either view, or made to touch."""
+        return len(self.pins) + len(self.second_pins) + len(self.touches)
 
     @property
     def is_anchor(self) -> bool:
         """Whether it is no correction of the artist's, and only ends those around it."""
-        return self.keyed and not self.pins and not self.touches and not self.posed
+        return self.keyed and not self.placed and not self.posed
 
     def is_in(self, pose: np.ndarray, place: np.ndarray) -> bool:
         """Whether the frame's key, (16, 4) and (3,), can still hold it: most of what it turned or moved is
@@ -193,10 +200,12 @@ class CorrectionField:
         location = np.array([c.location for c in chosen]).reshape(-1, 3)
         return np.einsum("nk,kja->nja", weights, rotation), weights @ location
 
-    def pins(self, frame: float) -> Pins:
-        """The pins of a source frame; none where it has no correction."""
+    def pins(self, frame: float, *, second: bool = False) -> Pins:
+        """The pins of a source frame, or those of the second view; none where it has no correction."""
         correction = self.corrections.get(kept_frame(frame))
-        return correction.pins if correction is not None else {}
+        if correction is None:
+            return {}
+        return correction.second_pins if second else correction.pins
 
     def touching(self, frame: float) -> Touches:
         """The touches of a source frame; none where it has no correction."""
@@ -254,7 +263,8 @@ class CorrectionField:
             rotation = rotation.copy()
             rotation[keyed] = 0.0
             place = np.zeros(3) if location else place
-            return Correction(one.pins, rotation, place, spread, keyed=True, touches=one.touches)
+            kept = {"touches": one.touches, "second_pins": one.second_pins}
+            return Correction(one.pins, rotation, place, spread, keyed=True, **kept)
 
         for g in sorted(inside):
             one = self.corrections[g]

@@ -9,13 +9,14 @@ import numpy as np
 from handfit_core.arrays import array, array_dataclass, check_arrays, value
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import Detections
+from handfit_core.edit.settings import EDITS
 from handfit_core.errors import OptionError
-from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
-from handfit_core.take import TAKE_LIMITS
+from handfit_core.take import TAKE_LIMITS, HandTrack, Take
 from handfit_core.values import Unfit, flag, listed, number, path, shortly, whole
 
 
@@ -40,6 +41,70 @@ def _row(name: str, given: Any) -> int:
 
 def _rows(name: str, given: Any) -> tuple[int, ...]:
     return listed(name, given, _row)
+
+
+@array_dataclass
+class SecondSight:
+    """What a take's second camera saw of a hand around its T frames, and the artist's pins there."""
+
+    intrinsics: Intrinsics = value(_camera)
+    rotation: np.ndarray = array(3, 3, finite="all")
+    translation: np.ndarray = array(3, finite="all")
+    """metres: x_2 = rotation x + translation"""
+    moments: np.ndarray = array("T", finite="all")
+    """seconds: when the hand's frames were taken"""
+    times: np.ndarray = array("S", finite="all")
+    """seconds, increasing: when the detections were taken"""
+    detections: Detections
+    """S of them, in order"""
+    pins: np.ndarray = array("T", NUM_KEYPOINTS, 2)
+    """pixels of that camera where keypoints truly are at the `moments`; NaN: not pinned"""
+    fps: float = value(number, default=25.0, least=TAKE_LIMITS.min_fps, most=TAKE_LIMITS.max_fps)
+    """of that camera"""
+
+    def __post_init__(self) -> None:
+        check_arrays(self, OptionError, "second: ")
+        if len(self.detections) != len(self.times) or np.any(np.diff(self.times) <= 0):
+            raise OptionError("second: each detection needs a time, and these must increase")
+        _check_pins(self.pins, "second: ")
+
+    @property
+    def camera(self) -> PlacedCamera:
+        """The camera."""
+        return PlacedCamera(self.intrinsics, self.rotation, self.translation)
+
+
+def second_sight(take: Take, hand: HandTrack, rows: np.ndarray, pins: np.ndarray) -> SecondSight | None:
+    """What the second view of a take saw of a hand around the frames `rows` (T,), with pins (T, 21, 2) there;
+    None where there is one view. Of a few frames it has some more at both ends, so that pixels between its
+    own frames are as in the whole take."""
+    if take.cameras is None:
+        return None
+    view, numbers = take.cameras.views[0], np.asarray(take.frame_numbers)
+    moments, times = (numbers[rows] - numbers[0]) / take.fps, take.cameras.seconds(1)
+    seen, found = hand.seen_by[0] if hand.seen_by else None, np.zeros(0, dtype=int)
+    if seen is not None:
+        around = EDITS.frames_around / view.fps
+        near = (times >= moments.min() - around) & (times <= moments.max() + around)
+        found = np.flatnonzero(near & seen.detected & seen.used)
+    camera = take.cameras.camera(1)
+    return SecondSight(
+        camera.intrinsics,
+        camera.rotation,
+        camera.translation,
+        moments=moments,
+        times=times[found],
+        detections=hand.detections(found) if seen is None else seen.detections(found, hand.side),
+        pins=pins,
+        fps=view.fps,
+    )
+
+
+def _check_pins(pins: np.ndarray, where: str = "") -> None:
+    if (np.isnan(pins).sum(axis=-1) == 1).any():
+        raise OptionError(
+            f"{where}pins must have x and y in pixels, or NaN for both where a point is not pinned"
+        )
 
 
 @array_dataclass
@@ -75,6 +140,8 @@ class RefineHand(HandMotion):
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, most=np.inf, default=None)
     """Which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
     for the palm, wherever it is nearest. NaN: none; None: none does"""
+    second: SecondSight | None = None
+    """What a second camera saw; None: there is none"""
 
     def __post_init__(self) -> None:
         check_arrays(self, OptionError)
@@ -85,8 +152,9 @@ class RefineHand(HandMotion):
                 f"detections: at most one can be in each of the {len(self)} frames, of which "
                 "there must be some, in their order"
             )
-        if (np.isnan(self.pins).sum(axis=-1) == 1).any():
-            raise OptionError("pins must have x and y in pixels, or NaN for both where a point is not pinned")
+        _check_pins(self.pins)
+        if self.second is not None:
+            check_arrays(self.second, OptionError, "second: ", T=len(self))
         if self.touches is not None:
             for row, point in np.argwhere(~np.isnan(self.touches)).tolist():
                 other = self.touches[row, point]
@@ -106,8 +174,9 @@ class RefineHand(HandMotion):
 
     @property
     def pinned(self) -> np.ndarray:
-        """(T, 21) bool."""
-        return np.asarray(np.isfinite(self.pins).all(axis=-1))
+        """(T, 21) bool: points that are pinned in some view."""
+        own = np.isfinite(self.pins).all(axis=-1)
+        return np.asarray(own if self.second is None else own | np.isfinite(self.second.pins).all(axis=-1))
 
     @property
     def touching(self) -> np.ndarray:

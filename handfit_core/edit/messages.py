@@ -11,7 +11,7 @@ import numpy as np
 from handfit_core.arrays import LARGEST, array, array_dataclass, check_arrays, packed, unpacked
 from handfit_core.batch import scatter
 from handfit_core.detect.keypoints import Detections
-from handfit_core.edit.hand import RefineHand
+from handfit_core.edit.hand import RefineHand, SecondSight
 from handfit_core.edit.refit import refit_each, refit_range
 from handfit_core.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.hand_model.motion import HandMotion
@@ -44,19 +44,18 @@ class _Detections:
         check_arrays(self, OptionError)
 
     @classmethod
-    def of(cls, hand: RefineHand) -> _Detections:
-        """The detections of a hand; arrays that no frame has are None."""
-        hands = hand.detections
+    def of(cls, hands: Detections, side: Side, count: int) -> _Detections:
+        """The detections of a hand of that side; arrays that no frame has are None."""
         second, overlapped = hands.keypoints_2020, hands.overlapped
 
         def over_time(rows: np.ndarray, nothing: Any = np.nan) -> np.ndarray:
-            return scatter(rows, hands.frame, len(hand), nothing)
+            return scatter(rows, hands.frame, count, nothing)
 
         return cls(
             keypoints=over_time(hands.keypoints),
             world=over_time(hands.world),
             score=over_time(hands.score),
-            agrees=over_time(hands.side == SIDES.index(hand.side), True),
+            agrees=over_time(hands.side == SIDES.index(side), True),
             keypoints_2020=None if second is None or not hands.asked_2020.any() else over_time(second),
             overlapped=None if overlapped is None or not overlapped.any() else over_time(overlapped, False),
         )
@@ -79,12 +78,17 @@ class _Detections:
 
 def to_message(hand: RefineHand) -> dict[str, Any]:
     """A hand as JSON's types: the `hand` of a `refit` request, its arrays and its detections' packed."""
-    return packed(hand) | packed(_Detections.of(hand))
+    message = packed(hand) | packed(_Detections.of(hand.detections, hand.side, len(hand)))
+    second = hand.second
+    if second is not None:
+        seen = _Detections.of(second.detections, hand.side, len(second.times))
+        message["second"] = packed(second) | packed(seen)
+    return message
 
 
 def from_message(message: Mapping[str, Any]) -> RefineHand:
     """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees`, `keypoints_2020`,
-    `overlapped` and `touches` may be missing.
+    `overlapped`, `touches` and `second` may be missing.
 
     Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
     shape or range; both name it.
@@ -93,9 +97,20 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
         raise ProtocolError("refit: hand must be an object")
     fields = unpacked(RefineHand, message, "refit: ")
     seen = _Detections(**unpacked(_Detections, message, "refit: "))
-    hand = RefineHand(detections=seen.of_side(fields["side"]), **fields)
+    second = None
+    if message.get("second") is not None:
+        second = _second_from(message["second"], fields["side"])
+    hand = RefineHand(detections=seen.of_side(fields["side"]), second=second, **fields)
     check_arrays(seen, OptionError, T=len(hand))
     return hand
+
+
+def _second_from(message: Any, side: Side) -> SecondSight:
+    where = "refit: second: "
+    if not isinstance(message, Mapping):
+        raise ProtocolError(f"{where.removesuffix(': ')} must be an object")
+    seen = _Detections(**unpacked(_Detections, message, where))
+    return SecondSight(detections=seen.of_side(side), **unpacked(SecondSight, message, where))
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:

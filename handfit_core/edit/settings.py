@@ -61,6 +61,10 @@ class EditSettings:
     the frame's own pose the steps are the same every time"""
     draft_iterations: int = 6
     """Fewer while a point is dragged, as each answer continues from the one before"""
+    frames_around: float = 4.0
+    """of a second view, before and after those that are fitted again"""
+    most_remembered: int = 32
+    """Detections of which the landmarks are kept for the next draft"""
     free_draft_iterations: int = 10
     """For drafts of added hands, which start anew each time, from all sides"""
     restart_cost_ratio: float = 0.9

@@ -8,7 +8,7 @@ import numpy as np
 
 from handfit_core.batch import Batch
 from handfit_core.detect.keypoints import Landmarked
-from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.chain import State
 
 
@@ -73,6 +73,29 @@ class SecondView(Batch):
     """(B, 2)"""
     centre: np.ndarray
     """(B, 2)"""
+    pinned: np.ndarray | None = None
+    """(B, 21) bool: points that a person has put in place, as in `Landmarked`"""
+
+    @classmethod
+    def through(
+        cls,
+        camera: PlacedCamera,
+        pixels: np.ndarray,
+        pixel_sigma: np.ndarray,
+        pinned: np.ndarray | None = None,
+    ) -> SecondView:
+        """What that camera saw of B hands; NaN pixels are of points that it did not see."""
+        count, lens = len(pixels), camera.intrinsics
+        known = np.isfinite(pixels) & np.isfinite(pixel_sigma)
+        return cls(
+            np.broadcast_to(camera.rotation, (count, 3, 3)),
+            np.broadcast_to(camera.translation, (count, 3)),
+            np.where(known, pixels, 0.0),
+            np.where(known, pixel_sigma, np.inf),
+            np.broadcast_to((lens.fx, lens.fy), (count, 2)),
+            np.broadcast_to((lens.cx, lens.cy), (count, 2)),
+            pinned,
+        )
 
     @property
     def saw(self) -> np.ndarray:

@@ -60,3 +60,23 @@ class Intrinsics:
         pixels = np.asarray(pixels, dtype=np.float64)
         xy = (pixels - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
         return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCamera:
+    """A further camera beside the one whose frame everything is in: x_v = rotation x + translation."""
+
+    intrinsics: Intrinsics
+    rotation: np.ndarray
+    """(3, 3)"""
+    translation: np.ndarray
+    """(3,) metres"""
+
+    def seen_from(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) metres in the first camera's frame -> (..., 3) in this one's."""
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """(..., 3) metres in the first camera's frame -> (..., 2) pixels of this one. Points must be before
+        it."""
+        return self.intrinsics.project(self.seen_from(points))

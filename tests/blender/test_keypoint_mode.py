@@ -71,12 +71,17 @@ class Begun(KeypointMode):
 
     def __init__(self, armature, viewport, places) -> None:
         self.refiner, self.places, self.drag, self._warming = Refiner(armature), places, None, 0
-        self.address, self.view = 0, SimpleNamespace(face=lambda _: None, shows=lambda _: True)
+        self.address, self.view = (
+            0,
+            SimpleNamespace(
+                face=lambda _: None, shows=lambda _: True, looks=lambda _: 0, follow=lambda _: False
+            ),
+        )
         self._frame, self._places = bpy.context.scene.frame_current_final, places
         viewport.show_picture(None, None)
         self._restore_view(viewport)
 
-    def picture_places(self) -> np.ndarray:
+    def picture_places(self, _view=None) -> np.ndarray:
         return self.places
 
     def leave(self, viewport) -> None:

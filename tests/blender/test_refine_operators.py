@@ -7,6 +7,7 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -403,6 +404,7 @@ def mode_without_a_window(armature) -> KeypointMode:
     mode.refiner, mode.address = Refiner(armature), 0
     mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
     mode._warming, mode._solved_in = 0, 0.0
+    mode.view = SimpleNamespace(shows=lambda _: False)
     mode._frame, mode._places = bpy.context.scene.frame_current_final, mode.picture_places()
     return mode
 

@@ -49,10 +49,10 @@ _FRAME_SIZES: Final = 2.0
 
 latencies: deque[float] = deque(maxlen=2000)
 """seconds from a movement of the mouse to the hand that followed it, newest last"""
-_saved_views: dict[int, tuple[float, tuple[float, ...], np.ndarray]] = {}
+_saved_views: dict[tuple[int, int], tuple[float, tuple[float, ...], np.ndarray]] = {}
 """The camera view, its zoom and offset, in which the artist last saw a hand, and where that was then, (21, 2)
 pixels of the picture; by the armatures' session_uid, which a rename and an undo leave and which no other
-file's hand gets"""
+file's hand gets, and by the view"""
 
 
 def forget_views() -> None:
@@ -66,7 +66,7 @@ class _Request(NamedTuple):
     number: int
     place: np.ndarray | None
     moved_at: float
-    pins: Pins
+    pins: tuple[Pins, Pins]
     final: bool
     """Whether the result is to be kept, and no draft"""
 
@@ -79,12 +79,16 @@ class _Drag:
     row: int
     frame: float
     """Scene frame"""
-    pins_before: Pins
-    """The frame's pins until now"""
+    pins_before: tuple[Pins, Pins]
+    """The frame's pins in both views until now"""
     start: BonePoses
     """What the pins are measured against"""
     poses_before: BonePoses
     """What the bones are put back to when it is cancelled"""
+    view: int = 0
+    """In whose picture it is dragged"""
+    drift: np.ndarray | float = 0.0
+    """(2,) pixels that the point moves from the frame's moment to that of this picture"""
     mouse: np.ndarray | None = None
     """(2,) pixels of the region: where it was pressed; None: nowhere, the pin goes"""
     grip: np.ndarray | float = 0.0
@@ -98,18 +102,20 @@ class _Drag:
     """The last request"""
     waiting: bool = False
     """Whether it is with the worker"""
-    answer: tuple[Pins, BonePoses] | None = None
+    answer: tuple[tuple[Pins, Pins], BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
     """Whether the view was asked to show the newest place"""
 
     @property
-    def pins(self) -> Pins:
-        """The frame's pins with this one where it is to be."""
-        pins = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
+    def pins(self) -> tuple[Pins, Pins]:
+        """The frame's pins in both views with this one where it is to be."""
+        first, second = self.pins_before
+        pins = {k: p for k, p in self.pins_before[self.view].items() if k != self.keypoint}
         if self.place is not None:
-            pins[self.keypoint] = float(self.place[0]), float(self.place[1])
-        return pins
+            x, y = self.place - self.drift
+            pins[self.keypoint] = float(x), float(y)
+        return (first, pins) if self.view else (pins, second)
 
     @property
     def needs_request(self) -> bool:
@@ -119,7 +125,14 @@ class _Drag:
 
 
 class KeypointMode(view.Overlay):
-    """The state of the mode, from its start to `end`. Data-blocks are named, never held."""
+    """The state of the mode, from its start to `end`. Data-blocks are named, never held.
+
+    Of a take of two views the points are those of the picture that a viewport shows: the second clip's frames
+    lie between the first one's, and its points are where they are at the moment of the picture.
+    """
+
+    looking = 0
+    """The view that the viewport shows, 0 or 1"""
 
     def __init__(self, context: bpy.types.Context, refiner: Refiner, viewport: view.Viewport) -> None:
         """Turn the viewport to the hand in its picture and warm the worker up. Raises HandfitError."""
@@ -133,14 +146,12 @@ class KeypointMode(view.Overlay):
         self.own_undo = False
         self.ended: str | None = None
         """Why the mode is over, in a sentence; empty: because the artist said so"""
-        camera = refiner.hand.camera
-        assert camera is not None
         self._warming = shared_worker.worker().submit("warm")
         self._solved_in = _ANSWER_WAIT_SECONDS
-        self.view = view.CaptureView(viewport, camera, context)
+        self.view = view.CaptureView(viewport, refiner.cameras, context)
         self.solid = False
         """Whether the hand hides the picture, whatever its opacity is otherwise"""
-        see_through.begin(camera.data, lambda: 1.0 if self.solid else preferences.get().hand_opacity)
+        self._look()
         self._frame = context.scene.frame_current_final
         self._places = self.picture_places()
         """(21, 2) pixels of the picture: the hand on that frame, or on the last one before that had one"""
@@ -172,7 +183,7 @@ class KeypointMode(view.Overlay):
         if armature is None or armature.name not in context.view_layer.objects:
             return "Keypoints: the hand is gone"
         try:
-            if self.refiner.hand.camera is None:
+            if not self.refiner.cameras:
                 return "Keypoints: the capture camera is gone"
         except HandfitError as error:
             return f"Keypoints: {error}"
@@ -180,7 +191,35 @@ class KeypointMode(view.Overlay):
             return "Keypoints: refining works in Object and Pose mode"
         return None
 
-    # Zoom and pan of the picture
+    # The view, its zoom and pan
+
+    def switch_view(self, context: bpy.types.Context, viewport: view.Viewport) -> None:
+        """Show the capture's other view."""
+        if len(self.refiner.cameras) > 1:
+            self.view.switch(viewport, context.scene)
+            if not viewport.space.use_local_camera:
+                bpy.ops.ed.undo_push(message="Switch View")
+            self._follow_view(context)
+
+    def _look(self) -> None:
+        """Take up the view that is looked through."""
+        self.looking = self.view.looking
+        see_through.end()
+        camera = bpy.data.objects[self.view.camera].data
+        see_through.begin(camera, lambda: 1.0 if self.solid else preferences.get().hand_opacity)
+
+    def _follow_view(self, context: bpy.types.Context, *, own_undo: bool = False) -> None:
+        """Go on in the view that the viewport shows now."""
+        viewport = self.viewport()
+        if viewport is None or not self.view.follow(viewport):
+            return
+        if not own_undo and not viewport.space.use_local_camera:
+            self.done, self.undone = self.done + 1, 0  # switching the scene's camera is an undo step
+        self.cancel_drag(context)
+        self._look()
+        self.hovered, self._places = None, self.picture_places()
+        self._restore_view(viewport)
+        screen.redraw("VIEW_3D")
 
     def show_hand(self, viewport: view.Viewport) -> None:
         """Frame the hand with half its size on each side; the whole picture on a frame without it."""
@@ -194,14 +233,12 @@ class KeypointMode(view.Overlay):
     def show_picture(self, viewport: view.Viewport) -> None:
         """Frame the whole picture."""
         self.view.face(viewport)
-        camera = self.refiner.hand.camera
-        assert camera is not None
-        viewport.show_picture(camera, bpy.context.scene)
+        viewport.show_picture(self.refiner.cameras[self.looking], bpy.context.scene)
 
     def _restore_view(self, viewport: view.Viewport) -> None:
         """Restore the saved view of the hand; without one, or where no point would be seen, frame the
         hand."""
-        saved = _saved_views.get(self.refiner.armature.session_uid)
+        saved = _saved_views.get((self.refiner.armature.session_uid, self.looking))
         if saved is not None:
             viewport.set_zoom(*saved[:2])
         if saved is None or not self._keep_visible(viewport, saved[2]):
@@ -211,7 +248,7 @@ class KeypointMode(view.Overlay):
         viewport, armature = self.viewport(), self.refiner.armature_or_none
         if viewport is not None and armature is not None and self.view.shows(viewport):
             zoom, offset = viewport.view.view_camera_zoom, tuple(viewport.view.view_camera_offset)
-            _saved_views[armature.session_uid] = zoom, offset, self._places
+            _saved_views[armature.session_uid, self.looking] = zoom, offset, self._places
 
     def _follow_hand(self, context: bpy.types.Context) -> None:
         """Move the view with the hand where another frame is shown now."""
@@ -254,40 +291,63 @@ class KeypointMode(view.Overlay):
         scene = bpy.context.scene
         return None if scene is None else self.refiner.row_at(scene.frame_current_final)
 
-    def pins(self) -> Pins:
-        """The pins of the frame that the scene shows, with the dragged one where it is to be."""
-        row = self.row()
+    def shown_row(self, of_view: int) -> int | None:
+        """The row of the picture that a view shows, among its own frames; None where it has none."""
+        return self.refiner.row_of_view(bpy.context.scene.frame_current_final) if of_view else self.row()
+
+    def pins(self, of_view: int | None = None) -> Pins:
+        """The pins of the frame that the scene shows, in the picture of a view (None: the one that is looked
+        at), with the dragged one where it is to be."""
+        row, of_view = self.row(), self.looking if of_view is None else of_view
         if row is None:
             return {}
-        return self.drag.pins if self.drag is not None else self.refiner.pins(row)
+        pins = self.drag.pins[of_view] if self.drag is not None else self.refiner.pins(row, of_view)
+        drift = self._drift(row, of_view) if pins else np.zeros((0, 2))
+        return {k: (x + drift[k, 0], y + drift[k, 1]) for k, (x, y) in pins.items()}
 
-    def picture_places(self) -> np.ndarray:
-        """(21, 2) pixels of the picture: pins, else the fitted hand's points where the frame was re-fitted,
-        else what was detected, else the points of the animated hand."""
-        row, track = self.row(), self.refiner.track
-        if row is None:
+    def _drift(self, row: int, of_view: int) -> np.ndarray:
+        """(21, 2) pixels that points move from a row's moment to that of the picture that a view shows."""
+        shown = self.shown_row(of_view) if of_view else None
+        return np.zeros((NUM_KEYPOINTS, 2)) if shown is None else self.refiner.drift(row, shown)
+
+    def _detected(self, row: int, of_view: int) -> np.ndarray | None:
+        """(21, 2) pixels, what was detected in the picture that a view shows; None where nothing was."""
+        track, seen, shown = self.refiner.track, None, self.shown_row(of_view)
+        if not of_view:
+            return np.array(track.keypoints_2d[row], dtype=np.float64) if track.detected[row] else None
+        seen = track.seen_by[of_view - 1] if track.seen_by else None
+        there = seen is not None and shown is not None and (seen.detected & seen.used)[shown]
+        return np.array(seen.keypoints_2d[shown], dtype=np.float64) if seen is not None and there else None
+
+    def picture_places(self, of_view: int | None = None) -> np.ndarray:
+        """(21, 2) pixels of a view's picture (None: of the one that is looked at): pins, else the fitted
+        hand's points where the frame was re-fitted, else what was detected, else the points of the animated
+        hand."""
+        row, of_view = self.row(), self.looking if of_view is None else of_view
+        if row is None or (of_view and self.shown_row(of_view) is None):
             return np.full((NUM_KEYPOINTS, 2), np.nan)
-        if self.drag is not None or self.refiner.is_corrected(row) or not track.detected[row]:
-            places = self.refiner.shown_landmarks()
-        else:
-            places = np.array(track.keypoints_2d[row], dtype=np.float64)
-        for keypoint, place in self.pins().items():
+        places = None
+        if self.drag is None and not self.refiner.is_corrected(row):
+            places = self._detected(row, of_view)
+        if places is None:
+            places = self.refiner.shown_landmarks(of_view) + self._drift(row, of_view)
+        for keypoint, place in self.pins(of_view).items():
             places[keypoint] = place
         return places
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
         """Picture to region; None while the viewport does not look through the capture camera."""
-        camera = self.refiner.hand.camera
-        if camera is None or not self.view.shows(viewport):
+        cameras, looking = self.refiner.cameras, self.view.looks(viewport)
+        if looking is None or looking >= len(cameras):
             return None
-        return view.picture_matrix(viewport, camera, self.refiner.take.intrinsics)
+        return view.picture_matrix(viewport, cameras[looking], self.refiner.clip(looking).intrinsics)
 
     def region_places(self, viewport: view.Viewport) -> np.ndarray:
         """(21, 2) pixels of the region; NaN where there is no handle."""
         matrix = self.matrix(viewport)
         if matrix is None:
             return np.full((NUM_KEYPOINTS, 2), np.nan)
-        return mapped(matrix, self.picture_places())
+        return mapped(matrix, self.picture_places(self.view.looks(viewport)))
 
     def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
         """The handle nearest to a place in window pixels, within reach."""
@@ -322,7 +382,8 @@ class KeypointMode(view.Overlay):
         mouse = np.array([x - viewport.region.x, y - viewport.region.y])
         drag.moved |= bool(np.abs(mouse - drag.mouse).max() >= _CLICK_PIXELS)
         if drag.moved:
-            size = np.array([self.refiner.take.width, self.refiner.take.height])
+            clip = self.refiner.clip(drag.view)
+            size = np.array([clip.width, clip.height])
             # A hand may well reach out of the picture, but not for miles.
             drag.place = np.clip(mapped(np.linalg.inv(matrix), mouse + drag.grip), -size, 2 * size)
             drag.moved_at, drag.drawn = time.perf_counter(), False
@@ -337,7 +398,7 @@ class KeypointMode(view.Overlay):
     def unpin(self, keypoint: int) -> bool:
         """Let a pinned keypoint go: the hand follows the other pins only."""
         row = self.row()
-        if row is None or self.drag is not None or keypoint not in self.refiner.pins(row):
+        if row is None or self.drag is not None or keypoint not in self.pins():
             return False
         self.drag = self._new_drag(keypoint, row)
         self.drag.moved = self.drag.released = True
@@ -347,7 +408,8 @@ class KeypointMode(view.Overlay):
     def _new_drag(self, keypoint: int, row: int) -> _Drag:
         frame, refiner = bpy.context.scene.frame_current_final, self.refiner
         start, before = refiner.start_poses([row]), refiner.keyed_poses([row])
-        return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
+        pins, drift = (refiner.pins(row), refiner.pins(row, 1)), self._drift(row, self.looking)[keypoint]
+        return _Drag(keypoint, row, frame, pins, start, before, self.looking, drift)
 
     def cancel_drag(self, context: bpy.types.Context) -> None:
         """Put the hand back to before the drag."""
@@ -366,6 +428,7 @@ class KeypointMode(view.Overlay):
 
     def tick(self, context: bpy.types.Context) -> None:
         """Look for answers, and ask for what has not been asked for."""
+        self._follow_view(context)
         self._follow_hand(context)
         try:
             if self._warming and shared_worker.answer(self._warming) is not None:
@@ -396,7 +459,9 @@ class KeypointMode(view.Overlay):
                 self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
             else:
                 mode = "each" if drag.released else "draft"
-                fields = self.refiner.request([drag.row], [drag.pins], drag.start, mode)()
+                first, second = drag.pins
+                args = [drag.row], [first], drag.start, mode
+                fields = self.refiner.request(*args, second_pins=[second])()
                 number = shared_worker.worker().submit("refit", **fields)
                 drag.asked = _Request(number, drag.place, drag.moved_at, drag.pins, drag.released)
                 drag.waiting = True
@@ -419,9 +484,9 @@ class KeypointMode(view.Overlay):
 
     def _redraw(self) -> None:
         """The picture and what is over it; not the headers and the sidebar beside it."""
-        viewport = self.viewport()
-        if viewport is not None:
-            viewport.region.tag_redraw()
+        for viewport in view.viewports(bpy.context):
+            if self.view.shows(viewport):
+                viewport.region.tag_redraw()
 
     def _show(self, context: bpy.types.Context, drag: _Drag, asked: _Request, poses: BonePoses) -> None:
         if not poses.present[0]:
@@ -436,7 +501,7 @@ class KeypointMode(view.Overlay):
 
     def _is_constrained(self, drag: _Drag) -> bool:
         """Whether the frame's hand has pins, or points that touch."""
-        return bool(drag.pins or self.refiner.touches(drag.row))
+        return bool(any(drag.pins) or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
         """Write the keys, and make an undo step of it."""
@@ -482,6 +547,7 @@ class KeypointMode(view.Overlay):
         step = 1 if redo else -1
         self.done, self.undone = self.done + step, self.undone - step
         self.message = ""
+        self._follow_view(context, own_undo=True)
         show_frame_again(bpy.context)
 
     # Drawing
@@ -494,6 +560,15 @@ class KeypointMode(view.Overlay):
             line, corner = self.status_line(viewport), view.free_corner(viewport)
             drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
 
+    def draw_beside(self, viewport: view.Viewport) -> None:
+        """Draw the points in another viewport that looks through one of the cameras."""
+        looking = self.view.looks(viewport)
+        if looking is not None and self.trouble(bpy.context) is None:
+            dragged = self.drag.keypoint if self.drag is not None else None
+            places, pinned = self.region_places(viewport), frozenset(self.pins(looking))
+            corner = view.free_corner(viewport)
+            drawing.draw(drawing.Picture(places, pinned, None, dragged, "", False, corner))
+
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
         """The line over the picture about this frame, and whether it is a warning."""
         row = self.row()
@@ -503,6 +578,8 @@ class KeypointMode(view.Overlay):
             return "Numpad 0: look through the capture camera again", True
         if row is None:
             return "This frame was not captured: go to another one", True
+        if self.shown_row(self.looking) is None:
+            return "This view has no picture of this frame: go to another one, or to the other view", True
         if self._warming:
             return "Starting the solver ...", False
         track, placed = self.refiner.track, len(self.pins())
@@ -510,8 +587,10 @@ class KeypointMode(view.Overlay):
             enough = ": three to six are enough, fingertips first" if placed < _SENSIBLE_POINTS else ""
             return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
         if self.refiner.is_corrected(row):
-            return f"{placed} pinned in this frame", False
-        if not track.detected[row]:
+            beside = len(self.pins(1 - self.looking))
+            more = f", {beside} in the other view" if beside else ""
+            return f"{placed} pinned in this frame{more}", False
+        if self._detected(row, self.looking) is None:
             return "No hand was found in this frame: drag points to where they belong", True
         if track.doubtful is not None and track.doubtful[row]:
             return "Doubtful frame", True

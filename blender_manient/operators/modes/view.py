@@ -103,6 +103,11 @@ def viewport_at(context: bpy.types.Context, address: int) -> Viewport | None:
     return next((_parts(area) for area in _areas(context) if area.as_pointer() == address), None)
 
 
+def viewports(context: bpy.types.Context) -> list[Viewport]:
+    """All viewports of the window."""
+    return [there for there in map(_parts, _areas(context)) if there is not None]
+
+
 def _areas(context: bpy.types.Context) -> list[bpy.types.Area]:
     window = context.window
     return [] if window is None else [area for area in window.screen.areas if area.type == "VIEW_3D"]
@@ -146,20 +151,32 @@ class Overlay:
         """Draw in the viewport's region, in pixels."""
         raise NotImplementedError
 
+    def draw_beside(self, viewport: Viewport) -> None:
+        """Draw in the region of another viewport of the window, in pixels."""
+
     def _on_draw(self) -> None:
         context = bpy.context
-        if context.area is not None and context.area.as_pointer() == self.address:
-            viewport = self.viewport()
-            if viewport is not None and context.region == viewport.region:
-                self.draw(viewport)
+        viewport = _parts(context.area) if context.area in _areas(context) else None
+        if viewport is not None and context.region == viewport.region:
+            here = context.area.as_pointer() == self.address
+            (self.draw if here else self.draw_beside)(viewport)
 
 
 class CaptureView:
-    """Turns a viewport to the capture camera, and back to how it was."""
+    """Turns a viewport to one of a capture's cameras, and back to how it was."""
 
-    def __init__(self, viewport: Viewport, camera: bpy.types.Object, context: bpy.types.Context) -> None:
+    def __init__(
+        self, viewport: Viewport, cameras: Sequence[bpy.types.Object], context: bpy.types.Context
+    ) -> None:
+        """Look through the camera that the viewport looks through already, else the scene's, else the
+        first."""
         self.address = viewport.area.as_pointer()
-        self.camera = camera.name
+        self._cameras = [camera.name for camera in cameras]
+        looking = self.looks(viewport)
+        if looking is None:
+            looking = next((i for i, camera in enumerate(cameras) if camera == context.scene.camera), 0)
+        self.camera = self._cameras[looking]
+        """The name of the camera that is looked through, or was last"""
         view, space = viewport.view, viewport.space
         # Vectors of Blender are views of what will change, and objects are named, never held.
         kept = {name: getattr(view, name) for name in _OF_REGION}
@@ -171,7 +188,12 @@ class CaptureView:
         space.lock_camera = False
         if not shows:
             self.face(viewport)
-            viewport.show_picture(camera, context.scene)
+            viewport.show_picture(cameras[looking], context.scene)
+
+    @property
+    def looking(self) -> int:
+        """Which of the cameras is looked through, or was last."""
+        return self._cameras.index(self.camera)
 
     def face(self, viewport: Viewport) -> None:
         """Have the viewport look through the capture camera."""
@@ -184,12 +206,31 @@ class CaptureView:
             space.camera = camera
         viewport.view.view_perspective = "CAMERA"
 
-    def shows(self, viewport: Viewport) -> bool:
-        """Whether the viewport looks through the capture camera now."""
+    def looks(self, viewport: Viewport) -> int | None:
+        """Which of the cameras a viewport looks through now; None where it is another one, or none."""
         scene, space = bpy.context.scene, viewport.space
         camera = space.camera if space.use_local_camera or scene is None else scene.camera
         through = viewport.view.view_perspective == "CAMERA"
-        return through and camera is not None and camera.name == self.camera
+        name = camera.name if through and camera is not None else ""
+        return self._cameras.index(name) if name in self._cameras else None
+
+    def shows(self, viewport: Viewport) -> bool:
+        """Whether the viewport looks through one of the cameras now."""
+        return self.looks(viewport) is not None
+
+    def follow(self, viewport: Viewport) -> bool:
+        """Take notice of the camera that the viewport looks through now; whether that is another one."""
+        before, looking = self.camera, self.looks(viewport)
+        self.camera = before if looking is None else self._cameras[looking]
+        return self.camera != before
+
+    def switch(self, viewport: Viewport, scene: bpy.types.Scene) -> None:
+        """Look through the other camera. The scene does so, too, where the viewport has none of its own."""
+        other = bpy.data.objects[self._cameras[1 - self.looking]]
+        if viewport.space.use_local_camera:
+            viewport.space.camera = other
+        else:
+            captures.leave_other_view(scene, other)
 
     def leave(self, context: bpy.types.Context) -> None:
         """Put the view back; nothing where the viewport is gone."""
@@ -197,6 +238,8 @@ class CaptureView:
         if viewport is None:
             return
         of_space = {**self._space, "camera": bpy.data.objects.get(self._space["camera"] or "")}
+        if not (self._space["use_local_camera"] or viewport.space.use_local_camera):
+            del of_space["camera"]  # the scene's, which may have been switched meanwhile
         for where, values in ((viewport.space, of_space), (viewport.view, self._region)):
             for name, value in values.items():
                 setattr(where, name, value)

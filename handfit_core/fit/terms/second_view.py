@@ -11,7 +11,8 @@ from handfit_core.hand_model.chain import Posed
 
 
 def second_view(posed: Posed, seen: Observation) -> Rows:
-    """Two rows for each point, u = f x / z + c of x = R p + t. `seen.second` must be there."""
+    """Two rows for each point, u = f x / z + c of x = R p + t; pinned points are certain. `seen.second` must
+    be there."""
     second = seen.second
     assert second is not None
     points = posed.points @ second.rotation.swapaxes(1, 2) + second.translation[:, None]
@@ -24,4 +25,5 @@ def second_view(posed: Posed, seen: Observation) -> Rows:
     columns = np.zeros((*slope.shape, 5))
     columns[..., :3] = by_place @ second.rotation[:, None]
     columns[..., 4] = slope * in_sigmas + (second.centre[:, None] - second.pixels) / second.pixel_sigma
-    return Rows(POINTS, columns, np.zeros(slope.shape[:2], dtype=bool))
+    pinned = np.zeros(slope.shape[:2], dtype=bool) if second.pinned is None else second.pinned
+    return Rows(POINTS, columns, pinned)
