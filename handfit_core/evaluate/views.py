@@ -3,7 +3,7 @@
 A folder, or each of its folders, has `gt.json`: a list of clips, each an object with `clip`, `side`, `fps`,
 `offset` (seconds from the first view's start to the second one's), `K_a`, `K_b` (3, 3), `R` (3, 3), `t` (3,)
 (x_b = R x_a + t, metres) and `joints3d` (T, 21, 3) in the first camera's frame. The clip's views lie beside
-it as CLIP_a.mp4 and CLIP_b.mp4.
+it as CLIP_a.mp4 and CLIP_b.mp4, or as folders of pictures CLIP_a and CLIP_b.
 """
 
 from __future__ import annotations
@@ -103,10 +103,11 @@ def _captured(
     for done, (path, truth) in enumerate(truths, start=1):
         takes = []
         for view in "ab":
-            file = path.parent / f"{truth['clip']}_{view}.mp4"
+            file = path.parent / f"{truth['clip']}_{view}"
+            file = file if file.is_dir() else file.with_name(f"{file.name}.mp4")
             size = open_media(file)
             lens = _lens(truth, view, size.width, size.height) if camera == "labelled" else None
-            takes.append(capture(file, replace(options, lens=lens)))
+            takes.append(replace(capture(file, replace(options, lens=lens)), fps=truth["fps"]))
         yield FilmedClip(f"{path.parent.name}/{truth['clip']}", path.parent.name, truth, *takes)
         progress("detect", done, len(truths))
 
@@ -114,11 +115,11 @@ def _captured(
 def _read(path: Path) -> list[dict[str, Any]]:
     try:
         clips = json.loads(path.read_text(encoding="utf-8"))
-        if all({"clip", "side", "offset", "R", "t", "joints3d"} <= set(clip) for clip in clips):
+        if all({"clip", "side", "fps", "offset", "R", "t", "joints3d"} <= set(clip) for clip in clips):
             return clips
     except (OSError, ValueError, TypeError) as error:
         raise DatasetError(f"{path}: cannot be read ({error})") from error
-    raise DatasetError(f"{path}: a clip lacks clip, side, offset, R, t or joints3d")
+    raise DatasetError(f"{path}: a clip lacks clip, side, fps, offset, R, t or joints3d")
 
 
 def _lens(truth: dict[str, Any], view: str, width: int, height: int) -> Lens:

@@ -89,6 +89,8 @@ class Adjusted:
     """Root mean square of both views' residuals, in `ViewedHand.sigma`"""
     error: tuple[float, float]
     """pixels: median distance of landmarks in each view"""
+    sigmas: tuple[float, float]
+    """Expected errors of the rotation and of the direction of `translation`, degrees"""
 
 
 def start_rotation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -262,4 +264,16 @@ def _result(whole: _Together, solution: Solution, pairs: Sequence[HandPair]) -> 
         cost=float(solution.cost.mean()),
         residual=float(np.sqrt(np.concatenate(squares).mean())),
         error=(errors[0], errors[1]),
+        sigmas=_sigmas(whole, state),
     )
+
+
+def _sigmas(whole: _Together, state: FilmedState) -> tuple[float, float]:
+    """What the normal equations leave open of the second camera's rotation and direction, degrees."""
+    covariance = np.linalg.inv(whole.blocks(state).common_information())[-CAMERA_SIZE:, -CAMERA_SIZE:]
+    way = state.translation[0]
+    length = max(float(np.linalg.norm(way)), 1e-6)
+    across = np.eye(3) - np.outer(way, way) / length**2
+    turned = np.trace(covariance[TURN, TURN])
+    moved = np.trace(across @ covariance[SHIFT, SHIFT]) / length**2
+    return tuple(np.degrees(np.sqrt([turned, moved])).tolist())
