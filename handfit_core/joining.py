@@ -322,6 +322,7 @@ def _verdict(tried: _Tried, first: Clip, options: CaptureOptions) -> Verdict:
             score=np.nan if options.offset is not None else tried.score,
             dropped=tried.dropped,
             cameras_known=tried.known.rotation is not None,
+            left_open=found.left_open,
         )
     )
 

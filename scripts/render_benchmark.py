@@ -19,6 +19,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from handfit_core.files import written_whole
 from handfit_core.skeleton import SIDES
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.kinematics import model_of
+from scripts.benchmark.pairs import FOLDER, TRUTH, pair_shots
 from scripts.benchmark.shots import FPS, NAME, NOTES, Shot, entries
 from scripts.benchmark.stills import still_shot
 
@@ -46,25 +48,30 @@ class Plan:
 
     stills: int
     clips: int
+    pairs: int
     frames: int
     seed: int
     size: int
 
     def __len__(self) -> int:
-        return self.stills + self.clips * self.frames
+        return self.stills + (self.clips + 2 * self.pairs) * self.frames
 
     def shots(self) -> Iterator[Shot]:
-        """All of them, one after another."""
+        """Stills and clips, one after another."""
         for number in range(self.stills):
             yield still_shot(self.seed, number, self.size)
         for number in range(self.clips):
             yield clip_shot(self.seed, number, self.frames, self.size)
 
+    def paired(self) -> list[tuple[Shot, Shot, dict[str, Any]]]:
+        """Both cameras' clips of each pair, and the truth."""
+        return [pair_shots(self.seed, number, self.frames, self.size) for number in range(self.pairs)]
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run the script; returns the exit code."""
     args = _parser().parse_args(_own_arguments() if argv is None else argv)
-    plan = Plan(args.stills, args.clips, args.frames, args.seed, args.size)
+    plan = Plan(args.stills, args.clips, args.pairs, args.frames, args.seed, args.size)
     try:
         _check(plan, args.samples)
         return _render_all(args.output, plan, args.samples)
@@ -78,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("output", type=Path, help="folder for the pictures and index.json")
     parser.add_argument("--stills", type=int, default=500, help="single pictures (default 500)")
     parser.add_argument("--clips", type=int, default=10, help="moving hands (default 10)")
+    parser.add_argument("--pairs", type=int, default=0, help="moving hands before two cameras (default 0)")
     parser.add_argument("--frames", type=int, default=100, help="pictures a clip, 25 a second (default 100)")
     parser.add_argument("--seed", type=int, default=0, help="another seed, other pictures (default 0)")
     parser.add_argument("--size", type=int, default=512, help="pixels a side (default 512)")
@@ -92,12 +100,12 @@ def _own_arguments() -> list[str]:
 
 
 def _check(plan: Plan, samples: int) -> None:
-    least = {"stills": 0, "clips": 0, "frames": 1, "seed": 0, "size": 32}
+    least = {"stills": 0, "clips": 0, "pairs": 0, "frames": 1, "seed": 0, "size": 32}
     for name, value in {**vars(plan), "samples": samples}.items():
         if value < least.get(name, 1):
             raise OptionError(f"--{name} must be {least.get(name, 1)} or more, not {value}")
     if len(plan) == 0:
-        raise OptionError("there is nothing to render; ask for --stills or --clips")
+        raise OptionError("there is nothing to render; ask for --stills, --clips or --pairs")
 
 
 def _agree_on_settings(output: Path, plan: Plan, samples: int) -> None:
@@ -112,7 +120,7 @@ def _agree_on_settings(output: Path, plan: Plan, samples: int) -> None:
         "hands": {side: model_of(side).digest for side in SIDES},
     }
     path = output / SETTINGS
-    there = any(output.glob("stills/*.jpg")) or any(output.glob("clips/*/*.jpg"))
+    there = any(output.glob("stills/*.jpg")) or any(output.glob("*/*/*.jpg"))
     try:
         found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
     except ValueError:
@@ -142,7 +150,11 @@ def _render_all(output: Path, plan: Plan, samples: int) -> int:
     start, drawn, done = time.monotonic(), 0, 0
     pictures: list[dict[str, Any]] = []
     with _stop_wanted() as stop:
-        for shot in plan.shots():
+        pairs = plan.paired()
+        if pairs:
+            with written_whole(output / FOLDER / TRUTH) as beside:
+                beside.write_text(json.dumps([truth for _, _, truth in pairs]), encoding="utf-8")
+        for shot in chain(plan.shots(), *(pair[:2] for pair in pairs)):
             if stop.is_set():
                 break
             built = False
@@ -166,8 +178,10 @@ def _render_all(output: Path, plan: Plan, samples: int) -> int:
     if stop.is_set():
         print("stopped; the same command goes on from here", flush=True)
     # Stopped before it drew anything, this run has not come to all pictures of the runs before.
-    if pictures and (drawn or not stop.is_set()):
-        save_index(output, pictures, name=NAME, notes=NOTES, fps=FPS)
+    # Pairs have their truth in a file of their own.
+    labelled = [entry for entry in pictures if not entry["file"].startswith(FOLDER)]
+    if labelled and (drawn or not stop.is_set()):
+        save_index(output, labelled, name=NAME, notes=NOTES, fps=FPS)
     print(f"{drawn} pictures rendered, {len(pictures)} of {len(plan)} are there", flush=True)
     return 130 if stop.is_set() else 0
 

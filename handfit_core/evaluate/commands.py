@@ -117,7 +117,7 @@ def _evaluate(args: argparse.Namespace) -> int:
 
 
 def _evaluate_views(args: argparse.Namespace) -> int:
-    """Clips of two cameras, whose pairs are joined as captures do it."""
+    """Clips of two cameras, whose pairs are joined as captures do it, with nothing, lenses or all told."""
     from handfit_core.evaluate.views import evaluate_views, views_table
 
     folder = args.output or Path("out", "evaluation", f"{args.dataset.resolve().name}-views")
@@ -129,7 +129,7 @@ def _evaluate_views(args: argparse.Namespace) -> int:
         if args.progress != "none":
             report.progress(Progress(stage, done, total))
 
-    rows = evaluate_views(args.dataset, CaptureOptions.of_arguments(args), args.camera, progress)
+    rows = evaluate_views(args.dataset, CaptureOptions.of_arguments(args), progress)
     folder.mkdir(parents=True, exist_ok=True)
     rows.to_csv(path, index=False)
     report.evaluated({"output": str(path), "problems": {}, "pairs": len(rows)}, views_table(rows))

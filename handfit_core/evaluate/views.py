@@ -3,7 +3,7 @@
 A folder, or each of its folders, has `gt.json`: a list of clips, each an object with `clip`, `side`, `fps`,
 `offset` (seconds from the first view's start to the second one's), `K_a`, `K_b` (3, 3), `R` (3, 3), `t` (3,)
 (x_b = R x_a + t, metres) and `joints3d` (T, 21, 3) in the first camera's frame. The clip's views lie beside
-it as CLIP_a.mp4 and CLIP_b.mp4.
+it as CLIP_a.mp4 and CLIP_b.mp4, or as folders of pictures CLIP_a and CLIP_b.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ import numpy as np
 import pandas as pd
 
 from handfit_core.errors import DatasetError
-from handfit_core.evaluate import CameraChoice
 from handfit_core.evaluate.metrics import (
     camera_distances,
     root_aligned_distances,
@@ -36,7 +35,10 @@ from handfit_core.pipeline import capture
 from handfit_core.take import Take
 
 KIND: Final = "two-cameras"
+TOLD: Final = ("nothing", "lenses", "cameras")
+"""What is told of both cameras: nothing, their lenses, or where they stand as well"""
 TRUTH: Final = "gt.json"
+_KEYS: Final = {"clip", "side", "fps", "offset", "K_a", "K_b", "R", "t", "joints3d"}
 _ALIGNMENTS: Final = {
     "PA-MPJPE": similarity_aligned_distances,
     "root-aligned": root_aligned_distances,
@@ -69,33 +71,36 @@ def _truths(folder: Path) -> list[Path]:
 
 
 def evaluate_views(
-    folder: Path,
-    options: CaptureOptions,
-    camera: CameraChoice,
-    progress: Callable[[str, int, int], None],
+    folder: Path, options: CaptureOptions, progress: Callable[[str, int, int], None]
 ) -> pd.DataFrame:
-    """A row for each pair of clips, those that do not belong together among them (`belongs` is False there).
+    """A row for each pair of clips with each of `TOLD`, and with nothing told also for pairs that do not
+    belong together (`belongs` is False there).
 
-    `camera` "labelled" tells both cameras' lenses and places. Raises DatasetError, and what captures raise.
+    Raises DatasetError, and what captures raise.
     """
-    clips = list(_captured(folder, options, camera, progress))
-    pairs = [(clip, clip) for clip in clips]
-    # Each first view with two strangers
-    pairs += [
-        (clip, clips[(i + k) % len(clips)]) for k in (1, 2) if len(clips) > k for i, clip in enumerate(clips)
-    ]
     rows = []
-    for done, (first, second) in enumerate(pairs, start=1):
-        rig = _rig(first) if camera == "labelled" and first is second else None
-        started = time.process_time()
-        take = joined(Clip(first.first), Clip(second.second), options, rig)
-        rows.append(_row(first, second, take, time.process_time() - started))
-        progress("score", done, len(pairs))
+    for lenses in (False, True):
+        clips = list(_captured(folder, options, lenses=lenses, progress=progress))
+        pairs = [(told, clip, clip) for told in TOLD if (told != "nothing") is lenses for clip in clips]
+        if not lenses:
+            # Each first view with two strangers
+            pairs += [
+                ("nothing", clip, clips[(i + k) % len(clips)])
+                for k in (1, 2)
+                if len(clips) > k
+                for i, clip in enumerate(clips)
+            ]
+        for done, (told, first, second) in enumerate(pairs, start=1):
+            rig = _rig(first) if told == "cameras" else None
+            started = time.process_time()
+            take = joined(Clip(first.first, lenses), Clip(second.second, lenses), options, rig)
+            rows.append({"told": told} | _row(first, second, take, time.process_time() - started))
+            progress("score", done, len(pairs))
     return pd.DataFrame(rows)
 
 
 def _captured(
-    folder: Path, options: CaptureOptions, camera: CameraChoice, progress: Callable[[str, int, int], None]
+    folder: Path, options: CaptureOptions, *, lenses: bool, progress: Callable[[str, int, int], None]
 ) -> Iterator[FilmedClip]:
     truths = [(path, truth) for path in _truths(folder) for truth in _read(path)]
     if not truths:
@@ -103,10 +108,11 @@ def _captured(
     for done, (path, truth) in enumerate(truths, start=1):
         takes = []
         for view in "ab":
-            file = path.parent / f"{truth['clip']}_{view}.mp4"
+            file = path.parent / f"{truth['clip']}_{view}"
+            file = file if file.is_dir() else file.with_name(f"{file.name}.mp4")
             size = open_media(file)
-            lens = _lens(truth, view, size.width, size.height) if camera == "labelled" else None
-            takes.append(capture(file, replace(options, lens=lens)))
+            lens = _lens(truth, view, size.width, size.height) if lenses else None
+            takes.append(replace(capture(file, replace(options, lens=lens)), fps=truth["fps"]))
         yield FilmedClip(f"{path.parent.name}/{truth['clip']}", path.parent.name, truth, *takes)
         progress("detect", done, len(truths))
 
@@ -114,11 +120,11 @@ def _captured(
 def _read(path: Path) -> list[dict[str, Any]]:
     try:
         clips = json.loads(path.read_text(encoding="utf-8"))
-        if all({"clip", "side", "offset", "R", "t", "joints3d"} <= set(clip) for clip in clips):
+        if all(set(clip) >= _KEYS for clip in clips):
             return clips
     except (OSError, ValueError, TypeError) as error:
         raise DatasetError(f"{path}: cannot be read ({error})") from error
-    raise DatasetError(f"{path}: a clip lacks clip, side, offset, R, t or joints3d")
+    raise DatasetError(f"{path}: a clip lacks one of {', '.join(sorted(_KEYS))}")
 
 
 def _lens(truth: dict[str, Any], view: str, width: int, height: int) -> Lens:
@@ -180,11 +186,15 @@ def views_table(rows: pd.DataFrame) -> str:
     the time of a processor beyond both captures in seconds."""
     own, strangers = rows[rows["belongs"]], rows[~rows["belongs"]]
     heads = [name for name in _COLUMNS if name in own]
-    lines = [f"| | clips | refused | {' | '.join(heads)} |", "|---" * (len(heads) + 3) + "|"]
-    for name, group in [*own.groupby("group"), ("all", own)]:
-        shown = [f"{group[head].mean():.2f} ({group[head].max():.2f})" for head in heads]
-        refused = int((group["verdict"] == "failed").sum())
-        lines.append(f"| {name} | {len(group)} | {refused} | {' | '.join(shown)} |")
+    lines = [
+        f"| told | | clips | doubtful | refused | {' | '.join(heads)} |",
+        "|---" * (len(heads) + 5) + "|",
+    ]
+    for told, level in own.groupby("told", sort=False):
+        for name, group in [*level.groupby("group"), ("all", level)]:
+            shown = [f"{group[head].mean():.2f} ({group[head].max():.2f})" for head in heads]
+            counts = [str(int((group["verdict"] == verdict).sum())) for verdict in ("doubtful", "failed")]
+            lines.append(f"| {' | '.join([str(told), str(name), str(len(group)), *counts, *shown])} |")
     if len(strangers):
         counts = {verdict: int((strangers["verdict"] == verdict).sum()) for verdict in ("good", "doubtful")}
         lines.append("")

@@ -62,6 +62,24 @@ class Blocks(Batch):
 
         With `shared_shape` the increments of the betas are the same in all B problems.
         """
+        reduced, solved = self._without_fingers(damping)
+        if shared_shape:
+            of_hand = -_with_one_shape(reduced)
+        else:
+            of_hand = -np.linalg.solve(reduced[..., :-1], reduced[..., -1:])[..., 0]
+        # Back to the fingers: D y = -(g + M x).
+        of_fingers = -(solved[..., :-1] @ of_hand[:, None, :, None])[..., 0] - solved[..., -1]
+        return of_hand, of_fingers
+
+    def common_information(self) -> np.ndarray:
+        """(c, c) information of what is common to all B problems, the betas and the cameras, with everything
+        else free."""
+        reduced, _ = self._without_fingers(np.zeros(len(self.cost)))
+        return _of_common(reduced)[0][:, :-1]
+
+    def _without_fingers(self, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The hands' systems (B, n, n + 1) with the fingers eliminated, and the fingers' answers
+        (B, 5, 9, n + 1) to each of their columns."""
         batch, n, _ = self.hand.shape
         # Faster than solving for the few right sides, and accurate enough for a step.
         own = _damped(self.finger[..., :9], damping[:, None])
@@ -76,13 +94,7 @@ class Blocks(Batch):
         reduced = self.hand - mixed.swapaxes(1, 2) @ solved.reshape(batch, 45, n + 1)
         diagonal = np.einsum("bii->bi", reduced[..., :n])
         diagonal += damping[:, None] * np.einsum("bii->bi", self.hand[..., :n]) + SOLVER.diagonal_floor
-        if shared_shape:
-            of_hand = -_with_one_shape(reduced)
-        else:
-            of_hand = -np.linalg.solve(reduced[..., :-1], reduced[..., -1:])[..., 0]
-        # Back to the fingers: D y = -(g + M x).
-        of_fingers = -(solved[..., :-1] @ of_hand[:, None, :, None])[..., 0] - solved[..., -1]
-        return of_hand, of_fingers
+        return reduced, solved
 
     def predicted_decrease(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> np.ndarray:
         """(B,) by how much a step decreases the cost at least, if the residuals are linear: -g^T x."""
@@ -98,19 +110,24 @@ def _damped(matrix: np.ndarray, damping: np.ndarray) -> np.ndarray:
     return damped
 
 
-def _with_one_shape(system: np.ndarray) -> np.ndarray:
-    """(B, n) solutions of systems (B, n, n + 1) whose betas are common to all, and what follows a hand's own
-    variables."""
-    batch, n, _ = system.shape
+def _of_common(system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What B systems (B, n, n + 1) say of the betas and of what follows a hand's own variables, (c, c + 1);
+    the own variables' answers (B, o, c + 1) to each of its columns, and the indices of both."""
+    n = system.shape[1]
     common = np.r_[BETAS, HAND_SIZE:n]
     own = np.setdiff1d(np.arange(n), common)
     rest = np.append(common, n)
     right = system[:, own][:, :, rest]
     solved = np.linalg.solve(system[:, own][:, :, own], right)
-    total = (system[:, common][:, :, np.append(common, n)] - right[..., :-1].swapaxes(1, 2) @ solved).sum(
-        axis=0
-    )
-    found = np.empty((batch, n))
+    total = (system[:, common][:, :, rest] - right[..., :-1].swapaxes(1, 2) @ solved).sum(axis=0)
+    return total, solved, common, own
+
+
+def _with_one_shape(system: np.ndarray) -> np.ndarray:
+    """(B, n) solutions of systems (B, n, n + 1) whose betas are common to all, and what follows a hand's own
+    variables."""
+    total, solved, common, own = _of_common(system)
+    found = np.empty(system.shape[:2])
     found[:, common] = shape = np.linalg.solve(total[:, :-1], total[:, -1])
     found[:, own] = solved[..., -1] - solved[..., :-1] @ shape
     return found

@@ -159,6 +159,9 @@ class ViewSettings:
     webcams have 0.5 to 0.7 of the picture's longer side, phones 0.7 to 0.8"""
     focal_sigma: float = 0.35
     """Expected error of the logarithm of a focal length of which nothing is known"""
+    focal_ratio_sigma: float = 0.2
+    """Expected error of the logarithm of the ratio of both focal lengths: two cameras of one shot are of
+    similar kinds, and the direction between them hangs on this ratio"""
     known_focal_sigma: float = 0.02
     """Expected error of the logarithm of a focal length that the file or a person tells"""
     evidence: float = 10.0
@@ -216,6 +219,12 @@ class ViewSettings:
     """Share of common frames with different hands that is worth a word"""
     least_apart: float = 15.0
     """degrees between the lines of sight below which depth is hardly seen"""
+    open_rotation: float = 0.95
+    """degrees that the normal equations leave open of the second camera's rotation, beyond which it is
+    doubtful: rotations err by three to four times that"""
+    open_direction: float = 6.5
+    """degrees that they leave open of the direction to the second camera, likewise: directions err by two to
+    four times that"""
     both_factor: float = 0.75
     """Factor of the expected error where both views see the hand and agree as usual: rendered clips err by
     6.4 mm there, and by 8.7 in one view"""

@@ -218,6 +218,9 @@ def _set_up_render(
     cycles.caustics_reflective = cycles.caustics_refractive = False
     if shot.clip is not None:
         render.use_motion_blur = True
-        render.motion_blur_shutter = SHUTTER
+        render.motion_blur_shutter = SHUTTER + shot.readout
+        if shot.readout > 0.0:
+            cycles.rolling_shutter_type = "TOP"
+            cycles.rolling_shutter_duration = SHUTTER / (SHUTTER + shot.readout)
         render.motion_blur_position = "CENTER"
         render.use_persistent_data = True

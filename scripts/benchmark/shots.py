@@ -73,6 +73,8 @@ class Shot:
     """One per picture"""
     look_seed: tuple[int, ...]
     """Seeds everything that the labels do not depend on: colours, light, background, noise"""
+    readout: float = 0.0
+    """Of a frame's time, from the first line of a picture to the last; 0: all lines at once"""
 
     @property
     def lead(self) -> int:
@@ -126,12 +128,12 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
             "hands": [
                 {
                     "hand": hand.side,
-                    "joints_3d_mm": _rounded(p[t] * 1000.0, 5),
-                    "keypoints_2d_px": _rounded(uv[t], 4),
+                    "joints_3d_mm": rounded(p[t] * 1000.0, 5),
+                    "keypoints_2d_px": rounded(uv[t], 4),
                     "mano": {
                         **{"model": OPEN_HAND, "digest": model_of(hand.side).digest},
-                        "betas": _rounded(hand.betas, 9),
-                        **{key: _rounded(getattr(hand, key)[t], 9) for key in _PER_FRAME},
+                        "betas": rounded(hand.betas, 9),
+                        **{key: rounded(getattr(hand, key)[t], 9) for key in _PER_FRAME},
                     },
                 }
                 for hand, p, uv in zip(shot.hands, points, pixels, strict=True)
@@ -147,6 +149,6 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
 _PER_FRAME = ("global_orient", "hand_pose", "transl")
 
 
-def _rounded(values: np.ndarray, decimals: int) -> list:
+def rounded(values: np.ndarray, decimals: int) -> list:
     """Digits enough for the labels to be exact to a nanometre, and files that people can read."""
     return np.round(values, decimals).tolist()

@@ -15,6 +15,7 @@ from handfit_core.evaluate.datasets import plain  # noqa: E402
 from handfit_core.hand_model import axes, load_model  # noqa: E402
 from scripts.benchmark import drawing  # noqa: E402
 from scripts.benchmark.clips import clip_shot  # noqa: E402
+from scripts.benchmark.pairs import pair_shots  # noqa: E402
 from scripts.benchmark.scene import build_scene  # noqa: E402
 from scripts.benchmark.shots import Shot  # noqa: E402
 from scripts.benchmark.stills import still_shot  # noqa: E402
@@ -23,7 +24,7 @@ from scripts.render_benchmark import main  # noqa: E402
 from .conftest import evaluated_vertices, joint_heads  # noqa: E402
 
 SIZE = 96
-TINY = f"--stills 1 --clips 1 --frames 2 --seed 3 --size {SIZE} --samples 1".split()
+TINY = f"--stills 1 --clips 1 --pairs 1 --frames 2 --seed 3 --size {SIZE} --samples 1".split()
 CLIP = clip_shot(0, 3, 4, SIZE)
 ALL = ["clips/00/0000.jpg", "clips/00/0001.jpg", "stills/00000.jpg"]
 
@@ -79,7 +80,10 @@ def test_the_camera_projects_as_the_labels_do() -> None:
 def test_index_lists_every_picture_with_its_labels(rendered: Path) -> None:
     index = json.loads((rendered / "index.json").read_text(encoding="utf-8"))
     assert index["fps"] == 25.0
-    assert sorted(p["file"] for p in index["pictures"]) == ALL == sorted(jpegs(rendered))
+    pairs = [f"pairs/clip0_{view}/{number:04d}.jpg" for view in "ab" for number in (1, 2)]
+    assert sorted(p["file"] for p in index["pictures"]) == ALL
+    assert sorted(jpegs(rendered)) == [*ALL[:2], *pairs, ALL[2]]
+    assert [clip["clip"] for clip in json.loads((rendered / "pairs/gt.json").read_bytes())] == ["clip0"]
     assert [p.get("clip") for p in index["pictures"]] == [None, "00", "00"]
     assert [p["time"] for p in index["pictures"]] == [0.0, 0.0, 0.04]
     found = plain.read(rendered)
@@ -115,6 +119,16 @@ def test_blender_holds_the_hands_where_the_labels_say(shot: Shot) -> None:
             np.testing.assert_allclose(heads, posed.joints, atol=1e-5)
             labels = hand.keypoints()[row]
             np.testing.assert_allclose(labels, posed.keypoints, atol=1e-5)
+
+
+def test_two_cameras_read_their_sensors_line_by_line() -> None:
+    """Each line is exposed as long as a clip's picture."""
+    shot, _, _ = pair_shots(0, 0, 2, SIZE)
+    build_scene(shot, 1)
+    scene = bpy.context.scene
+    assert scene.cycles.rolling_shutter_type == "TOP"
+    exposed = scene.render.motion_blur_shutter * scene.cycles.rolling_shutter_duration
+    assert exposed == pytest.approx(0.5)
 
 
 def test_an_interrupted_run_goes_on_and_same_seed_is_same_bytes(

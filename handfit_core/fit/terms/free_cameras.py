@@ -45,7 +45,8 @@ class FilmedState(State):
 
 @dataclass(frozen=True, eq=False)
 class CameraPrior:
-    """Four rows for each hand: both logarithms of focal lengths and the offset, against what is expected."""
+    """Four rows for each hand: both logarithms of focal lengths, their difference, and the offset, against
+    what is expected."""
 
     log_focal: np.ndarray
     """(2,)"""
@@ -60,11 +61,15 @@ class CameraPrior:
         state = posed.state
         assert isinstance(state, FilmedState)
         weight = 1.0 / np.sqrt(VIEWS.evidence)
-        sigma = np.append(self.focal_sigma, self.offset_sigma) / weight
-        columns = np.zeros((len(state), 1, 3, HAND_SIZE + CAMERA_SIZE + 1))
-        columns[:, 0, [0, 1, 2], HAND_SIZE + np.array([6, 7, 8])] = 1.0 / sigma
-        of = np.concatenate([state.log_focal - self.log_focal, state.offset[:, None] - self.offset], axis=1)
-        columns[:, 0, :, -1] = of / sigma
+        columns = np.zeros((len(state), 1, 4, HAND_SIZE + CAMERA_SIZE + 1))
+        first, second, late = (HAND_SIZE + np.array([6, 7, 8])).tolist()
+        columns[:, 0, [0, 1, 2], [first, second, late]] = 1.0
+        columns[:, 0, 3, [first, second]] = 1.0, -1.0
+        of_focal = state.log_focal - self.log_focal
+        columns[:, 0, :2, -1], columns[:, 0, 2, -1] = of_focal, state.offset - self.offset
+        columns[:, 0, 3, -1] = of_focal[:, 0] - of_focal[:, 1]
+        sigma = np.array([*self.focal_sigma, self.offset_sigma, VIEWS.focal_ratio_sigma])
+        columns *= (weight / sigma)[:, None]
         return Rows(HAND, columns)
 
 

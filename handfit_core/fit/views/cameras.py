@@ -89,6 +89,9 @@ class Adjusted:
     """Root mean square of both views' residuals, in `ViewedHand.sigma`"""
     error: tuple[float, float]
     """pixels: median distance of landmarks in each view"""
+    left_open: tuple[float, float]
+    """Standard deviations of the rotation and of the direction of `translation` if all residuals were
+    independent, degrees; without meaning where these are known"""
 
 
 def start_rotation(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -158,7 +161,8 @@ def adjust(
     here = [pair.at(rows) for pair, rows in zip(pairs, chosen, strict=True) if len(rows)]
     sigma = VIEWS.offset_sigma if known.offset_sigma is None else known.offset_sigma
     rate = min(here[0].first.fps, here[0].second.fps)
-    prior = CameraPrior(np.log(known.focal), np.maximum(known.focal_sigma, 1e-6), offset, sigma / rate)
+    focal_sigma = np.maximum(known.focal_sigma, 1e-6)
+    prior = CameraPrior(np.log(known.focal), focal_sigma, offset, max(sigma / rate, 1e-6))
     parts = tuple(_problem(pair, known, prior, count) for pair in here)
     states = State.concatenate([pair.first.placed(known.focal[0]) for pair in here])
     rotation, translation, focal, betas = _start(here, offset, known, start)
@@ -262,4 +266,16 @@ def _result(whole: _Together, solution: Solution, pairs: Sequence[HandPair]) -> 
         cost=float(solution.cost.mean()),
         residual=float(np.sqrt(np.concatenate(squares).mean())),
         error=(errors[0], errors[1]),
+        left_open=_left_open(whole, state),
     )
+
+
+def _left_open(whole: _Together, state: FilmedState) -> tuple[float, float]:
+    """What the normal equations leave open of the second camera's rotation and direction, degrees."""
+    covariance = np.linalg.inv(whole.blocks(state).common_information())[-CAMERA_SIZE:, -CAMERA_SIZE:]
+    way = state.translation[0]
+    length = max(float(np.linalg.norm(way)), 1e-6)
+    across = np.eye(3) - np.outer(way, way) / length**2
+    turned = np.trace(covariance[TURN, TURN])
+    moved = np.trace(across @ covariance[SHIFT, SHIFT]) / length**2
+    return tuple(np.degrees(np.sqrt([turned, moved])).tolist())

@@ -31,6 +31,8 @@ class Evidence:
     dropped: float = 0.0
     """Share of common frames in which the views show different hands"""
     cameras_known: bool = False
+    left_open: tuple[float, float] = (0.0, 0.0)
+    """`Adjusted.left_open`"""
 
 
 def verdict_of(evidence: Evidence) -> Verdict:
@@ -84,6 +86,12 @@ def _doubts(e: Evidence) -> list[str]:
         found.append(f"Only {e.common} frames are in common: film longer.")
     if e.apart < VIEWS.least_apart and not e.cameras_known:
         found.append(f"The cameras stand too close together ({e.apart:.0f} degrees): 40 to 90 are good.")
+    open_rotation, open_direction = e.left_open
+    if not e.cameras_known and (open_rotation > VIEWS.open_rotation or open_direction > VIEWS.open_direction):
+        found.append(
+            "Where the second camera stands is uncertain: measure both lenses, film longer, or turn the palm "
+            "more."
+        )
     if e.score < VIEWS.weak_score:
         found.append(
             "The fingers hardly move, which leaves the offset open: open and close the hand, or give it."

@@ -13,6 +13,7 @@ from handfit_core.skeleton import SIDES, TIP_KEYPOINTS
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.contact import penetration
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
+from scripts.benchmark.pairs import pair_shots
 from scripts.benchmark.poses import POSES, random_pose
 from scripts.benchmark.shots import Shot, entries
 from scripts.benchmark.stills import still_shot
@@ -139,3 +140,19 @@ def test_clip_labels_are_of_their_own_moments(clip: Shot) -> None:
     np.testing.assert_allclose(
         camera.project(inner[5] / 1000), made[5]["hands"][0]["keypoints_2d_px"], atol=1e-3
     )
+
+
+def test_two_cameras_see_one_hand() -> None:
+    """The same bones and bends, and with no offset the same place: nearest in the true moments of both."""
+    first, second, truth = pair_shots(0, 0, 30, 320)
+    a, b = (shot.hands[0].keypoints()[1:-1] for shot in (first, second))
+    np.testing.assert_allclose(a, truth["joints3d"], atol=1e-7)
+    late = truth["offset"] * truth["fps"]
+    moments = np.arange(30) + late
+    common = (moments >= 0) & (moments <= 29)
+    moved = np.array([np.interp(moments[common], range(30), column) for column in a.reshape(30, -1).T])
+    moved = moved.T.reshape(-1, 21, 3) @ np.array(truth["R"]).T + truth["t"]
+    assert abs(late) > 1.0
+    assert np.abs(moved - b[common]).max() < 2e-3
+    assert outside(second.camera.project(b), second.size).max() == 0
+    assert first.camera.fx != second.camera.fx

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -27,6 +28,7 @@ from handfit_core.evaluate.report.tables import (
 )
 from handfit_core.evaluate.scores import Comparison, Evaluation
 from handfit_core.evaluate.summary import pck
+from handfit_core.evaluate.views import views_table
 from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.made import (
     COUNT,
@@ -366,3 +368,19 @@ def test_crops_hold_the_hand_and_not_a_lost_prediction() -> None:
     low, high = sheets.crop_box(nothing, nothing, 640, 480)
     assert (low <= 0).all()
     assert (high >= [640, 480]).all()
+
+
+def test_table_of_evaluated_pairs():
+    """Means and largest values of each level and group; strangers only count."""
+    levels = [("nothing", "near", 1.0), ("nothing", "far", 3.0), ("cameras", "near", 0.5)]
+    rows = [
+        {"told": told, "group": group, "belongs": True, "verdict": "good", "offset": offset}
+        for told, group, offset in levels
+    ]
+    rows[1]["verdict"] = "doubtful"
+    rows.append(rows[0] | {"belongs": False, "verdict": "good", "offset": 50.0})
+    lines = views_table(pd.DataFrame(rows)).splitlines()
+    assert "| nothing | far | 1 | 1 | 0 | 3.00 (3.00) |" in lines
+    assert "| nothing | all | 2 | 1 | 0 | 2.00 (3.00) |" in lines
+    assert "| cameras | all | 1 | 0 | 0 | 0.50 (0.50) |" in lines
+    assert lines[-1].startswith("Of 1 pairs that do not belong together 1 were taken for good and 0")

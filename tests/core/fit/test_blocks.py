@@ -84,3 +84,16 @@ def test_shared_step_equals_dense_solve() -> None:
     found = np.concatenate([of_hand, of_fingers.reshape(3, 45)], axis=1)
     close(found[:, own], expected[:156].reshape(3, 52), rtol=1e-7, atol=1e-9)
     close(found[:, BETAS], np.tile(expected[156:], (3, 1)), rtol=1e-7, atol=1e-9)
+
+
+def test_common_information_is_that_of_a_dense_inverse() -> None:
+    """Two cameras' variables and the betas, once three hands' own are eliminated."""
+    blocks, whole, _ = make_blocks(3, 17 + 9)
+    common = np.r_[np.arange(71)[:26][BETAS], 17:26]
+    own = np.setdiff1d(np.arange(71), common)
+    total = sum(
+        matrix[np.ix_(common, common)]
+        - matrix[np.ix_(common, own)] @ np.linalg.solve(matrix[np.ix_(own, own)], matrix[np.ix_(own, common)])
+        for matrix in damped(whole, np.zeros(3))
+    )
+    close(blocks.common_information(), total, rtol=1e-7, atol=1e-9)

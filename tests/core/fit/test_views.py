@@ -157,6 +157,9 @@ def test_cameras_are_recovered(sides):
     assert way @ true > 0.999 * np.linalg.norm(way) * np.linalg.norm(true)
     assert np.linalg.norm(way - true) < 0.1 * np.linalg.norm(true)
     assert found.residual < 0.5
+    few = adjust([pairs[0].at(np.arange(20, 26))], OFFSET, Known((600.0, 600.0), (0.3, 0.3)))
+    assert few is not None
+    assert all(more > 2.0 * less for more, less in zip(few.left_open, found.left_open, strict=True))
     told = Known((600.0, 600.0), (0.0, 0.0), TURN, SHIFT, 0.0)
     held = adjust(pairs, OFFSET, told)
     assert held is not None
@@ -252,6 +255,9 @@ GOOD = Evidence(3.3, 2.0, 1.2, 80, 70.0, 5.0, 0.8)
         ({"apart": 12.0}, "doubtful", "too close together (12 degrees)"),
         ({"common": 25}, "doubtful", "Only 25 frames are in common"),
         ({"score": 0.05}, "doubtful", "The fingers hardly move"),
+        ({"left_open": (1.2, 1.0)}, "doubtful", "Where the second camera stands is uncertain"),
+        ({"left_open": (0.5, 9.0)}, "doubtful", "Where the second camera stands is uncertain"),
+        ({"left_open": (9.0, 9.0), "cameras_known": True}, "good", ""),
         ({"residual": 1.9}, "doubtful", "agree badly"),
         ({"halves": 20.0}, "doubtful", "seem to have moved"),
         ({"dropped": 0.2}, "doubtful", "In 20% of the frames"),
