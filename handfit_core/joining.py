@@ -28,6 +28,7 @@ from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.options import CaptureOptions
+from handfit_core.retiming import sampled
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import HandTrack, Take
 from handfit_core.views import Cameras, SeenHand, Verdict, View
@@ -388,7 +389,7 @@ def _verdict(tried: _Tried, first: Clip, options: CaptureOptions) -> Verdict:
     found = tried.found
     return verdict_of(
         Evidence(
-            offset_frames=found.offset * first.take.fps,
+            offset_frames=_by_even_frames(first, tried.second, found.offset)[0] * first.take.fps,
             error=max(found.error),
             residual=found.residual,
             common=_common(tried.pairs, found.offset),
@@ -460,7 +461,7 @@ def _fitted(
         track = _track(take, hand, hand.side, _kept(hand, tried.pairs[at].first.rows))
         whole = hand_track(tried.pairs[at].fitter.model, track, fit, cameras[0])
         hands.append(replace(whole, seen_by=(_seen(other.hands[tried.hands[at][1]], used),)))
-    rate, times = _by_rate(first, tried.second, found.offset)
+    offset, rate, times = _by_even_frames(first, tried.second, found.offset)
     numbers = np.asarray(other.frame_numbers)
     view = View(other.source, rate, other.width, other.height, numbers, times, tried.mirrored)
     return replace(
@@ -471,7 +472,7 @@ def _fitted(
             np.stack([np.eye(3), found.rotation]),
             np.stack([np.zeros(3), found.translation]),
             np.array([list(vars(camera).values()) for camera in cameras]),
-            np.array([0.0, found.offset]),
+            np.array([0.0, offset]),
             (view,),
         ),
         verdict=verdict,
@@ -510,26 +511,25 @@ def _fit(
     return fit, second.rows[np.unique(second.nearest(times))]
 
 
-def _by_rate(first: Clip, second: Clip, offset: float) -> tuple[float, np.ndarray | None]:
-    """The second view's frames per second by the first one's clock, and the times (S,) of its frames where
-    they stray from that; both where the first view's frames are taken for even."""
+def _by_even_frames(first: Clip, second: Clip, offset: float) -> tuple[float, float, np.ndarray | None]:
+    """Offset and frames per second of the second view, and the times (S,) of its frames where they stray from
+    that, by a clock by which the first view's frames are even, as a take has them."""
     if first.stamps is None and second.stamps is None:
-        return second.take.fps, None
+        return offset, second.take.fps, None
     moments = offset + second.times
     inside = np.clip(moments, 0.0, first.times[-1])
-    times = np.interp(inside, first.times, first.even_times) + moments - inside
-    times -= times[0]
-    even = second.even_times
+    moments = np.interp(inside, first.times, first.even_times) + moments - inside
+    times, even = moments - moments[0], second.even_times
     rate = float((even @ even) / max(even @ times, 1e-9))
     strays = np.abs(times - even / rate).max() * second.take.fps > VIEWS.stray_frames
-    return second.take.fps * rate, times if strays else None
+    return float(moments[0]), second.take.fps * rate, times if strays else None
 
 
 def _filled(fit: HandMotion, first: Clip, at: int, tried: _Tried) -> tuple[HandMotion, np.ndarray]:
     """The motion with the second view's hand, turned into the first camera's frame, where the first view has
     none, and the second view's rows (K,) that gave it. Next to frames that both views have, it is turned and
     moved by what lies between them, and so on up to the next such frames."""
-    pair, found, fitter = tried.pairs[at], tried.found, tried.pairs[at].fitter
+    pair, found = tried.pairs[at], tried.found
     moments = first.times - found.offset
     missing = np.setdiff1d(np.flatnonzero(pair.second.seen_at(moments)), pair.first.rows)
     both = np.intersect1d(pair.first.rows, np.flatnonzero(pair.second.seen_at(moments) & fit.present))
@@ -538,21 +538,22 @@ def _filled(fit: HandMotion, first: Clip, at: int, tried: _Tried) -> tuple[HandM
     place = np.searchsorted(both, missing)
     before, after = both[np.maximum(place - 1, 0)], both[np.minimum(place, len(both) - 1)]
     rows = np.unique(np.concatenate([missing, before, after]))
-    seen = pair.second.select(pair.second.nearest(moments[rows]))
-    start = seen.placed(found.focal[1])
-    start = replace(start, betas=np.broadcast_to(found.betas, start.betas.shape))
-    state = fitter.solve_each(fitter.problem(seen.observed(_cameras(tried)[1])), start).state
-    wrist = (state.wrist - found.translation) @ found.rotation
-    _, *poses = fitter.chain.parameters(replace(state, root=found.rotation.T @ state.root, wrist=wrist))
-    turns = rotvec_to_rotmat(np.concatenate(poses[:2], axis=1).reshape(len(rows), -1, 3))
+    clip, hand = tried.second, tried.second.take.hands[tried.hands[at][1]]
+    at_rows = np.interp(moments[rows], clip.times, np.arange(len(clip.times)))
+    own = sampled(hand, np.arange(len(clip.times)), at_rows)
+    turns = rotvec_to_rotmat(np.concatenate(own.pose[:2], axis=1).reshape(len(rows), -1, 3))
+    turns[:, 0] = found.rotation.T @ turns[:, 0]
+    size = flat_hand_length(pair.fitter.model, fit.betas) / flat_hand_length(pair.fitter.model, hand.betas)
+    scale = size * np.array([1.0, 1.0, found.focal[1] / clip.take.intrinsics.fx])
+    places = (own.transl * scale) @ found.rotation
     there = np.searchsorted(rows, missing)
 
     def beside(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What turns (N, 16, 3, 3) and moves (N, 3) the second view's hand onto that of both views."""
-        own = np.searchsorted(rows, known)
+        here = np.searchsorted(rows, known)
         pose = np.concatenate([fit.global_orient[known], fit.hand_pose[known]], axis=1)
-        turn = rotvec_to_rotmat(pose.reshape(len(known), -1, 3)) @ turns[own].swapaxes(2, 3)
-        return turn, fit.transl[known] - poses[2][own]
+        turn = rotvec_to_rotmat(pose.reshape(len(known), -1, 3)) @ turns[here].swapaxes(2, 3)
+        return turn, fit.transl[known] - places[here]
 
     (turn, shift), (last_turn, last_shift) = beside(before), beside(after)
     part = np.clip((missing - before) / np.maximum(after - before, 1), 0.0, 1.0)[:, None]
@@ -562,7 +563,7 @@ def _filled(fit: HandMotion, first: Clip, at: int, tried: _Tried) -> tuple[HandM
     values = {
         "global_orient": pose[:, :3],
         "hand_pose": pose[:, 3:],
-        "transl": poses[2][there] + shift + part * (last_shift - shift),
+        "transl": places[there] + shift + part * (last_shift - shift),
     }
     filled = {name: getattr(fit, name).copy() for name in values}
     for name, value in values.items():
