@@ -250,9 +250,7 @@ def _by_one_clock(tried: _Tried) -> _Tried:
         replace(pair, second=replace(pair.second, times=pair.second.times * rate)) for pair in tried.pairs
     ]
     again = adjust(pairs, (offsets[0] - drift * middles[0]) * rate, tried.known, found)
-    if again is None or again.cost >= found.cost:
-        return tried
-    return replace(tried, second=second, pairs=pairs, found=again)
+    return tried if again is None else replace(tried, second=second, pairs=pairs, found=again)
 
 
 def _viewed(fitter: FastFitter, clip: Clip, hand: int) -> ViewedHand:
