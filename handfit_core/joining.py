@@ -426,11 +426,14 @@ def _halves(tried: _Tried) -> float:
 
 
 def _better(first: Clip, second: Clip, why: str) -> Take:
-    """The take of the view whose hands are likelier right, with a verdict that says why it is alone."""
+    """The take of the view whose hands are likelier right, of one that is not much shorter than the first,
+    with a verdict that says why it is alone."""
     takes = first.take, second.take
     errors = [[mean_expected_error(hand) for hand in take.hands] for take in takes]
     known = [[error for error in each if error is not None] for each in errors]
-    return alone(takes, 1 if all(known) and np.mean(known[1]) < np.mean(known[0]) else 0, why)
+    seen = [max(int(np.sum(hand.detected)) for hand in take.hands) for take in takes]
+    is_second = all(known) and np.mean(known[1]) < np.mean(known[0]) and 2 * seen[1] >= seen[0]
+    return alone(takes, 1 if is_second else 0, why)
 
 
 def alone(views: Sequence[Take | None], number: int, why: str) -> Take:
