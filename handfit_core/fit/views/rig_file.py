@@ -61,7 +61,7 @@ def read_rig(path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence
             scaled.append(lens.scaled(*size))
         except OptionError as error:
             raise OptionError(
-                f"{shown(path)}: the {nth} view's camera was calibrated at {lens.width}x{lens.height} pixels, and "
+                f"{shown(path)}: the {nth} view's camera was calibrated for {lens.width}x{lens.height}, and "
                 f"{name} has another shape, {size[0]}x{size[1]}: calibrate the camera as it films"
             ) from error
     rotation = r1 @ r0.T
