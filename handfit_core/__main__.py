@@ -224,6 +224,7 @@ class _TextOutput:
     _VERBS = {  # noqa: RUF012
         "detect": "finding hands",
         "fit": "fitting      ",
+        "join": "joining views",
         "score": "scoring      ",
         "lens": "reading film ",
     }
@@ -242,6 +243,11 @@ class _TextOutput:
                 self._line(
                     f"{self._VERBS[progress.stage].strip()}: {progress.done} of {progress.total or '?'}"
                 )
+            return
+        if not progress.total:
+            text = f"{self._VERBS[progress.stage]}: step {progress.done}"
+            print(f"\r{text:<78}", end="", file=sys.stderr, flush=True)
+            self._dirty = True
             return
         if now - self._last < self._EVERY and not finished:
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -22,11 +22,13 @@ from handfit_core.fit.views.verdict import Evidence, degrees_apart, rotation_bet
 from handfit_core.fit_quality import error_is_known, mean_expected_error
 from handfit_core.fitting import hand_track
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.options import CaptureOptions
+from handfit_core.retiming import sampled
 from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import HandTrack, Take
 from handfit_core.views import Cameras, SeenHand, Verdict, View
@@ -41,12 +43,19 @@ class Clip:
 
     take: Take
     lens_known: bool = False
+    stamps: np.ndarray | None = None
+    """(T,) seconds after its first frame, as the file tells them; None: as its rate says"""
+
+    @property
+    def even_times(self) -> np.ndarray:
+        """(T,) seconds after its first frame, as its rate says."""
+        numbers = np.asarray(self.take.frame_numbers)
+        return (numbers - numbers[0]) / self.take.fps
 
     @property
     def times(self) -> np.ndarray:
         """(T,) seconds after its first frame."""
-        numbers = np.asarray(self.take.frame_numbers)
-        return (numbers - numbers[0]) / self.take.fps
+        return self.even_times if self.stamps is None else self.stamps
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,29 +74,34 @@ class _Tried:
     dropped: float = 0.0
 
 
-def joined(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None = None) -> Take:
+def joined(
+    first: Clip,
+    second: Clip,
+    options: CaptureOptions,
+    rig: Rig | None = None,
+    on_step: Callable[[], None] = lambda: None,
+) -> Take:
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
     do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
-    lenses both were captured."""
+    lenses both were captured. `on_step` is called before each step, and may raise to stop."""
     tried: list[_Tried] = []
     for other, mirrored in _readings(first, second, options):
-        attempt = _tried(first, other, options, rig, mirrored=mirrored)
+        attempt = _tried(first, other, options, rig, on_step, mirrored=mirrored)
         if attempt is not None:
             tried.append(attempt)
             if attempt.found.residual <= VIEWS.good_residual:
                 break
     if not tried:
-        what = Verdict(
-            "failed", "No hand is seen in both views at the same time. The better view was used alone."
-        )
-        return replace(_better(first.take, second.take), verdict=what)
+        when = "" if options.offset is None else f" with an offset of {options.offset:g} seconds"
+        return _better(first, second, f"No hand is seen in both views at the same time{when}")
     best = min(tried, key=lambda each: each.found.cost)
     if rig is None and options.baseline is not None:
         best = _scaled(best, options)
+    on_step()
     verdict = _verdict(best, first, options)
     if verdict.agreement == "failed":
-        return replace(_better(first.take, second.take), verdict=verdict)
-    return _fitted(best, first, options, verdict)
+        return _better(first, second, verdict.text)
+    return _fitted(best, first, options, verdict, on_step)
 
 
 def _readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tuple[Clip, bool]]:
@@ -154,7 +168,13 @@ def _track(take: Take, hand: HandTrack, side: Side, found: Detections) -> Track:
 
 
 def _tried(
-    first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None, *, mirrored: bool
+    first: Clip,
+    second: Clip,
+    options: CaptureOptions,
+    rig: Rig | None,
+    on_step: Callable[[], None],
+    *,
+    mirrored: bool,
 ) -> _Tried | None:
     """The cameras of hands that are paired by their sides; None where nothing is in common."""
     hands: list[tuple[int, int]] = []
@@ -174,6 +194,7 @@ def _tried(
     starts = _starts(pairs, options)
     found = []
     for start in starts:
+        on_step()
         adjusted = adjust(
             pairs,
             start.offset,
@@ -189,8 +210,47 @@ def _tried(
     adjusted, score = min(found, key=lambda each: each[0].cost)
     if len(starts) > 1:
         adjusted = adjust(pairs, adjusted.offset, known, adjusted) or adjusted
-    tried = _Tried(second, mirrored, hands, pairs, known, adjusted, score)
+    on_step()
+    tried = _by_one_clock(_Tried(second, mirrored, hands, pairs, known, adjusted, score))
+    on_step()
     return _without_others(tried)
+
+
+def _by_one_clock(tried: _Tried) -> _Tried:
+    """In long clips, the second view's times by the first one's clock: clocks of cameras run apart by up to
+    some 100 millionths, and offsets at both ends tell by how much."""
+    found = tried.found
+    moments = np.concatenate([pair.first.times[pair.common(found.offset)] for pair in tried.pairs])
+    if np.ptp(moments) < VIEWS.long_clip:
+        return tried
+    cameras = replace(
+        tried.known,
+        focal=(float(found.focal[0]), float(found.focal[1])),
+        focal_sigma=(0.0, 0.0),
+        rotation=found.rotation,
+        translation=found.translation,
+        offset_sigma=None,
+    )
+    ends = np.quantile(moments, [0.0, VIEWS.clock_share, 1.0 - VIEWS.clock_share, 1.0])
+    offsets, middles = [], []
+    for least, most in (ends[:2], ends[2:]):
+        pairs = [
+            pair.at(np.flatnonzero((pair.first.times >= least) & (pair.first.times <= most)))
+            for pair in tried.pairs
+        ]
+        here = adjust(pairs, found.offset, cameras, found)
+        if here is None:
+            return tried
+        offsets.append(here.offset)
+        middles.append(np.median(moments[(moments >= least) & (moments <= most)]))
+    drift = (offsets[1] - offsets[0]) / (middles[1] - middles[0])
+    rate = 1.0 / (1.0 - drift)
+    second = replace(tried.second, stamps=tried.second.times * rate)
+    pairs = [
+        replace(pair, second=replace(pair.second, times=pair.second.times * rate)) for pair in tried.pairs
+    ]
+    again = adjust(pairs, (offsets[0] - drift * middles[0]) * rate, tried.known, found)
+    return tried if again is None else replace(tried, second=second, pairs=pairs, found=again)
 
 
 def _viewed(fitter: FastFitter, clip: Clip, hand: int) -> ViewedHand:
@@ -313,7 +373,7 @@ def _verdict(tried: _Tried, first: Clip, options: CaptureOptions) -> Verdict:
     found = tried.found
     return verdict_of(
         Evidence(
-            offset_frames=found.offset * first.take.fps,
+            offset_frames=_by_even_frames(first, tried.second, found.offset)[0] * first.take.fps,
             error=max(found.error),
             residual=found.residual,
             common=_common(tried.pairs, found.offset),
@@ -352,31 +412,46 @@ def _halves(tried: _Tried) -> float:
     return rotation_between(*found)
 
 
-def _better(first: Take, second: Take) -> Take:
-    """The take whose hands are likelier right."""
-    errors = [[mean_expected_error(hand) for hand in take.hands] for take in (first, second)]
+def _better(first: Clip, second: Clip, why: str) -> Take:
+    """The take of the view whose hands are likelier right, of one that is not much shorter than the first,
+    with a verdict that says why it is alone."""
+    takes = first.take, second.take
+    errors = [[mean_expected_error(hand) for hand in take.hands] for take in takes]
     known = [[error for error in each if error is not None] for each in errors]
-    if not all(known):
-        return first
-    return second if np.mean(known[1]) < np.mean(known[0]) else first
+    seen = [max(int(np.sum(hand.detected)) for hand in take.hands) for take in takes]
+    is_second = all(known) and np.mean(known[1]) < np.mean(known[0]) and 2 * seen[1] >= seen[0]
+    return alone(takes, 1 if is_second else 0, why)
 
 
-def _fitted(tried: _Tried, first: Clip, options: CaptureOptions, verdict: Verdict) -> Take:
+def alone(views: Sequence[Take | None], number: int, why: str) -> Take:
+    """The take of one of two views, counted from 0, with a verdict that says why it is alone."""
+    take = views[number]
+    assert take is not None
+    text = f"{why}. The {('first', 'second')[number]} view, {take.source.name}, was used alone."
+    return replace(take, verdict=Verdict("failed", text))
+
+
+def _fitted(
+    tried: _Tried, first: Clip, options: CaptureOptions, verdict: Verdict, on_step: Callable[[], None]
+) -> Take:
     """The first view's take with its paired hands fitted to both views."""
     take, other, found = first.take, tried.second.take, tried.found
     cameras, hands = _cameras(tried), []
     for i, hand in enumerate(take.hands):
+        on_step()
         at = next((k for k, (mine, _) in enumerate(tried.hands) if mine == i), None)
         if at is None:
             hands.append(_alone(hand, take, cameras[0], options))
             continue
         fit, used = _fit(take, hand, at, tried, options)
+        fit, more = _filled(fit, first, at, tried)
+        used = np.union1d(used, more)
         track = _track(take, hand, hand.side, _kept(hand, tried.pairs[at].first.rows))
         whole = hand_track(tried.pairs[at].fitter.model, track, fit, cameras[0])
         hands.append(replace(whole, seen_by=(_seen(other.hands[tried.hands[at][1]], used),)))
-    view = View(
-        other.source, other.fps, other.width, other.height, np.asarray(other.frame_numbers), tried.mirrored
-    )
+    offset, rate, times = _by_even_frames(first, tried.second, found.offset)
+    numbers = np.asarray(other.frame_numbers)
+    view = View(other.source, rate, other.width, other.height, numbers, times, tried.mirrored)
     return replace(
         take,
         intrinsics=cameras[0],
@@ -385,7 +460,7 @@ def _fitted(tried: _Tried, first: Clip, options: CaptureOptions, verdict: Verdic
             np.stack([np.eye(3), found.rotation]),
             np.stack([np.zeros(3), found.translation]),
             np.array([list(vars(camera).values()) for camera in cameras]),
-            np.array([0.0, found.offset]),
+            np.array([0.0, offset]),
             (view,),
         ),
         verdict=verdict,
@@ -424,6 +499,66 @@ def _fit(
     near = np.abs(second.times[:, None] - times).min(axis=1, initial=np.inf)
     # Pixels between its frames come from both neighbours.
     return fit, second.rows[near * min(first.fps, second.fps) < 1.0 - 1e-6]
+
+
+def _by_even_frames(first: Clip, second: Clip, offset: float) -> tuple[float, float, np.ndarray | None]:
+    """Offset and frames per second of the second view, and the times (S,) of its frames where they stray from
+    that, by a clock by which the first view's frames are even, as a take has them."""
+    if first.stamps is None and second.stamps is None:
+        return offset, second.take.fps, None
+    moments = offset + second.times
+    inside = np.clip(moments, 0.0, first.times[-1])
+    moments = np.interp(inside, first.times, first.even_times) + moments - inside
+    times, even = moments - moments[0], second.even_times
+    rate = float((even @ even) / max(even @ times, 1e-9))
+    strays = np.abs(times - even / rate).max() * second.take.fps > VIEWS.stray_frames
+    return float(moments[0]), second.take.fps * rate, times if strays else None
+
+
+def _filled(fit: HandMotion, first: Clip, at: int, tried: _Tried) -> tuple[HandMotion, np.ndarray]:
+    """The motion with the second view's hand, turned into the first camera's frame, where the first view has
+    none, and the second view's rows (K,) that gave it. Next to frames that both views have, it is turned and
+    moved by what lies between them, and so on up to the next such frames."""
+    pair, found = tried.pairs[at], tried.found
+    moments = first.times - found.offset
+    missing = np.setdiff1d(np.flatnonzero(pair.second.seen_at(moments)), pair.first.rows)
+    both = np.intersect1d(pair.first.rows, np.flatnonzero(pair.second.seen_at(moments) & fit.present))
+    if not len(missing) or not len(both):
+        return fit, missing[:0]
+    place = np.searchsorted(both, missing)
+    before, after = both[np.maximum(place - 1, 0)], both[np.minimum(place, len(both) - 1)]
+    rows = np.unique(np.concatenate([missing, before, after]))
+    clip, hand = tried.second, tried.second.take.hands[tried.hands[at][1]]
+    at_rows = np.interp(moments[rows], clip.times, np.arange(len(clip.times)))
+    own = sampled(hand, np.arange(len(clip.times)), at_rows)
+    turns = rotvec_to_rotmat(np.concatenate(own.pose[:2], axis=1).reshape(len(rows), -1, 3))
+    turns[:, 0] = found.rotation.T @ turns[:, 0]
+    size = flat_hand_length(pair.fitter.model, fit.betas) / flat_hand_length(pair.fitter.model, hand.betas)
+    scale = size * np.array([1.0, 1.0, found.focal[1] / clip.take.intrinsics.fx])
+    places = (own.transl * scale) @ found.rotation
+    there = np.searchsorted(rows, missing)
+
+    def beside(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What turns (N, 16, 3, 3) and moves (N, 3) the second view's hand onto that of both views."""
+        here = np.searchsorted(rows, known)
+        pose = np.concatenate([fit.global_orient[known], fit.hand_pose[known]], axis=1)
+        turn = rotvec_to_rotmat(pose.reshape(len(known), -1, 3)) @ turns[here].swapaxes(2, 3)
+        return turn, fit.transl[known] - places[here]
+
+    (turn, shift), (last_turn, last_shift) = beside(before), beside(after)
+    part = np.clip((missing - before) / np.maximum(after - before, 1), 0.0, 1.0)[:, None]
+    way = rotmat_to_rotvec(turn.swapaxes(2, 3) @ last_turn)
+    turned = rotmat_to_rotvec(turn @ rotvec_to_rotmat(part[..., None] * way) @ turns[there])
+    pose = turned.reshape(len(missing), -1)
+    values = {
+        "global_orient": pose[:, :3],
+        "hand_pose": pose[:, 3:],
+        "transl": places[there] + shift + part * (last_shift - shift),
+    }
+    filled = {name: getattr(fit, name).copy() for name in values}
+    for name, value in values.items():
+        filled[name][missing] = value
+    return replace(fit, **filled), pair.second.rows[np.unique(pair.second.nearest(moments[missing]))]
 
 
 def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:

@@ -368,7 +368,7 @@ class CaptureOptions:
         _camera,
         "the camera in pixels",
         "FX,FY,CX,CY",
-        by_default="by the photo's EXIF, or one with a 53 degree view",
+        by_default="what the file tells, or one with a 53 degree view",
     )
     lens: Lens | tuple[float, float, float] | None = _option(
         None,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,15 +16,15 @@ import numpy as np
 from handfit_core.detect.body import BodyTrack
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.landmark_model import body_model_path
-from handfit_core.errors import Cancelled, NoHandFoundError, OptionError
+from handfit_core.errors import Cancelled, HandfitError, NoHandFoundError, OptionError
 from handfit_core.files import check_writable, shown
-from handfit_core.fit.views.rig_file import read_rig, write_rig
+from handfit_core.fit.views.rig_file import Rig, read_rig, write_rig
 from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 from handfit_core.fitting import fit_hands
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
-from handfit_core.joining import Clip, joined
+from handfit_core.joining import Clip, alone, joined
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media, Source
@@ -33,12 +34,11 @@ from handfit_core.retiming import evenly_timed
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.sources import open_source, opened
 from handfit_core.take import HandTrack, Take
-from handfit_core.views import Verdict
 
 log = logging.getLogger("handfit")
 
-Stage = Literal["detect", "fit", "score", "lens"]
-"""`score` is of evaluations, and `lens` of a lens that is measured"""
+Stage = Literal["detect", "fit", "join", "score", "lens"]
+"""`join` is of two views, `score` of evaluations, and `lens` of a lens that is measured"""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Progress:
 
     stage: Stage
     done: int
-    """frames of this stage, over all hands"""
+    """frames of this stage, over all hands; steps of `join`"""
     total: int
     """0 where nobody knows"""
 
@@ -141,29 +141,63 @@ def _capture_both(
         first, frames=None, regions=(), only_regions=False, intrinsics=None, lens=options.view_lens
     )
     rig = None
+    media = [opened(given, each)[0] for given, each in ((source, first), (options.view, second))]
     if options.cameras is not None:
-        clips = [opened(given, each)[0] for given, each in ((source, first), (options.view, second))]
-        names, sizes = [clip.source.name for clip in clips], [(clip.width, clip.height) for clip in clips]
+        names, sizes = [clip.source.name for clip in media], [(clip.width, clip.height) for clip in media]
         rig = read_rig(options.cameras, names, sizes)
         first = replace(first, intrinsics=None, lens=rig.lenses[0])
         second = replace(second, lens=rig.lenses[1])
-    views: list[Clip] = []
-    missing: list[NoHandFoundError] = []
-    for given, each in ((source, first), (options.view, second)):
+    views: list[Clip | None] = []
+    missing: list[HandfitError] = []
+    for given, each, clip in ((source, first, media[0]), (options.view, second, media[1])):
         try:
-            views.append(_captured(given, each, report, stop))
-        except NoHandFoundError as error:
+            view = _captured(given, each, report, stop)
+            views.append(replace(view, stamps=_stamps(clip, view.take)))
+        except (NoHandFoundError, Cancelled) as error:
             missing.append(error)
-    if not views:
-        raise missing[0]
-    if missing:
-        what = Verdict("failed", f"{missing[0]}. The other view was used alone.")
-        take = replace(views[0].take, verdict=what)
-    else:
-        take = joined(views[0], views[1], options, rig)
+            views.append(None)
+    take = _joined(views, missing, options, rig, report, stop)
     if options.arms and not stop():
         take = add_arms(take, report, stop, max_megapixels=options.max_megapixels)
     return take
+
+
+def _joined(
+    views: Sequence[Clip | None],
+    missing: Sequence[HandfitError],
+    options: CaptureOptions,
+    rig: Rig | None,
+    report: ProgressCallback,
+    stop: ShouldStop,
+) -> Take:
+    """Both views made one take; or the take of one, where the other has no hand or it is to stop."""
+    steps = count(1)
+
+    def on_step() -> None:
+        if stop():
+            raise Cancelled("stopped before both views were joined")
+        report(Progress("join", next(steps), 0))
+
+    first, second = views
+    takes = [None if view is None else view.take for view in views]
+    stopped = "The capture was stopped before both views were joined"
+    if first is None or second is None:
+        if first is second:
+            raise missing[0]
+        number = 0 if second is None else 1
+        none = f"No hand was found in the {('second', 'first')[number]} view"
+        return alone(takes, number, stopped if stop() else none)
+    try:
+        return joined(first, second, options, rig, on_step)
+    except Cancelled:
+        return alone(takes, 0, stopped)
+
+
+def _stamps(media: Media, take: Take) -> np.ndarray | None:
+    """(T,) seconds after its first frame at which the frames of a take were seen, as the clip's file tells
+    them; None where it does not."""
+    times, rows = media.times() if isinstance(media, Video) else None, np.asarray(take.frame_numbers) - 1
+    return None if times is None or rows[-1] >= len(times) else times[rows] - times[rows[0]]
 
 
 def _check_views(first: MediaInput, second: str) -> None:

@@ -312,6 +312,8 @@ class Take:
             arrays |= kept_arrays(self.cameras, "cameras/", floats)
             for v, view in enumerate(self.cameras.views, start=1):
                 arrays[f"cameras/view{v}_frame_numbers"] = np.asarray(view.frame_numbers, dtype=np.int64)
+                if view.times is not None:
+                    arrays[f"cameras/view{v}_times"] = np.asarray(view.times, dtype=np.float64)
         for i, track in enumerate(self.hands):
             arrays |= kept_arrays(track, f"hand{i}_", floats)
             if track.arm is not None:
@@ -389,8 +391,13 @@ def _reading_cameras(
     if not views:
         return None
     arrays = yield from reading_arrays(Cameras, archive, "cameras/")
-    named = (archive.array(f"cameras/view{v}_frame_numbers", "iu") for v in range(1, 1 + len(views)))
-    further = (View(frame_numbers=numbers, **view) for numbers, view in zip(named, views, strict=True))
+    further = []
+    for v, view in enumerate(views, start=1):
+        numbers, times = archive.array(f"cameras/view{v}_frame_numbers", "iu"), f"cameras/view{v}_times"
+        told = archive.array(times, "f") if times in archive else None
+        if told is not None and (told.shape != numbers.shape or not np.all(np.diff(told) > 0.0)):
+            raise TakeError(f"{times} must have a time for each frame of the view, and increase")
+        further.append(View(frame_numbers=numbers, times=told, **view))
     return Cameras(**arrays, views=tuple(further))
 
 

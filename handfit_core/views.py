@@ -73,6 +73,8 @@ class View:
     height: int
     frame_numbers: np.ndarray
     """(S,) int, increasing, as in a take of that clip"""
+    times: np.ndarray | None = None
+    """(S,) seconds after its first frame, by the first view's clock; None: as its rate says"""
     mirrored: bool = False
     """Whether the clip shows the world mirrored, as selfie cameras do; pixels and camera are of the picture
     turned back"""

@@ -159,9 +159,8 @@ class Job:
             return "Stopping, keeping frames"
         if not self.stage:
             return "Starting"
-        text = {"detect": "Finding hands", "fit": "Fitting", "arms": "Finding arms"}.get(
-            self.stage, self.stage
-        )
+        named = {"detect": "Finding hands", "fit": "Fitting", "join": "Joining views", "arms": "Finding arms"}
+        text = named.get(self.stage, self.stage)
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def speed_text(self) -> str:
@@ -324,7 +323,7 @@ def _follow(job: Job) -> bool:
 def _on_progress(job: Job, event: dict[str, Any]) -> None:
     stage, done, total = str(event.get("stage")), int(event.get("done", 0)), int(event.get("total", 0))
     views = 1 if job.options.view is None else 2
-    if stage == "detect" and job.stage in ("fit", "arms"):  # pictures are read again
+    if stage == "detect" and job.stage in ("fit", "join", "arms"):  # pictures are read again
         if job.stage == "fit" and job._views_done < views - 1:
             job._views_done += 1
         else:
@@ -332,7 +331,7 @@ def _on_progress(job: Job, event: dict[str, Any]) -> None:
     if stage != job.stage:
         job.stage, job._stage_began, job._stage_first = stage, time.monotonic(), done
     job.done, job.total = done, total
-    part = done / total if total else 0.0
+    part = done / total if total else float(stage == "join")
     # Detection takes nearly all of a capture's time, except with slow solvers.
     solver = SOLVERS.built_in().get(job.options.solver)
     share = 0.1 if solver is not None and solver.slow else 0.85

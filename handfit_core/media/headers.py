@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import BinaryIO, Final
 
@@ -69,7 +69,7 @@ def read_video_header(stream: BinaryIO) -> Header | None:
         return header if header.width and header.height else None
     try:
         return Header() if not re.match(_MP4, start, re.DOTALL) or _holds_its_frames(stream) else None
-    except struct.error:
+    except (struct.error, ValueError):
         return None
 
 
@@ -208,28 +208,83 @@ _FIXED: Final[dict[bytes, Callable[..., Header]]] = {
 
 # MP4 and QuickTime: boxes with a size and a name; some hold boxes again.
 
-_BOXES_WITH_BOXES: Final = frozenset({b"moov", b"trak", b"mdia", b"minf", b"stbl", b"moof", b"traf"})
+_BOXES_WITH_BOXES: Final = frozenset({b"moov", b"trak", b"mdia", b"minf", b"stbl", b"moof", b"traf", b"meta"})
+_TABLES: Final = (b"keys", b"ilst")
+_LARGEST_TABLE: Final = 1 << 16
+"""Bytes of a table of metadata that are read"""
 _COUNTS: Final = {b"stsz": 8, b"stz2": 8, b"trun": 4}
 """Where the boxes that list frames say how many they are"""
+
+
+def _boxes(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
+    """The name of each box, and where its contents begin and end; those with boxes come before what they
+    hold. Raises struct.error, and ValueError for more than anybody writes."""
+    end, position = stream.seek(0, 2), 0
+    for _ in range(_MAX_STEPS):
+        if position + 8 > end:
+            return
+        size, name = struct.unpack(">I4s", _read_at(stream, position, 8))
+        head = 8
+        if size == 1:
+            (size,) = _unpack(stream, ">Q")
+            head = 16
+        if 0 < size < head:
+            return
+        after = position + size if size else end
+        yield name, position + head, min(after, end)
+        if name == b"meta":  # MP4's has a version and flags; QuickTime's begins with a box
+            head += 4 * (_unpack(stream, ">I", position + head) == (0,))
+        position = position + head if name in _BOXES_WITH_BOXES else after
+    raise ValueError("more boxes than anybody writes")
 
 
 def _holds_its_frames(stream: BinaryIO) -> bool:
     """Whether an MP4 has at least a byte for each frame that it claims: FFmpeg would allocate a list of them,
     and unpack a compressed header to whatever size it claims."""
-    end, position, frames = stream.seek(0, 2), 0, 0
-    for _ in range(_MAX_STEPS):
-        if position + 8 > end:
-            return True
-        size, name = _unpack(stream, ">I4s", position)
-        head = 8
-        if size == 1:
-            (size,) = _unpack(stream, ">Q")
-            head = 16
+    end, frames = stream.seek(0, 2), 0
+    for name, start, _ in _boxes(stream):
         if name in _COUNTS:
-            frames += _unpack(stream, ">I", position + head + _COUNTS[name])[0]
+            frames += _unpack(stream, ">I", start + _COUNTS[name])[0]
         if name == b"cmov" or frames > end:
             return False
-        if 0 < size < head:
-            return True
-        position += head if name in _BOXES_WITH_BOXES else size or end
-    return False
+    return True
+
+
+_FOCAL_35MM: Final = b"mdtacom.apple.quicktime.camera.focal_length.35mm_equivalent"
+_NUMBERS: Final = {23: ">f", 24: ">d"}
+
+
+def read_video_focal_35mm(stream: BinaryIO) -> float | None:
+    """Focal length in mm as on 35 mm film, of the width of a picture, which phones note in a QuickTime file;
+    None where there is none, and in damaged metadata. `stream` must be seekable."""
+    number = 0
+    try:
+        for name, start, end in _boxes(stream):
+            data = _read_at(stream, start, min(end - start, _LARGEST_TABLE)) if name in _TABLES else b""
+            if name == b"keys":
+                number, at = 0, 8
+                for i in range(1, 1 + int.from_bytes(data[4:8])):
+                    size = int.from_bytes(data[at : at + 4])
+                    if data[at + 4 : at + size] == _FOCAL_35MM:
+                        number = i
+                    if size < 8 or number:
+                        break
+                    at += size
+            elif name == b"ilst" and number:
+                at = 0
+                while at + 24 <= len(data):
+                    size, item, of_data, kind = struct.unpack_from(">III4xI", data, at)
+                    value = data[at + 24 : at + 8 + of_data]
+                    if item == number:
+                        return _number(kind, value)
+                    at += max(size, 8)
+    except (struct.error, ValueError):
+        pass
+    return None
+
+
+def _number(kind: int, value: bytes) -> float:
+    """A value of that well-known type as a number. Raises struct.error and ValueError."""
+    if kind == 1:
+        return float(value.decode("ascii").removesuffix("mm"))
+    return struct.unpack(_NUMBERS[kind], value)[0] if kind in _NUMBERS else float(int.from_bytes(value))

@@ -87,8 +87,8 @@ class Video(Media):
     def check_steady(self) -> None:
         """Raise InputError for a video whose frames are not evenly spaced in time: its n-th frame does not
         lie where the rate says. Reads the whole file, and decodes nothing."""
-        times = _times(self._name) / 1000.0
-        if len(times) < 2 or is_recording(self._path):  # whose take is even
+        times = self.times()
+        if times is None:
             return
         even = np.linspace(times[0], times[-1], len(times))
         away = float(np.abs(times - even).max() * (len(times) - 1) / max(times[-1] - times[0], 1e-9))
@@ -97,6 +97,12 @@ class Video(Media):
                 f"{self._path}: its frame rate changes on the way (by {away:.0f} frames), so it cannot be "
                 "retimed; convert it to a constant rate, or match the scene to the clip"
             )
+
+    def times(self) -> np.ndarray | None:
+        """(N,) seconds from the first frame to each one, as the file tells them; None where it does not, and
+        for live recordings of ours, whose takes are even. Reads the whole file, and decodes nothing."""
+        times = _times(self._name) / 1000.0
+        return None if len(times) < 2 or is_recording(self._path) else times - times[0]
 
     def recorded_times(self) -> np.ndarray | None:
         """(N,) seconds at which the frames of a live recording of ours came; None for other videos, whose

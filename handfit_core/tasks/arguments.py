@@ -10,6 +10,7 @@ from typing import Any, Final, NoReturn
 from handfit_core.files import path_of
 from handfit_core.machine import usable_cores
 from handfit_core.options import add_options
+from handfit_core.tasks.inputs import PAIRS
 
 _MOST_A_CORE: Final = 4
 """Processes that --jobs may ask for: more would only fill the memory and wait for each other"""
@@ -62,6 +63,8 @@ def add_batch_arguments(
         "-o", "--output", type=path_of, required=output_required, metavar="DIR", help="where results go"
     )
     add_options(parser)
+    said = "clips NAME_a and NAME_b are two views of one capture, NAME"
+    parser.add_argument("--views", dest="view", action="store_const", const=PAIRS, help=said)
     grouping = parser.add_mutually_exclusive_group()
     for name, said in (
         ("sequence", "a folder's photos are one sequence"),

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core.errors import HandfitError, InputError, OptionError, OutputError
-from handfit_core.options import CaptureOptions
+from handfit_core.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.pipeline import capture
 from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
+from handfit_core.tasks.inputs import PAIRS
 from handfit_core.tasks.record import (
     Result,
     attempt,
@@ -114,7 +115,11 @@ def _capture(task: Task, output: Path, part: Path, settings: Settings, result: R
     if task.error:
         raise InputError(task.error)
     _check_input(task, "since the batch was started")
-    options = CaptureOptions.of_message(settings.options)
+    told = dict(settings.options)
+    if told.get("view") == PAIRS:
+        told = {name: value for name, value in told.items() if task.view or name not in VIEW_OPTIONS}
+        told |= {"view": task.view} if task.view else {}
+    options = CaptureOptions.of_message(told)
     if task.take:
         take = Take.load(task.take)
     else:

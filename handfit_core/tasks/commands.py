@@ -19,6 +19,7 @@ from handfit_core.options import CaptureOptions
 from handfit_core.pipeline import check_options
 from handfit_core.tasks.arguments import WITH_PARENT, add_batch_arguments
 from handfit_core.tasks.capture import Settings
+from handfit_core.tasks.inputs import PAIRS
 from handfit_core.tasks.progress import Progress
 from handfit_core.tasks.record import Result
 from handfit_core.tasks.report import REPORT, read_results
@@ -80,8 +81,8 @@ def _run(args: argparse.Namespace) -> int:
     except HandfitError as error:
         raise OptionError(str(error)) from error
     message = options.to_message()
-    for name in ("model", "keypoints", "landmark_model"):
-        if message.get(name):  # workers may have been started in another folder
+    for name in ("model", "keypoints", "landmark_model", "view", "cameras"):
+        if message.get(name, PAIRS) != PAIRS:  # workers may have been started in another folder
             message[name] = str(Path(message[name]).expanduser().absolute())
     if args.scheduler not in (None, "local"):  # what cores there are nobody knows here
         message["processes"] = options.processes or 1

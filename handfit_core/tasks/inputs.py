@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import glob
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,6 +24,9 @@ from handfit_core.tasks.record import read_record
 PREVIEW_SUFFIX: Final = ".preview.png"
 _OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".export.json")
 """What names of results end with that may lie among the inputs, and are none"""
+PAIRS: Final = "*_b"
+"""The second view of a batch in which NAME_a and NAME_b are two views of one capture"""
+_VIEW_NAME: Final = re.compile(r"(.+)_([a-z])", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,8 @@ class Input:
     shown: str
     name: str
     source: tuple[str, ...] = ()
+    view: str = ""
+    """The clip of a second camera that filmed the same hands"""
     take: Path | None = None
     error: str = ""
     """Why it cannot even be tried"""
@@ -77,3 +84,29 @@ def _group(pictures: list[Path], grouping: str | None, name: str) -> list[Input]
         shown = f"{pictures[0]} ... {pictures[-1].name} ({len(pictures)} pictures)"
         return [Input(shown, name, tuple(map(str, pictures)))]
     return [_one_file(p) for p in pictures]
+
+
+def paired(inputs: Iterable[Input]) -> list[Input]:
+    """The inputs, with clips NAME_a and NAME_b that lie side by side made one input, NAME, of two views. One
+    of them may be named for both; what has no other view stays as it is."""
+    found: dict[object, Input] = {}
+    for each in inputs:
+        path = Path(each.source[0]) if len(each.source) == 1 else Path(each.shown)
+        match = _VIEW_NAME.fullmatch(path.stem)
+        views = _views(path, match[1]) if match and path.suffix.lower() in VIDEO_SUFFIXES else []
+        if match is None or len(views) < 2:
+            found[len(found)] = each
+            continue
+        shown, error = " + ".join([str(views[0]), *(view.name for view in views[1:])]), ""
+        if [view.stem[-1].lower() for view in views] != ["a", "b"]:
+            error = f"{shown}: a capture has two views, {match[1]}_a and {match[1]}_b: leave others out"
+        found[views[0]] = Input(shown, match[1], (str(views[0]),), str(views[1]), error=error)
+    return list(found.values())
+
+
+def _views(clip: Path, name: str) -> list[Path]:
+    """The clips NAME_a, NAME_b, ... in the folder of one of them, in this order."""
+    named = re.compile(re.escape(name) + "_[a-z]", re.IGNORECASE)
+    there = clip.parent.iterdir() if clip.parent.is_dir() else ()
+    found = (path for path in there if path.suffix.lower() in VIDEO_SUFFIXES)
+    return sorted((path for path in found if named.fullmatch(path.stem)), key=lambda path: path.stem.lower())

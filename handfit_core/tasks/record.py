@@ -35,6 +35,8 @@ class Result:
     seconds: float = 0.0
     frames: int = 0
     hands: list[dict[str, Any]] = field(default_factory=list)
+    views: dict[str, str] | None = None
+    """The verdict on two views"""
     character: dict[str, Any] | None = None
     files: list[str] = field(default_factory=list)
     """relative to the report's folder"""
@@ -50,11 +52,14 @@ class Result:
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any], **known: Any) -> Self:
         """From an entry of a record, with some fields as they are `known`."""
-        return cls(**{each.name: entry[each.name] for each in fields(cls)} | known)
+        return cls(**{each.name: entry.get(each.name) for each in fields(cls)} | known)
 
     def describe(self, take: Take) -> None:
-        """Fill in `frames` and `hands`."""
+        """Fill in `frames`, `views` and `hands`."""
         self.frames = len(take.frame_numbers)
+        if take.verdict is not None:
+            self.views = {**vars(take.verdict)}
+            self.warnings += [] if take.verdict.agreement == "good" else [take.verdict.text]
         for track in take.hands:
             error = track.reprojection_error[track.detected]
             share, likely = mean_relative_error(track, take.intrinsics), mean_expected_error(track)
@@ -102,7 +107,7 @@ _RECORD: Final[Mapping[str, Any]] = {
         **dict.fromkeys(("input", "name", "status", "error", "id", "host"), str),
         **dict.fromkeys(("seconds", "frames"), _NUMBER),
         **{"files": [str], "warnings": [str], "hands": [_HAND], "attempts": [_ATTEMPT]},
-        "character": dict | None,
+        **dict.fromkeys(("views", "character"), dict | None),
     },
 }
 """What records hold; a list has elements of one kind"""

@@ -19,7 +19,7 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
 from handfit_core.options import CaptureOptions
 from handfit_core.sheet import SUFFIX
-from handfit_core.tasks.inputs import Input, expand
+from handfit_core.tasks.inputs import PAIRS, Input, expand, paired
 from handfit_core.tasks.record import read_record
 from handfit_core.version import __version__
 
@@ -46,6 +46,8 @@ class Task:
     """The input, for people"""
     source: tuple[str, ...] = ()
     """What to capture: full paths, or a pattern"""
+    view: str = ""
+    """The second view of a batch of `PAIRS`: a full path"""
     take: str = ""
     """The take that is the input: it is copied, and nothing is captured"""
     error: str = ""
@@ -76,7 +78,7 @@ class Task:
     @property
     def files(self) -> list[Path]:
         """The files that the input has now."""
-        return [Path(self.take)] if self.take else _files_of(self.source)
+        return [Path(self.take)] if self.take else _files_of(self.source, self.view)
 
 
 def make_tasks(
@@ -99,16 +101,18 @@ def make_tasks(
     named = [fingerprint(_files_at(file), _READ_NAMED) for file in _files_named(options)]
     common = [__version__, wanted, sheet, named]
     names, keys, tasks = _Names(output, flat, overwrite), set[str](), list[Task]()
-    for each in (each for text in inputs for each in expand(text, grouping)):
-        files = [each.take] if each.take else _files_of(each.source)
+    expanded = [each for text in inputs for each in expand(text, grouping)]
+    for each in paired(expanded) if options.view == PAIRS else expanded:
+        files = [each.take] if each.take else _files_of(each.source, each.view)
         made_of = fingerprint(files)
         key = _key(common, each, made_of, files, keys)
         keys.add(key)
         name = names.free(each.name if each.name not in ("", ".", "..") else "input", key)
         source = tuple(str(Path(part).absolute()) for part in each.source)
+        view = str(Path(each.view).absolute()) if each.view else ""
         take = str(each.take.absolute()) if each.take else ""
         frames = 0.0 if take else _frames(files, options.frames or FrameRange())
-        tasks.append(Task(name, key, each.shown, source, take, each.error, made_of, frames, flat))
+        tasks.append(Task(name, key, each.shown, source, view, take, each.error, made_of, frames, flat))
     return tasks
 
 
@@ -164,9 +168,11 @@ def _files_named(options: CaptureOptions) -> list[Path]:
     return named
 
 
-def _files_of(source: Sequence[str]) -> list[Path]:
+def _files_of(source: Sequence[str], view: str = "") -> list[Path]:
     """The files of an input: of a pattern, those that match it now."""
     (first, *_) = source or ("",)
+    if view:
+        return [Path(first), Path(view)]
     if len(source) == 1 and is_pattern(first) and not Path(first).exists():
         return matching(Path(first))[0]
     return _files_at(first) if len(source) == 1 else [Path(part) for part in source]

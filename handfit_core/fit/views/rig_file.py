@@ -47,7 +47,7 @@ def read_rig(path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence
     try:
         cameras = _tables(tomllib.loads(read_file(Path(path), LARGEST_FILE).decode()))
         chosen = _chosen(cameras, names)
-        lenses = tuple(_lens(camera, size) for camera, size in zip(chosen, sizes, strict=True))
+        lenses = tuple(_lens(camera) for camera in chosen)
         (r0, t0), (r1, t1) = (_place(camera) for camera in chosen)
     except (OSError, ValueError, KeyError, TypeError) as error:
         why = f"it lacks {error}" if isinstance(error, KeyError) else error
@@ -55,11 +55,20 @@ def read_rig(path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence
             f"{shown(path)}: not a calibration of two cameras in aniposelib's TOML layout ({why}); give one "
             "with name, size, matrix, distortions, rotation and translation for each camera"
         ) from error
+    scaled = []
+    for nth, name, lens, size in zip(("first", "second"), names, lenses, sizes, strict=True):
+        try:
+            scaled.append(lens.scaled(*size))
+        except OptionError as error:
+            raise OptionError(
+                f"{shown(path)}: the {nth} view's camera was calibrated for {lens.width}x{lens.height}, and "
+                f"{name} has another shape, {size[0]}x{size[1]}: calibrate the camera as it films"
+            ) from error
     rotation = r1 @ r0.T
     translation = t1 - rotation @ t0
     if np.linalg.norm(translation) > FARTHEST_APART:
         translation = translation / 1000.0
-    return Rig((lenses[0], lenses[1]), rotation, translation)
+    return Rig((scaled[0], scaled[1]), rotation, translation)
 
 
 def _tables(document: dict[str, Any]) -> list[dict[str, Any]]:
@@ -82,7 +91,7 @@ def _chosen(cameras: list[dict[str, Any]], names: Sequence[str]) -> list[dict[st
     return cameras
 
 
-def _lens(camera: dict[str, Any], size: tuple[int, int]) -> Lens:
+def _lens(camera: dict[str, Any]) -> Lens:
     matrix = _array(camera["matrix"], (3, 3))
     width, height = (int(side) for side in camera["size"])
     distortion = np.zeros(5)
@@ -91,7 +100,7 @@ def _lens(camera: dict[str, Any], size: tuple[int, int]) -> Lens:
     centre = matrix[:2, 2] + 0.5
     measured = Intrinsics(matrix[0, 0], matrix[1, 1], centre[0], centre[1])
     k1, k2, p1, p2, k3 = distortion.tolist()
-    return Lens(measured, (k1, k2, p1, p2, k3), width, height).scaled(*size)
+    return Lens(measured, (k1, k2, p1, p2, k3), width, height)
 
 
 def _place(camera: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:

@@ -36,7 +36,7 @@ class Evidence:
 
 
 def verdict_of(evidence: Evidence) -> Verdict:
-    """One verdict."""
+    """One verdict; where it is `failed`, the sentence lacks its full stop and what was used instead."""
     e = evidence
     facts = (
         f"Offset {e.offset_frames:.2f} frames, {e.common} frames in common, cameras {e.apart:.0f} degrees "
@@ -44,7 +44,7 @@ def verdict_of(evidence: Evidence) -> Verdict:
     )
     wrong = _failures(e)
     if wrong:
-        return Verdict("failed", f"{wrong}. The better view was used alone.")
+        return Verdict("failed", wrong)
     doubts = _doubts(e)
     if doubts:
         return Verdict("doubtful", f"{facts}: doubtful. {' '.join(doubts)}")

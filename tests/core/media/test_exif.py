@@ -143,3 +143,56 @@ def test_pictures_and_videos_that_do_not_tell(tmp_path, block):
     assert known_intrinsics(open_media(photo(tmp_path / "a.jpg", block))) is None
     clip(tmp_path / "clip.avi", "MJPG")
     assert known_intrinsics(open_media(tmp_path / "clip.avi")) is None
+
+
+def box(name: bytes, *inside: bytes) -> bytes:
+    return struct.pack(">I4s", 8 + sum(map(len, inside)), name) + b"".join(inside)
+
+
+def phone_tags(value: bytes, kind: int, *, version: bool) -> bytes:
+    """Metadata as phones write them, of which the second is the focal length."""
+    names = [b"com.apple.quicktime.make", b"com.apple.quicktime.camera.focal_length.35mm_equivalent"]
+    keys = [box(b"mdta", name) for name in names]
+    items = [(1, 1, b"Phone"), (2, kind, value)]
+    listed = [
+        struct.pack(">II", 24 + len(v), i) + box(b"data", struct.pack(">II", k, 0), v) for i, k, v in items
+    ]
+    head = [bytes(4)] if version else []
+    return box(b"meta", *head, box(b"keys", struct.pack(">II", 0, 2), *keys), box(b"ilst", *listed))
+
+
+def with_tags(path: Path, tags: bytes, *, in_track: bool) -> None:
+    """Put metadata into a film that ends with its header, or into its only track."""
+    data = bytearray(path.read_bytes())
+    film, track = data.index(b"moov") - 4, data.index(b"trak") - 4
+    (length,) = struct.unpack_from(">I", data, track)
+    for at in (film, track) if in_track else (film,):
+        struct.pack_into(">I", data, at, struct.unpack_from(">I", data, at)[0] + len(tags))
+    data = data[: track + length] + tags + data[track + length :] if in_track else data + tags
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("in_track", [False, True])
+@pytest.mark.parametrize(
+    ("value", "kind", "told"),
+    [
+        (b"26", 1, 26.0),
+        (b"50.00mm", 1, 50.0),
+        (struct.pack(">i", 27), 21, 27.0),
+        (struct.pack(">f", 13.5), 23, 13.5),
+        (b"wide", 1, None),
+        (struct.pack(">f", math.nan), 23, None),
+        (b"0", 1, None),
+    ],
+)
+def test_the_camera_of_a_phones_clip(tmp_path, value, kind, told, in_track):
+    """Its focal length is told by the width of what is filmed, which 36 mm stand for."""
+    path = tmp_path / "clip.mp4"
+    clip(path, "mp4v")
+    with_tags(path, phone_tags(value, kind, version=in_track), in_track=in_track)
+    media = open_media(path)
+    found = known_intrinsics(media)
+    expected = None if told is None else told / 36.0 * max(media.width, media.height)
+    assert (found and found.fx) == (expected and pytest.approx(expected))
+    path.write_bytes(path.read_bytes()[:-7])
+    known_intrinsics(media)

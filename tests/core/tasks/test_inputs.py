@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from handfit_core.tasks.inputs import expand
+from handfit_core.tasks.inputs import expand, paired
 from handfit_core.tasks.record import Result, write_record
 
 
@@ -20,3 +22,23 @@ def test_what_a_flat_batch_has_put_beside_its_inputs_is_no_input(tmp_path, text)
     assert expand(text.format(tmp_path)) == before
     (named,) = expand(str(tmp_path / "shot.sheet.jpg"))
     assert named.source, "who names one means it"
+
+
+def test_clips_of_one_name_are_two_views(tmp_path):
+    names = "x_a.mp4 x_b.MOV x_a.jpg y_A.mp4 y_B.mp4 z_a.mp4 z_b.mp4 z_c.mp4 only_a.mp4 a.mp4".split()
+    for name in names:
+        (tmp_path / name).touch()
+    found = {each.name: each for each in paired(expand(str(tmp_path)))}
+    views = {name: (Path(each.source[0]).name, Path(each.view).name) for name, each in found.items()}
+    assert views == {
+        "x": ("x_a.mp4", "x_b.MOV"),
+        "y": ("y_A.mp4", "y_B.mp4"),
+        "z": ("z_a.mp4", "z_b.mp4"),
+        "x_a": ("x_a.jpg", ""),
+        "only_a": ("only_a.mp4", ""),
+        "a": ("a.mp4", ""),
+    }
+    assert [name for name, each in found.items() if each.error] == ["z"]
+    assert "z_c.mp4: a capture has two views" in found["z"].error
+    for text in ("x_a.mp4", "x_b.MOV"):
+        assert paired(expand(str(tmp_path / text))) == [found["x"]], "a farm's task may name one of them"
