@@ -17,6 +17,8 @@ _KINDS = {
 
 _PICTURE = 4.0
 """height of the thumbnail, in buttons"""
+_FRAME = 8.0
+"""height of a frame's picture, in buttons"""
 _PICTURE_LINES = 5
 """lines of a sentence that are as high"""
 
@@ -108,9 +110,26 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = split(self.layout), context.scene.manient
+        layout.prop(settings, "use_offset")
+        if settings.use_offset:
+            layout.prop(settings, "use_pair")
+            if settings.use_pair:
+                self._pair(settings)
+            else:
+                layout.prop(settings, "offset", text="Seconds")
+        layout.prop(settings, "cameras")
+        if settings.cameras:
+            return
         layout.prop(settings, "view_lens")
-        for use, name, text in (("use_offset", "offset", "Seconds"), ("use_baseline", "baseline", "Meters")):
-            heading = layout.column(heading=settings.bl_rna.properties[use].name)
-            heading.prop(settings, use, text="")
-            if getattr(settings, use):
-                layout.prop(settings, name, text=text)
+        layout.prop(settings, "use_baseline")
+        if settings.use_baseline:
+            layout.prop(settings, "baseline", text="Meters")
+
+    def _pair(self, settings) -> None:
+        """A frame of each view, with its picture."""
+        for index, field in enumerate(source_info.VIEWS):
+            column, info = self.layout.column(align=True), source_info.of(settings, field)
+            picture = source_info.frame_picture(info, settings.pair[index])
+            column.template_icon(icon_value=picture, scale=_FRAME)
+            name = settings.bl_rna.properties[field].name
+            column.prop(settings, "pair", index=index, text=f"{name} Frame")
