@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
-from ..common.section import Section, sentence, split
+from ..common.section import Section, fitted, sentence, split
 from ..operators.media import MANIENT_MT_sources
 from ..session import source_info
 
@@ -17,7 +19,7 @@ _KINDS = {
 
 _PICTURE = 4.0
 """height of the thumbnail, in buttons"""
-_FRAME = 8.0
+_FRAME = 10.0
 """height of a frame's picture, in buttons"""
 _PICTURE_LINES = 5
 """lines of a sentence that are as high"""
@@ -68,13 +70,14 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         if view.files is None:
             sentence(layout, context, view.problem, "ERROR", alert=True)
         else:
-            self._describe(context, view)
+            # The field beside its name is too narrow for the file's.
+            self._describe(context, view, fitted(context, Path(view.files.files[0]).name, buttons=4))
 
-    def _describe(self, context, info: source_info.SourceInfo) -> None:
+    def _describe(self, context, info: source_info.SourceInfo, name: str = "") -> None:
         layout = self.layout
         assert info.files is not None
         kind, icon = _KINDS[info.files.kind]
-        lines = [kind]
+        lines = [name or kind]
         # Their places are kept until they are known.
         if info.files.kind != "data":
             lines.append(f"{info.width} × {info.height} px" if info.width else "")
@@ -94,7 +97,9 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             column.separator(factor=2.0)
         column.scale_y = 0.9 if picture else 0.8
         for number, line in enumerate(lines):
-            column.label(text=line, icon="NONE" if picture or number else icon, translate=number == 0)
+            column.label(
+                text=line, icon="NONE" if picture or number else icon, translate=number == 0 and not name
+            )
 
 
 class MANIENT_PT_second_view(Section, bpy.types.Panel):
@@ -131,5 +136,4 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
             column, info = self.layout.column(align=True), source_info.of(settings, field)
             picture = source_info.frame_picture(info, settings.pair[index])
             column.template_icon(icon_value=picture, scale=_FRAME)
-            name = settings.bl_rna.properties[field].name
-            column.prop(settings, "pair", index=index, text=f"{name} Frame")
+            column.prop(settings, "pair", index=index, text=settings.bl_rna.properties[field].name)

@@ -17,6 +17,9 @@ from .camera import build_camera, put_before
 from .plate import Plate, loading_plate
 from .timing import Timing, check_range
 
+VIEW_DISPLAY_SIZE = 0.1
+"""share of Blender's usual one: either camera may stand in the other's picture, before the hand"""
+
 
 @dataclass(frozen=True)
 class BuiltView:

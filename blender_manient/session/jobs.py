@@ -162,6 +162,8 @@ class Job:
         text = {"detect": "Finding hands", "fit": "Fitting", "arms": "Finding arms"}.get(
             self.stage, self.stage
         )
+        if self.options.view is not None and self.stage != "arms":
+            text = f"{text}, view {self._views_done + 1}"
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def speed_text(self) -> str:

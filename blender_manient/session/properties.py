@@ -205,7 +205,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Offset", precision=3, step=1, **option_property("offset")
     )
     use_pair: BoolProperty(  # type: ignore
-        name="Two Frames",
+        name="Pair Two Frames",
         description="Tell the offset by a frame of each clip that shows the same moment, such as a touch of "
         "fingers",
     )

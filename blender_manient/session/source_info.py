@@ -260,8 +260,8 @@ def view_chosen(settings) -> None:
     if "second_view" not in _known or _known["second_view"].path != settings.second_view:
         for name in ("cameras", "view_lens", "use_offset", "use_pair", "use_baseline"):
             settings.property_unset(name)
+        settings.pair = [of(settings, field).first for field in VIEWS]
     source_changed(settings, "second_view")
-    settings.pair = [of(settings, field).first for field in VIEWS]
 
 
 def pair_changed(settings) -> None:

@@ -14,7 +14,7 @@ from scenarios.traces import workers
 START = "bpy.ops.manient.live("
 
 
-def _started(stage, source, folder, character=None, *, button=False):
+def started(stage, source, folder, character=None, *, button=False):
     """Press Start and wait for the hand. Returns the session."""
     settings = bpy.context.scene.manient.live
     settings.source, settings.folder, settings.countdown = f"file:{source}", str(folder), 1
@@ -38,7 +38,7 @@ def recorded(stage, source):
         yield from stage.open_sidebar()
         view = stage.area().spaces[0].region_3d
         distance = view.view_distance
-        session = yield from _started(stage, source, Path(source).parent / "takes", button=True)
+        session = yield from started(stage, source, Path(source).parent / "takes", button=True)
         bpy.ops.ed.undo_push(message="Before")
         yield from stage.leave_popups()
         yield from stage.key("SPACE")
@@ -78,7 +78,7 @@ def on_rigify(stage, source):
 
     bpy.data.objects["rig"].select_set(False)
     bpy.ops.ed.undo_push(message="Rig")
-    session = yield from _started(stage, source, Path(source).parent / "takes", bpy.data.objects["rig"])
+    session = yield from started(stage, source, Path(source).parent / "takes", bpy.data.objects["rig"])
     assert angle() > 0.01
     with stage.override():
         bpy.ops.screen.animation_play()
@@ -95,4 +95,4 @@ def on_rigify(stage, source):
 
 def left_running(stage, source):
     """Live runs; whoever plays this quits Blender then."""
-    yield from _started(stage, source, Path(source).parent / "takes")
+    yield from started(stage, source, Path(source).parent / "takes")

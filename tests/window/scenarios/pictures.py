@@ -10,7 +10,7 @@ from mathutils import Matrix, Vector
 from stage import ADDON
 
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from scenarios import adding
+from scenarios import adding, live, views
 from scenarios.capturing import begin, capture, done, finish, hands, part
 from scenarios.character import press, rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
@@ -89,6 +89,36 @@ def posing(stage, folder, source):
         yield from press(stage, "bpy.ops.manient.apply_pose(")
         yield from stage.look_through_camera()
         yield from _shown(stage, "pose-range")
+
+
+def acting(stage, folder, source):
+    """The open hand follows a clip and is recorded."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/live.blend")
+    with opened_by_default("MANIENT_PT_live"):
+        yield from stage.open_sidebar()
+        yield from live.started(stage, source, "//live")
+        yield from stage.leave_popups()
+        yield from stage.key("SPACE")
+        yield 5.0
+        yield from stage.screenshot("live")
+        yield from stage.key("ESC")
+        yield 1.0
+
+
+def two_cameras(stage, folder, source, second, other):
+    """A capture of two views through both cameras; then with a clip of another hand as the second view."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/two.blend")
+    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
+        yield from stage.open_sidebar()
+        yield from views.chosen(stage, f"//{source}", f"//{second}")
+        yield from capture(stage, f"//{source}")
+        bpy.context.scene.frame_set(45)
+        yield from stage.look_through_camera()
+        yield from _shown(stage, "views-first")
+        yield from stage.invoke("manient.switch_view")
+        yield from _shown(stage, "views-second")
+        yield from capture(stage, f"//{source}", second_view=f"//{other}")
+        yield from _shown(stage, "views-wrong")
 
 
 def placing(stage, folder, source, points):

@@ -26,7 +26,7 @@ def _cameras():
 def captured(stage, source, second):
     """Chosen, captured and called good; the button leads to the second view's camera, through which the hand
     lies on its picture, too, and back; saved and opened again, undone and redone."""
-    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_capture", "MANIENT_PT_result"):
+    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
         yield from stage.open_sidebar()
         yield from chosen(stage, source, second)
         yield from stage.screenshot("views-chosen")
@@ -43,7 +43,7 @@ def captured(stage, source, second):
         for camera, name in ((first, "first"), (other, "second"), (first, "")):
             assert scene.camera == camera
             (plate,) = camera.data.background_images
-            assert plate.clip is not None
+            assert plate.image is not None
             assert plate.show_background_image
             if name:
                 yield from stage.screenshot(f"views-{name}")
@@ -78,7 +78,7 @@ def told(stage, source, second, rig):
         yield 1.0
         yield from stage.screenshot("views-paired")
         before = pictured()
-        settings.pair[1] = 40
+        settings.pair = 31, 40
         yield from stage.until(lambda: pictured()[1] != before[1], 20.0, "another picture")
         assert abs(info.told_offset(settings) - (30 - 39) / info.of(settings).fps) < 1e-4
         job = yield from begin(stage, source, second_view=str(second), cameras=str(rig))
