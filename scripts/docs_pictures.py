@@ -24,6 +24,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import bpy  # noqa: F401  (mathutils is in it)
 import cv2
 import numpy as np
 from mathutils import Matrix, Vector
@@ -74,13 +75,12 @@ def filmed_twice(folder: Path) -> dict[str, Any]:
     from scripts.benchmark.drawing import draw
     from scripts.benchmark.scene import build_scene
 
-    frames, later = 60, 7
-    shot = clip_shot(0, 9, frames + later, 400)
+    shot = clip_shot(0, 9, 70, 400)
     camera = build_scene(shot, 2).camera
-    middle = Vector(axes.points_to_world(shot.hands[0].keypoints().mean(axis=(0, 1))).tolist())
+    middle = Vector(axes.points_to_world(shot.hands[0].keypoints()[36].mean(axis=0)).tolist())
     around = Matrix.Translation(middle) @ Matrix.Rotation(math.radians(60), 4, "Z")
-    for view, first in (("front", 0), ("side", later)):
-        for number in range(frames):
+    for view, first in (("front", 0), ("side", 7)):
+        for number in range(60):
             draw(shot, first + number, folder / view / f"{view}.{number + 1:04d}.jpg")
         camera.matrix_world = around @ Matrix.Translation(-middle) @ camera.matrix_world
     return {"source": "front", "second": "side", "other": "wave"}
@@ -93,7 +93,7 @@ SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "several": lambda _: {"sources": ["mona_lisa.jpg", "wave"]},
     "posing": lambda _: {"source": "wave"},
     "placing": placed,
-    "acting": lambda folder: {"source": Inputs(folder).clip(600)},
+    "acting": lambda folder: {"source": Inputs(folder).clip(600).name},
     "two_cameras": filmed_twice,
 }
 

@@ -19,7 +19,7 @@ _KINDS = {
 
 _PICTURE = 4.0
 """height of the thumbnail, in buttons"""
-_FRAME = 10.0
+_FRAME = 8.0
 """height of a frame's picture, in buttons"""
 _PICTURE_LINES = 5
 """lines of a sentence that are as high"""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import addon_utils
 import bpy
@@ -96,6 +97,7 @@ def acting(stage, folder, source):
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/live.blend")
     with opened_by_default("MANIENT_PT_live"):
         yield from stage.open_sidebar()
+        os.chdir(folder)  # so that no folder of this machine is in the picture
         yield from live.started(stage, source, "//live")
         yield from stage.leave_popups()
         yield from stage.key("SPACE")
