@@ -39,8 +39,8 @@ SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PLATE = (215, 80, 875, 740)
-"""of the picture that the viewport shows"""
+PLATE, BESIDE = (215, 150, 875, 895), (1035, 80, 1300, 825)
+"""of the picture that the viewport shows, and of the sidebar"""
 
 
 def window_pictures(folder: Path, scenes: list[str]) -> None:
@@ -83,7 +83,7 @@ def filmed_twice(folder: Path) -> dict[str, Any]:
         for number in range(60):
             draw(shot, first + number, folder / view / f"{view}.{number + 1:04d}.jpg")
         camera.matrix_world = around @ Matrix.Translation(-middle) @ camera.matrix_world
-    return {"source": "front", "second": "side", "other": "wave"}
+    return {"source": "front", "second": "side", "other": Inputs(folder).clip(60).name}
 
 
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
@@ -111,7 +111,7 @@ def cut(window: np.ndarray, box: tuple[int, int, int, int] = SIDEBAR) -> np.ndar
 
 def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """What both cameras see, and the sidebar."""
-    parts = np.hstack([cut(first, PLATE), cut(second, PLATE), cut(second)])
+    parts = np.hstack([cut(first, PLATE), cut(second, PLATE), cut(second, BESIDE)])
     return cv2.resize(parts, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
+
+from handfit_core.media.source import Source
 
 from ..common.section import Section, fitted, sentence, split
 from ..operators.media import MANIENT_MT_sources
@@ -71,7 +71,8 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             sentence(layout, context, view.problem, "ERROR", alert=True)
         else:
             # The field beside its name is too narrow for the file's.
-            self._describe(context, view, fitted(context, Path(view.files.files[0]).name, buttons=4))
+            name = Source(view.files.kind, view.files.files).name
+            self._describe(context, view, fitted(context, name, buttons=4))
 
     def _describe(self, context, info: source_info.SourceInfo, name: str = "") -> None:
         layout = self.layout
