@@ -22,6 +22,7 @@ from handfit_core.interchange.opening import is_recording
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender
+from handfit_core.media.source import SourceKind
 from handfit_core.options import CaptureOptions
 from handfit_core.retiming import shown_numbers
 from handfit_core.take import is_take
@@ -40,8 +41,8 @@ _POLL_SECONDS = 0.1
 class SourceFiles:
     """What a capture reads."""
 
-    kind: str
-    """photo, sequence, video, or data: another program's hands"""
+    kind: SourceKind
+    """data: another program's hands"""
     files: tuple[str, ...]
     """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
     order"""
