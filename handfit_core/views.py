@@ -102,4 +102,5 @@ class Cameras:
     def seconds(self, view: int) -> np.ndarray:
         """(S,) seconds from the take's first frame to those of a further view, counted from 1."""
         of = self.views[view - 1]
-        return np.asarray(self.time_offset[view] + (of.frame_numbers - of.frame_numbers[0]) / of.fps)
+        times = (of.frame_numbers - of.frame_numbers[0]) / of.fps if of.times is None else of.times
+        return np.asarray(self.time_offset[view] + times)

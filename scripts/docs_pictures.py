@@ -1,74 +1,128 @@
 #!/usr/bin/env python3
 """Make the pictures of the docs: the running program in Blender's own window, and overview.html of a batch.
 
-    sudo HANDFIT_BLENDER_CHROOT=DIR HANDFIT_PYTHON=PYTHON python scripts/docs_pictures.py [window | overview]
+    sudo HANDFIT_BLENDER_CHROOT=DIR HANDFIT_PYTHON=PYTHON python scripts/docs_pictures.py [NAME ...]
 
-DIR is from make_blender_chroot.sh; PYTHON has the core's requirements. This script itself needs bpy, OpenCV
-and Chromium. It writes docs/images/window-*.png and docs/images/overview.png.
+NAME is a scene of the window's, such as `acting`, or `overview`; without one, all are made. DIR is from
+make_blender_chroot.sh; PYTHON has the core's requirements. This script itself needs bpy, OpenCV and pytest,
+and Chromium for the overview. It writes docs/images/window-*.png and docs/images/overview.png.
 """
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import bpy  # noqa: F401  (mathutils is in it)
 import cv2
 import numpy as np
+from mathutils import Matrix, Vector
 
+from handfit_core.hand_model import axes
 from scripts import batch_fit
 from tests.window.blender_window import BlenderWindow
-from tests.window.inputs import write_robot_hand
+from tests.window.inputs import Inputs, write_robot_hand
 
 SIZE = (1600, 1000)
 SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
 SIDEBAR = (1035, 80, 1325, 740)
 """x, y, right and bottom of the sidebar in the window, pixels"""
-PICTURES = (
-    *("empty", "capturing", "captured", "keypoints", "touch", "find", "box"),
-    *("add-laid", "add-point-12", "character", "captures", "pose-range"),
-)
+PLATE, BESIDE = (215, 150, 875, 895), (1035, 80, 1300, 825)
+"""of the picture that the viewport shows, and of the sidebar"""
 
 
-def window_pictures(folder: Path) -> None:
-    """Play the tour in Blender's window, under Xvfb."""
+def window_pictures(folder: Path, scenes: list[str]) -> None:
+    """Play scenes in Blender's window, under Xvfb."""
     chroot = os.environ.get("HANDFIT_BLENDER_CHROOT")
     if not chroot:
         sys.exit("docs_pictures.py: HANDFIT_BLENDER_CHROOT must name a Blender chroot")
     shots = folder / "shots"
     window = BlenderWindow(chroot, folder / "run", shots, SIZE, reachable=folder)
-    points = write_robot_hand(folder / "robot.png").tolist()
-    order = [(k, points[k]) for k in (0, 9, 8, 4, 20, 12)]
     try:
-        for scene, settings in (
-            ("tour", {"source": "wave"}),
-            ("choosing", {"source": "mona_lisa.jpg"}),
-            ("onto_a_character", {"source": "wave"}),
-            ("several", {"sources": ["mona_lisa.jpg", "wave"]}),
-            ("posing", {"source": "wave"}),
-            ("placing", {"source": "robot.png", "points": order}),
-        ):
-            window.play(f"pictures.{scene}", folder=str(folder), timeout=300, **settings)
+        for scene in scenes:
+            settings = SCENES[scene](folder)
+            window.play(f"pictures.{scene}", folder=str(folder), timeout=600, **settings)
     finally:
         window.stop()
-    left, top, right, bottom = SIDEBAR
-    for name in PICTURES:
-        picture = cv2.imread(str(shots / f"{name}.png"))
-        if picture is None:
-            sys.exit(f"docs_pictures.py: the tour left no picture of {name}")
-        if name == "empty":
-            picture = picture[top:bottom, left:right]
-        else:
-            picture = cv2.resize(picture, SHOWN, interpolation=cv2.INTER_AREA)
-        write(f"window-{name}", picture)
+    for name, (compose, *used) in PICTURES.items():
+        files = [shots / f"{each}.png" for each in used or [name]]
+        if all(file.is_file() for file in files):
+            write(f"window-{name}", compose(*(cv2.imread(str(file)) for file in files)))
+
+
+def placed(folder: Path) -> dict[str, Any]:
+    """A drawn hand, and the points by which it is posed."""
+    points = write_robot_hand(folder / "robot.png").tolist()
+    return {"source": "robot.png", "points": [(k, points[k]) for k in (0, 9, 8, 4, 20, 12)]}
+
+
+def filmed_twice(folder: Path) -> dict[str, Any]:
+    """A moving hand of the benchmark, rendered from two cameras that stand 60 degrees apart; the second one
+    began seven frames later."""
+    from scripts.benchmark.clips import clip_shot
+    from scripts.benchmark.drawing import draw
+    from scripts.benchmark.scene import build_scene
+
+    shot = clip_shot(0, 9, 70, 400)
+    camera = build_scene(shot, 2).camera
+    middle = Vector(axes.points_to_world(shot.hands[0].keypoints()[36].mean(axis=0)).tolist())
+    around = Matrix.Translation(middle) @ Matrix.Rotation(math.radians(60), 4, "Z")
+    for view, first in (("front", 0), ("side", 7)):
+        for number in range(60):
+            draw(shot, first + number, folder / view / f"{view}.{number + 1:04d}.jpg")
+        camera.matrix_world = around @ Matrix.Translation(-middle) @ camera.matrix_world
+    return {"source": "front", "second": "side", "other": Inputs(folder).clip(60).name}
+
+
+SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "tour": lambda _: {"source": "wave"},
+    "choosing": lambda _: {"source": "mona_lisa.jpg"},
+    "onto_a_character": lambda _: {"source": "wave"},
+    "several": lambda _: {"sources": ["mona_lisa.jpg", "wave"]},
+    "posing": lambda _: {"source": "wave"},
+    "placing": placed,
+    "acting": lambda folder: {"source": Inputs(folder).clip(600).name},
+    "two_cameras": filmed_twice,
+}
+
+
+def whole(window: np.ndarray) -> np.ndarray:
+    """The window, smaller."""
+    return cv2.resize(window, SHOWN, interpolation=cv2.INTER_AREA)
+
+
+def cut(window: np.ndarray, box: tuple[int, int, int, int] = SIDEBAR) -> np.ndarray:
+    """A part of the window, as large as it is."""
+    left, top, right, bottom = box
+    return window[top:bottom, left:right]
+
+
+def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """What both cameras see, and the sidebar."""
+    parts = np.hstack([cut(first, PLATE), cut(second, PLATE), cut(second, BESIDE)])
+    return cv2.resize(parts, None, fx=0.7, fy=0.7, interpolation=cv2.INTER_AREA)
+
+
+PICTURES: dict[str, tuple[Any, ...]] = {
+    "empty": (cut,),
+    **dict.fromkeys(("capturing", "captured", "keypoints", "touch", "find", "box"), (whole,)),
+    **dict.fromkeys(("add-laid", "add-point-12", "character", "captures", "pose-range", "live"), (whole,)),
+    "views": (through_both, "views-first", "views-second"),
+    "views-wrong": (cut,),
+}
+"""What is made of the screenshot of that name, or of those that are named"""
 
 
 def overview_picture(folder: Path) -> None:
@@ -99,9 +153,12 @@ def write(name: str, picture: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    kinds = {"window": window_pictures, "overview": overview_picture}
-    for kind in sys.argv[1:] or kinds:
-        with tempfile.TemporaryDirectory() as temporary:
-            shutil.copytree(ROOT / "samples" / "rendered_hand", Path(temporary) / "wave")
-            shutil.copy(ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg", temporary)
-            kinds[kind](Path(temporary))
+    wanted = sys.argv[1:] or [*SCENES, "overview"]
+    with tempfile.TemporaryDirectory() as temporary:
+        inputs = Path(temporary)
+        shutil.copytree(ROOT / "samples" / "rendered_hand", inputs / "wave")
+        shutil.copy(ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg", inputs)
+        if scenes := [name for name in wanted if name in SCENES]:
+            window_pictures(inputs, scenes)
+        if "overview" in wanted:
+            overview_picture(inputs)

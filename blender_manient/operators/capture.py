@@ -182,6 +182,7 @@ def new_job(
     camera = scene.camera if settings.camera == "ACTIVE" else None
     only = source_info.shown_frame(context, source) if only_frame else None
     view = None if only_frame or bare else _second_view(settings, source)
+    cameras = _full_path(settings.cameras) if view else None
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
         raise OptionError("the scene has no active camera: choose another camera setting")
     return jobs.Job(
@@ -205,11 +206,14 @@ def new_job(
             hand_length=settings.hand_length / 100.0 if settings.use_hand_length else None,
             lens=lens_of(settings, scene),
             view=view,
-            view_lens=saved_lens(settings.view_lens).lens if view and settings.view_lens else None,
-            offset=settings.offset if view and settings.use_offset else None,
-            baseline=settings.baseline if view and settings.use_baseline else None,
+            view_lens=saved_lens(settings.view_lens).lens
+            if view and settings.view_lens and not cameras
+            else None,
+            cameras=cameras,
+            offset=source_info.told_offset(settings) if view else None,
+            baseline=settings.baseline if view and settings.use_baseline and not cameras else None,
             max_megapixels=preferences.get(context).max_megapixels or None,
-            keypoints=_keypoints(settings, source),
+            keypoints=_full_path(settings.keypoints) if source.kind != "data" else None,
             picture_size=_picture_size(settings, source),
         ),
         building=jobs.Building(
@@ -258,10 +262,9 @@ def _second_view(settings, source: source_info.SourceFiles) -> str | None:
     return view.files[0] if len(view.files) == 1 else str(Path(view.files[0]).parent)
 
 
-def _keypoints(settings, source: source_info.SourceFiles) -> str | None:
-    if source.kind == "data" or not settings.keypoints:
-        return None
-    return str(Path(bpy.path.abspath(settings.keypoints)).expanduser().absolute())
+def _full_path(chosen: str) -> str | None:
+    """The path of a file that the panel names; None where that is empty."""
+    return str(Path(bpy.path.abspath(chosen)).expanduser().absolute()) if chosen else None
 
 
 def _picture_size(settings, source: source_info.SourceFiles) -> tuple[int, int] | None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..common.section import Section, sentence, split
+from handfit_core.media.source import Source
+
+from ..common.section import Section, fitted, sentence, split
 from ..operators.media import MANIENT_MT_sources
 from ..session import source_info
 
@@ -17,6 +19,8 @@ _KINDS = {
 
 _PICTURE = 4.0
 """height of the thumbnail, in buttons"""
+_FRAME = 8.0
+"""height of a frame's picture, in buttons"""
 _PICTURE_LINES = 5
 """lines of a sentence that are as high"""
 
@@ -66,13 +70,15 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         if view.files is None:
             sentence(layout, context, view.problem, "ERROR", alert=True)
         else:
-            self._describe(context, view)
+            # The field beside its name is too narrow for the file's.
+            name = Source(view.files.kind, view.files.files).name
+            self._describe(context, view, fitted(context, name, buttons=4))
 
-    def _describe(self, context, info: source_info.SourceInfo) -> None:
+    def _describe(self, context, info: source_info.SourceInfo, name: str = "") -> None:
         layout = self.layout
         assert info.files is not None
         kind, icon = _KINDS[info.files.kind]
-        lines = [kind]
+        lines = [name or kind]
         # Their places are kept until they are known.
         if info.files.kind != "data":
             lines.append(f"{info.width} × {info.height} px" if info.width else "")
@@ -92,7 +98,9 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             column.separator(factor=2.0)
         column.scale_y = 0.9 if picture else 0.8
         for number, line in enumerate(lines):
-            column.label(text=line, icon="NONE" if picture or number else icon, translate=number == 0)
+            column.label(
+                text=line, icon="NONE" if picture or number else icon, translate=number == 0 and not name
+            )
 
 
 class MANIENT_PT_second_view(Section, bpy.types.Panel):
@@ -108,9 +116,25 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = split(self.layout), context.scene.manient
+        layout.prop(settings, "use_offset")
+        if settings.use_offset:
+            layout.prop(settings, "use_pair")
+            if settings.use_pair:
+                self._pair(settings)
+            else:
+                layout.prop(settings, "offset", text="Seconds")
+        layout.prop(settings, "cameras")
+        if settings.cameras:
+            return
         layout.prop(settings, "view_lens")
-        for use, name, text in (("use_offset", "offset", "Seconds"), ("use_baseline", "baseline", "Meters")):
-            heading = layout.column(heading=settings.bl_rna.properties[use].name)
-            heading.prop(settings, use, text="")
-            if getattr(settings, use):
-                layout.prop(settings, name, text=text)
+        layout.prop(settings, "use_baseline")
+        if settings.use_baseline:
+            layout.prop(settings, "baseline", text="Meters")
+
+    def _pair(self, settings) -> None:
+        """A frame of each view, with its picture."""
+        for index, field in enumerate(source_info.VIEWS):
+            column, info = self.layout.column(align=True), source_info.of(settings, field)
+            picture = source_info.frame_picture(info, settings.pair[index])
+            column.template_icon(icon_value=picture, scale=_FRAME)
+            column.prop(settings, "pair", index=index, text=settings.bl_rna.properties[field].name)

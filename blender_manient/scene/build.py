@@ -47,7 +47,7 @@ from .store import (
     timing_of,
 )
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
-from .views import building_view
+from .views import VIEW_DISPLAY_SIZE, building_view
 
 _T = TypeVar("_T")
 
@@ -218,6 +218,8 @@ def _steps(
         )
         keep(view.camera)
         keep(view.camera.data)
+        for shown in (view.camera, camera) if how.camera is None else (view.camera,):
+            shown.data.display_size *= VIEW_DISPLAY_SIZE
         if view.plate is not None:
             keep(view.plate.image)
         collection.objects.link(view.camera)

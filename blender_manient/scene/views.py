@@ -19,6 +19,9 @@ from .plate import Plate, loading_plate, shown_number
 from .store import captured_take, clip_timing
 from .timing import Timing, check_range
 
+VIEW_DISPLAY_SIZE = 0.1
+"""share of Blender's usual one: either camera may stand in the other's picture, before the hand"""
+
 
 @dataclass(frozen=True)
 class BuiltView:

@@ -161,6 +161,8 @@ class Job:
             return "Starting"
         named = {"detect": "Finding hands", "fit": "Fitting", "join": "Joining views", "arms": "Finding arms"}
         text = named.get(self.stage, self.stage)
+        if self.options.view is not None and self.stage in ("detect", "fit"):
+            text = f"{text}, view {self._views_done + 1}"
         return f"{text}  {self.done}/{self.total}" if self.total > 1 else text
 
     def speed_text(self) -> str:

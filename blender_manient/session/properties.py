@@ -204,6 +204,25 @@ class ManientSettings(bpy.types.PropertyGroup):
     offset: FloatProperty(  # type: ignore
         name="Offset", precision=3, step=1, **option_property("offset")
     )
+    use_pair: BoolProperty(  # type: ignore
+        name="Pair Two Frames",
+        description="Tell the offset by a frame of each clip that shows the same moment, such as a touch of "
+        "fingers",
+    )
+    pair: IntVectorProperty(  # type: ignore
+        name="Same Moment",
+        description="A frame of this clip that shows the same moment as the other clip's",
+        size=2,
+        default=(1, 1),
+        min=0,
+        update=notifier("pair"),
+    )
+    cameras: StringProperty(  # type: ignore
+        name="Cameras",
+        description="A calibration of both cameras in aniposelib's TOML layout, as FreeMoCap, caliscope and "
+        "Pose2Sim write it; empty: they are found from the hands",
+        subtype="FILE_PATH",
+    )
     view_lens: StringProperty(  # type: ignore
         name="Lens",
         description="The measured lens of the second view's camera; empty: found, or what the clip tells",

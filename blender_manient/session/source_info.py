@@ -1,12 +1,13 @@
 """The files behind a path that the panel names, and what it shows of them: kind, size, frames, a thumbnail.
 
-Looked up when the path changes, not when the panel is drawn. Size and frames come from the worker, which is
-started by that and is warm when the artist presses the button.
+Looked up when the path changes, not when the panel is drawn. Size, frames and pictures of single frames come
+from the worker, which is started by that and is warm when the artist presses the button.
 """
 
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,11 +16,14 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
-from handfit_core.errors import HandfitError, InputError
+from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.files import shown, why
 from handfit_core.interchange.opening import is_recording
+from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender
+from handfit_core.media.source import SourceKind
+from handfit_core.options import CaptureOptions
 from handfit_core.retiming import shown_numbers
 from handfit_core.take import is_take
 
@@ -27,7 +31,7 @@ from ..common import preferences, screen
 from ..common.wording import capitalised, without_name
 from ..scene.matching import Footage
 from ..scene.store import captures_of, clip_timing
-from . import jobs, shared_worker
+from . import cache, jobs, shared_worker
 
 _POLL_SECONDS = 0.1
 """seconds"""
@@ -37,8 +41,8 @@ _POLL_SECONDS = 0.1
 class SourceFiles:
     """What a capture reads."""
 
-    kind: str
-    """photo, sequence, video, or data: another program's hands"""
+    kind: SourceKind
+    """data: another program's hands"""
     files: tuple[str, ...]
     """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
     order"""
@@ -124,7 +128,10 @@ class SourceInfo:
     """Whether these are another program's hands in pictures of a size that their file does not tell"""
     can_be_shown: bool = False
     """Whether Blender may decode its first picture for a thumbnail"""
-    request: int = 0
+    pictured: int | None = None
+    """The frame whose picture was asked for last"""
+    picture: str = ""
+    """The file with the newest picture of a frame that came"""
 
     @property
     def is_gone(self) -> bool:
@@ -134,8 +141,11 @@ class SourceInfo:
 
 Field = Literal["source", "second_view"]
 """The panel's settings that name what is captured"""
+VIEWS: tuple[Field, ...] = ("source", "second_view")
 
 _known: dict[Field, SourceInfo] = {}
+_asked: dict[int, tuple[SourceInfo, Callable[[SourceInfo, dict[str, Any]], None]]] = {}
+"""Whom a request to the worker is about, and what takes up its answer"""
 _previews: Any = None
 
 
@@ -222,12 +232,19 @@ def source_changed(settings, field: Field = "source") -> None:
     info = of(settings, field)
     if info.files is None or bpy.app.background:
         return
+    _ask(info, _describe, "probe", max_megapixels=preferences.get().max_megapixels or None)
+
+
+def _ask(
+    info: SourceInfo, then: Callable[[SourceInfo, dict[str, Any]], None], kind: str, **fields: Any
+) -> None:
+    """Send the worker a request about a source."""
+    assert info.files is not None
     with contextlib.suppress(HandfitError):  # the capture itself will say what is wrong with the worker
-        info.request = shared_worker.worker().submit(
-            "probe", input=list(info.files.files), max_megapixels=preferences.get().max_megapixels or None
-        )
-        if not bpy.app.timers.is_registered(_await_answer):
-            bpy.app.timers.register(_await_answer, first_interval=_POLL_SECONDS)
+        request = shared_worker.worker().submit(kind, input=list(info.files.files), **fields)
+        _asked[request] = (info, then)
+        if not bpy.app.timers.is_registered(_await_answers):
+            bpy.app.timers.register(_await_answers, first_interval=_POLL_SECONDS)
 
 
 def source_chosen(settings) -> None:
@@ -242,25 +259,79 @@ def source_chosen(settings) -> None:
 def view_chosen(settings) -> None:
     """Another second view, to which the former one's offset and distance do not belong."""
     if "second_view" not in _known or _known["second_view"].path != settings.second_view:
-        for name in ("view_lens", "use_offset", "use_baseline"):
+        for name in ("cameras", "view_lens", "use_offset", "use_pair", "use_baseline"):
             settings.property_unset(name)
+        settings.pair = [of(settings, field).first for field in VIEWS]
     source_changed(settings, "second_view")
+
+
+def pair_changed(settings) -> None:
+    """Keep the two frames that show the same moment within their clips, as far as these are known."""
+    infos = [of(settings, field) for field in VIEWS]
+    inside = [
+        min(max(frame, info.first), info.last) if info.frames else frame
+        for frame, info in zip(settings.pair, infos, strict=True)
+    ]
+    if inside != list(settings.pair):
+        settings.pair = inside
+
+
+def told_offset(settings) -> float | None:
+    """Seconds from the start of what is captured of the source to that of the second view, as told by the
+    artist; None where it is to be found. Raises OptionError."""
+    if not settings.use_offset:
+        return None
+    if not settings.use_pair:
+        return settings.offset
+    infos = [of(settings, field) for field in VIEWS]
+    if not all(info.fps for info in infos):
+        raise OptionError("the clips' rates are not known yet: wait until the panel shows them")
+    starts = [settings.first_frame if settings.use_frames else infos[0].first, infos[1].first]
+    first, second = (
+        (frame - start) / info.fps for frame, start, info in zip(settings.pair, starts, infos, strict=True)
+    )
+    return first - second
 
 
 def thumbnail(info: SourceInfo) -> int:
     """An icon of the source, 0 where there is none."""
+    if info.files is None or not info.can_be_shown:
+        return 0
+    return _icon(info.files.files[0], "MOVIE" if info.files.kind == "video" else "IMAGE")
+
+
+def frame_picture(info: SourceInfo, frame: int) -> int:
+    """An icon of one frame, which the worker is asked for; until it comes, that of the last one, or 0."""
+    if info.files is None or bpy.app.background:
+        return 0
+    if info.pictured != frame and not any(about is info for about, _ in _asked.values()):
+        info.pictured = frame
+        options = CaptureOptions(
+            frames=FrameRange(frame, frame),
+            only_regions=True,
+            max_megapixels=preferences.get().max_megapixels or None,
+        )
+        path = cache.temporary_take("frame").with_suffix(".jpg")
+
+        def show(about: SourceInfo, _answer: dict[str, Any]) -> None:
+            about.picture = str(path)
+
+        _ask(info, show, "find", options=options.to_message(), picture=str(path))
+    return _icon(info.picture, "IMAGE") if info.picture else 0
+
+
+def _icon(path: str, kind: str) -> int:
     global _previews
-    if info.files is None or not info.can_be_shown or bpy.app.background:
+    if bpy.app.background:
         return 0
     if _previews is None:
         _previews = bpy.utils.previews.new()
     previews = _previews
-    path = info.files.files[0]
     if path not in previews:
         if len(previews) > 50:
             previews.clear()
         with contextlib.suppress(KeyError):
-            previews.load(path, path, "MOVIE" if info.files.kind == "video" else "IMAGE")
+            previews.load(path, path, kind)
     return previews[path].icon_id if path in previews else 0
 
 
@@ -285,26 +356,33 @@ def _inspect(path: str, as_sequence: bool) -> SourceInfo:
     return info
 
 
-def _await_answer() -> float | None:
-    info = next((each for each in _known.values() if each.request), None)
-    if info is None:
+def _describe(info: SourceInfo, found: dict[str, Any]) -> None:
+    info.width, info.height = int(found["width"]), int(found["height"])
+    info.fps, info.frames = float(found["fps"]), int(found["frames"])
+    info.first, info.last = int(found["first"]), int(found["last"])
+    info.unsized = not info.width
+
+
+def _await_answers() -> float | None:
+    if not _asked:
         return None
     if jobs.current() is not None:
         return 1.0  # the worker answers after that
-    try:
-        found = shared_worker.answer(info.request)
-    except HandfitError as error:
-        # The panel has the path above.
-        info.problem = capitalised(without_name(str(error), info.files.files if info.files else ()))
-    else:
-        if found is None:
-            return _POLL_SECONDS if shared_worker.worker().alive else None
-        info.width, info.height = int(found["width"]), int(found["height"])
-        info.fps, info.frames = float(found["fps"]), int(found["frames"])
-        info.first, info.last = int(found["first"]), int(found["last"])
-        info.unsized = not info.width
-    info.request = 0
-    screen.redraw_sidebars()
+    for request, (info, then) in list(_asked.items()):
+        try:
+            found = shared_worker.answer(request)
+        except HandfitError as error:
+            if then is _describe:
+                # The panel has the path above.
+                info.problem = capitalised(without_name(str(error), info.files.files if info.files else ()))
+            found = None
+        else:
+            if found is None and shared_worker.worker().alive:
+                continue
+        if found is not None:
+            then(info, found)
+        del _asked[request]
+        screen.redraw_sidebars()
     return _POLL_SECONDS
 
 
@@ -319,8 +397,13 @@ def _on_undo(*_args) -> None:
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo}
-LISTENERS = {"source": source_chosen, "as_sequence": source_changed, "second_view": view_chosen}
-TIMERS = (_await_answer,)
+LISTENERS = {
+    "source": source_chosen,
+    "as_sequence": source_changed,
+    "second_view": view_chosen,
+    "pair": pair_changed,
+}
+TIMERS = (_await_answers,)
 
 
 def unregister() -> None:
@@ -330,3 +413,4 @@ def unregister() -> None:
         bpy.utils.previews.remove(_previews)
     _previews = None
     _known.clear()
+    _asked.clear()

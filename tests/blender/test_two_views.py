@@ -16,7 +16,8 @@ from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.scene import captures
 from blender_manient.scene.build import build_take
 from blender_manient.scene.retime import retime
-from blender_manient.session import shared_worker
+from blender_manient.session import shared_worker, source_info
+from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.media.source import Source
@@ -148,7 +149,29 @@ def test_what_the_panel_tells_of_a_second_view(take, tmp_path, monkeypatch):
     options = new_job(bpy.context, only_frame=False).options
     assert (options.view, options.offset) == (str(tmp_path / "b.avi"), None)
     assert options.baseline == pytest.approx(0.7)
+    settings.cameras = str(tmp_path / "rig.toml")
+    told = new_job(bpy.context, only_frame=False).options
+    assert (told.cameras, told.baseline) == (str(tmp_path / "rig.toml"), None), "it tells the distance"
     alone = new_job(bpy.context, only_frame=True).options
     assert (alone.view, alone.baseline) == (None, None), "one frame tells no offset"
     settings.source = str(tmp_path / "b.avi")
     assert settings.second_view == "", "it belongs to one source"
+
+
+def test_a_frame_of_each_view_tells_the_offset(take, tmp_path):
+    settings = bpy.context.scene.manient
+    settings.source, settings.second_view = str(tmp_path / "a.avi"), str(tmp_path / "b.avi")
+    settings.use_offset, settings.use_pair, settings.offset = True, True, 9.0
+    settings.pair = 31, 11
+    with pytest.raises(OptionError, match="rates"):
+        source_info.told_offset(settings)
+    for field, rate in zip(source_info.VIEWS, (30.0, RATE), strict=True):
+        info = source_info.of(settings, field)
+        info.fps, info.frames, info.first, info.last = rate, 40, 1, 40
+    assert source_info.told_offset(settings) == pytest.approx(1.0 - 0.4)
+    settings.use_frames, settings.first_frame = True, 16
+    assert source_info.told_offset(settings) == pytest.approx(0.5 - 0.4), "the used range starts later"
+    settings.pair = 99, 0
+    assert tuple(settings.pair) == (40, 1)
+    settings.second_view = ""
+    assert not settings.use_pair

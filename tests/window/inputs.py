@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from handfit_core.edit import landmark_points
 from handfit_core.geometry.camera import Intrinsics
@@ -21,6 +22,7 @@ from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES
 from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
+from tests.conftest import samples_dir
 from tests.takes import correctable, of_two_views, take_of, track_of, with_arms
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
@@ -66,6 +68,22 @@ class Inputs:
     def film_of_the_board(self) -> Path:
         """A film that tells its lens."""
         return self._written("board.mp4", _FILM_BOARD, RENDERED_HAND.parents[1])
+
+    @property
+    def two_cameras(self) -> dict[str, Path]:
+        """Two clips of one hand, seen by cameras that stand 76 degrees apart."""
+        folder = samples_dir() / "two_cameras" / "apart75"
+        if not folder.is_dir():
+            pytest.skip(f"the clips of two cameras are not here ({folder}); set HANDFIT_SAMPLES")
+        given = {"source": "clip1_a.mp4", "second": "clip1_b.mp4"}
+        return {name: Path(shutil.copy(folder / file, self.folder)) for name, file in given.items()}
+
+    @property
+    def rig(self) -> Path:
+        """A calibration of one camera."""
+        path = self.folder / "rig.toml"
+        path.write_text("[cam_0]\nmatrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", encoding="utf-8")
+        return path
 
     def clip(self, frames: int, blank_from: int | None = None) -> Path:
         """A video of the bundled hand, to and fro; from `blank_from` on it shows nothing."""

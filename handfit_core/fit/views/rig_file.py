@@ -74,7 +74,7 @@ def read_rig(path: str | os.PathLike[str], names: Sequence[str], sizes: Sequence
 def _tables(document: dict[str, Any]) -> list[dict[str, Any]]:
     found = [table for name, table in document.items() if isinstance(table, dict) and "matrix" in table]
     if len(found) < 2:
-        raise ValueError(f"it has {len(found)} cameras")
+        raise ValueError(f"it has {len(found) or 'no'} camera")
     return found
 
 

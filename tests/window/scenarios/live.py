@@ -19,7 +19,7 @@ from scenarios.traces import workers
 START = "bpy.ops.manient.live("
 
 
-def _started(stage, source, folder, character=None, *, button=False, left=None):
+def started(stage, source, folder, character=None, *, button=False, left=None):
     """Press Start and wait for the right hand, which the `character` follows; `left`: who follows the left
     one, if anybody does. Returns the session."""
     settings = bpy.context.scene.manient.live
@@ -48,7 +48,7 @@ def recorded(stage, source):
         yield from stage.open_sidebar()
         view = stage.area().spaces[0].region_3d
         distance = view.view_distance
-        session = yield from _started(stage, source, Path(source).parent / "takes", button=True)
+        session = yield from started(stage, source, Path(source).parent / "takes", button=True)
         bpy.ops.ed.undo_push(message="Before")
         yield from stage.leave_popups()
         yield from stage.key("SPACE")
@@ -86,7 +86,7 @@ def on_rigify(stage, source):
 
     bpy.data.objects["rig"].select_set(False)
     bpy.ops.ed.undo_push(message="Rig")
-    session = yield from _started(stage, source, Path(source).parent / "takes", bpy.data.objects["rig"])
+    session = yield from started(stage, source, Path(source).parent / "takes", bpy.data.objects["rig"])
     assert angle() > 0.01
     with stage.override():
         bpy.ops.screen.animation_play()
@@ -118,7 +118,7 @@ def acted(stage, source, take):
         return (hand.matrix @ hand.bone.matrix_local.inverted()).to_quaternion()
 
     before, keyed, name = place(), keys_of(captured), character.name
-    session = yield from _started(stage, source, Path(source).parent / "takes", left=character)
+    session = yield from started(stage, source, Path(source).parent / "takes", left=character)
     yield from stage.until(lambda: session.hand_states().get("left") == "seen", 20.0, "the left hand")
     yield from stage.invoke("manient.live_calibrate")
     # A machine that shows fewer than ten frames a second sees none.
@@ -189,7 +189,7 @@ def measured(stage, source, figures, rounds, seconds):
     for _ in range(rounds):
         yield from drawn("timer that redraws")
         folder = Path(source).parent / "takes"
-        session = yield from _started(stage, source, folder, bpy.data.objects["rig"])
+        session = yield from started(stage, source, folder, bpy.data.objects["rig"])
         yield from drawn("live")
         session.stop()
         yield from stage.until(lambda session=session: session.over, 10.0, "the end")
@@ -199,4 +199,4 @@ def measured(stage, source, figures, rounds, seconds):
 
 def left_running(stage, source):
     """Live runs; whoever plays this quits Blender then."""
-    yield from _started(stage, source, Path(source).parent / "takes")
+    yield from started(stage, source, Path(source).parent / "takes")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 
 import addon_utils
 import bpy
@@ -10,7 +11,7 @@ from mathutils import Matrix, Vector
 from stage import ADDON
 
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from scenarios import adding
+from scenarios import adding, live, views
 from scenarios.capturing import begin, capture, done, finish, hands, part
 from scenarios.character import press, rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
@@ -91,6 +92,38 @@ def posing(stage, folder, source):
         yield from _shown(stage, "pose-range")
 
 
+def acting(stage, folder, source):
+    """The open hand follows a clip and is recorded."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/live.blend")
+    with opened_by_default("MANIENT_PT_live"):
+        yield from stage.open_sidebar()
+        os.chdir(folder)  # so that no folder of this machine is in the picture
+        yield from live.started(stage, source, "//live")
+        yield from stage.leave_popups()
+        yield from stage.key("SPACE")
+        yield 5.0
+        yield from stage.screenshot("live")
+        yield from stage.key("ESC")
+        yield 1.0
+
+
+def two_cameras(stage, folder, source, second, other):
+    """A capture of two views through both cameras; then with a clip of another hand as the second view."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/two.blend")
+    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
+        yield from stage.open_sidebar()
+        yield from views.chosen(stage, f"//{source}", f"//{second}")
+        yield from capture(stage, f"//{source}")
+        bpy.context.scene.frame_set(45)
+        yield from stage.look_through_camera()
+        stage.area().spaces[0].overlay.show_extras = False  # lines of suns
+        yield from _shown(stage, "views-first")
+        yield from stage.invoke("manient.switch_view")
+        yield from _shown(stage, "views-second")
+        yield from capture(stage, f"//{source}", second_view=f"//{other}")
+        yield from _shown(stage, "views-wrong")
+
+
 def placing(stage, folder, source, points):
     """A drawn hand is laid into its picture and posed by some points, as `adding.posed` takes them."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/drawing.blend")
@@ -167,12 +200,13 @@ def _drag_a_fingertip(stage):
 
 
 def _open_all_sections():
-    """The tab as it looks when the artist has opened every section once; their subsections stay closed."""
+    """The tab as it looks when the artist has opened every section once but for Live; their subsections stay
+    closed."""
     shown = sections()
     for cls in reversed(shown):
         bpy.utils.unregister_class(cls)
     for cls in shown:
-        if not hasattr(cls, "bl_parent_id"):
+        if not hasattr(cls, "bl_parent_id") and cls.bl_label != "Live":
             cls.bl_options = set()
         bpy.utils.register_class(cls)
     assert addon_utils.check(ADDON)[1]
