@@ -49,7 +49,7 @@ def _draw(
     rng: np.random.Generator, number: int, frames: int, size: int
 ) -> tuple[Shot, Shot, dict[str, Any]] | None:
     shot = clip_shot(int(rng.integers(2**31)), 0, frames + 2 * _LEAD, size)
-    if len(shot.hands) > 1 or shot.tags[0]["camera"] != "usual":
+    if len(shot.hands) != 1 or shot.tags[0]["camera"] != "usual":
         return None
     hand = shot.hands[0]
     offset = float(rng.uniform(-_LATEST, _LATEST))
