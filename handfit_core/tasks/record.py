@@ -52,7 +52,8 @@ class Result:
     @classmethod
     def of_entry(cls, entry: Mapping[str, Any], **known: Any) -> Self:
         """From an entry of a record, with some fields as they are `known`."""
-        return cls(**{each.name: entry.get(each.name) for each in fields(cls)} | known)
+        found: dict[str, Any] = {each.name: entry.get(each.name) for each in fields(cls)}
+        return cls(**found | known)
 
     def describe(self, take: Take) -> None:
         """Fill in `frames`, `views` and `hands`."""
