@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from handfit_core.detect.body import (
     BodyNetworks,
     BodyTrack,
 )
+from handfit_core.detect.detector import InChunks
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.geometry.camera import Intrinsics
@@ -145,7 +146,7 @@ class _Part:
     people: list[_Followed]
 
 
-class _BodyDetector:
+class _BodyDetector(InChunks[_Part]):
     """Finds the bodies of a clip's hands. Use it as a context manager."""
 
     def __init__(self, media: Media, clip: _Clip) -> None:
@@ -154,23 +155,12 @@ class _BodyDetector:
         self._rows = {number: row for row, number in enumerate(clip.numbers)}
         self._networks = BodyNetworks()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
-        """Give the networks' memory back, and let go of the file."""
         self._networks.close()
         self.media.close()
 
-    def single_threaded(self) -> None:
-        """There is one thread anyway."""
-
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
-        """Find the bodies in the chunk with that index, as `detector.InChunks` says. Frames before the first
-        and after the last hand are not read."""
+        """Frames before the first and after the last hand are not read."""
         start, step = index * MEDIA.chunk_frames, FOLLOWING.step
         numbers = list(self.media.numbers(start, MEDIA.chunk_frames))
         rows = [self._rows.get(number, -1) for number in numbers]
