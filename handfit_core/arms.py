@@ -124,9 +124,8 @@ def with_bodies(
         scatter(track.detections.keypoints_2d, track.detections.frame, track.frame_count, np.nan)
         for track in found.tracks
     ]
-    bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
-    if (lens := measured_lens(options, media)) is not None:  # as of the hands
-        bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
+    camera = measured_lens(options, media) or found.intrinsics
+    bodies = find_bodies(media, found.numbers, points, camera, options, on_frame, should_stop)
     if found.fits is None and not should_stop():
         found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))
     return found, bodies

@@ -31,7 +31,7 @@ from handfit_core.media.videos import Video
 from handfit_core.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.retiming import evenly_timed
 from handfit_core.solvers import SOLVERS, ShouldStop, get_solver, never
-from handfit_core.sources import open_source, opened
+from handfit_core.sources import measured_lens, open_source, opened
 from handfit_core.take import HandTrack, Take
 from handfit_core.views import Verdict
 
@@ -200,7 +200,7 @@ def add_arms(
         media,
         take.frame_numbers.tolist(),
         [hand.keypoints_2d for hand in take.hands],
-        take.intrinsics,
+        take.lens or take.intrinsics,
         CaptureOptions(),
         lambda done: report(Progress("detect", done, total)),
         stop,
@@ -237,6 +237,7 @@ def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
 
 
 def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics, numbers: list[int]) -> Take:
+    lens = measured_lens(options, media)
     return Take(
         source=_read_part(media.source, len(numbers)),
         fps=media.fps,
@@ -248,6 +249,7 @@ def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics
         model=OPEN_HAND if options.model is None else _absolute(options.model),
         model_digests={},
         hands=(),
+        distortion=None if lens is None else lens.distortion,
     )
 
 

@@ -26,6 +26,7 @@ from handfit_core.detect.detector import InChunks
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
@@ -77,7 +78,7 @@ def find_bodies(
     media: Media,
     numbers: Sequence[int],
     hands: Sequence[np.ndarray],
-    intrinsics: Intrinsics,
+    camera: Intrinsics | Lens,
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: Callable[[], bool] = lambda: False,
@@ -86,8 +87,9 @@ def find_bodies(
 
     `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
     NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
-    side, is nearest a hand's; two hands share one where they share it in most frames. Of the options, the
-    number of threads counts, and changes no result.
+    side, is nearest a hand's; two hands share one where they share it in most frames. A lens' distortion is
+    taken out of the bodies, as it has been of the hands. Of the options, the number of threads counts, and
+    changes no result.
 
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
@@ -95,7 +97,7 @@ def find_bodies(
     if not len(hands):
         return ()
     seen = np.stack(hands)
-    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), intrinsics)
+    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), camera)
     if not clip.wanted.any():
         return ()
     with _BodyDetector(media, clip) as detector:
@@ -115,7 +117,7 @@ class _Clip:
     """(H, T, 2) pixels, NaN where there is no hand"""
     extents: np.ndarray
     """(H, T) sizes of the hands in the picture, pixels"""
-    intrinsics: Intrinsics
+    camera: Intrinsics | Lens
 
     @property
     def wanted(self) -> np.ndarray:
@@ -254,7 +256,7 @@ class _Following:
 
     def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
         """Add the body of that row where it is found."""
-        body = self._networks.predict(rgb, person.axis, self._clip.intrinsics)
+        body = self._networks.predict(rgb, person.axis, self._clip.camera)
         person.bodies.pop(row, None)
         if body.presence >= FOLLOWING.min_presence:
             person.bodies[row], person.axis = body, body.axis
