@@ -239,7 +239,7 @@ def _fitted(
     disagreement = np.arccos(np.clip((directions * seen.directions).sum(axis=-1), -1.0, 1.0))
     visible = np.clip(np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:]), 0.3, 1.0)
     errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
-    there = _near(body_seen, fps) & seen.with_hand
+    there = _near(sure, fps) & seen.with_hand
     directions[~there] = errors[~there] = np.nan
     return directions.swapaxes(0, 1), errors.swapaxes(0, 1), np.where(there, scale, np.nan).T
 
@@ -270,7 +270,8 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
-    """The frames between cuts, where the shoulders of a body jump, or a hand while no body is there."""
+    """The frames between cuts: those that were seen, and where the shoulders of a body jump, or a hand while
+    no body is there."""
     sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
     if not sizes:
         return []
@@ -280,7 +281,7 @@ def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intr
         rows = np.flatnonzero(body.present)
         middle = body.keypoints[rows][:, [*SHOULDERS.values()]].mean(axis=1)
         jumps = np.linalg.norm(np.diff(middle, axis=0), axis=1) > GATES.max_jump * np.median(sizes)
-        cuts.update(rows[1:][jumps].tolist())
+        cuts.update([*rows[1:][jumps].tolist(), *np.flatnonzero(body.cut).tolist()])
         followed[1:] |= body.present[1:] & body.present[:-1]
     for hand in hands:
         rows = np.flatnonzero(hand.detected)

@@ -74,6 +74,7 @@ def body_of(points: np.ndarray, noise: float = 0.0, seed: int = 0) -> BodyTrack:
         world=world,
         score=np.full(count, 0.9),
         present=np.ones(count, dtype=bool),
+        cut=np.zeros(count, dtype=bool),
     )
 
 

@@ -146,6 +146,8 @@ class _Part:
 
     numbers: list[int]
     people: list[_Followed]
+    cuts: list[int]
+    """Rows of the clip that begin another shot, or may"""
 
 
 class _BodyDetector(InChunks[_Part]):
@@ -170,7 +172,7 @@ class _BodyDetector(InChunks[_Part]):
         following = _Following(self._networks, self._clip)
         if not wanted:
             past = not numbers or numbers[0] > self._clip.numbers[-1]
-            return _Part([] if past else numbers, [])
+            return _Part([] if past else numbers, [], [])
         at, end = wanted[0], wanted[-1] + 1
         with closing(read_ahead(self.media.frames(start + at, end - at, step))) as frames:
             for frame in frames:
@@ -181,7 +183,7 @@ class _BodyDetector(InChunks[_Part]):
                 for _ in range(step):
                     at += 1
                     on_frame(at)
-        return _Part(numbers if at >= end else numbers[:at], following.people)
+        return _Part(numbers if at >= end else numbers[:at], following.people, following.cuts)
 
 
 class _Following:
@@ -190,9 +192,13 @@ class _Following:
     def __init__(self, networks: BodyNetworks, clip: _Clip) -> None:
         self.people: list[_Followed] = []
         """All that were followed"""
+        self.cuts: list[int] = []
+        """Rows that begin another shot, or may"""
         self._networks, self._clip = networks, clip
         self._now: list[_Followed] = []
         self._thumbnail: Thumbnail | None = None
+        self._row = -1
+        """Row of the thumbnail"""
         self._unseen, self._next = 0, 0
         """Frames in a row that were looked at and in which no arm was seen, and the row of the next one"""
         self._next_detection = 0
@@ -204,9 +210,10 @@ class _Following:
         """Find the bodies of the hands of that row in its picture (H, W, 3) uint8 RGB."""
         thumbnail = Thumbnail.of(rgb)
         if self._thumbnail is not None and thumbnail.is_cut_from(self._thumbnail):
+            self.cuts += range(self._row + 1, row + 1)
             self._now, self._unseen = [], 0
             self._next = self._next_detection = self._next_search = row
-        self._thumbnail = thumbnail
+        self._thumbnail, self._row = thumbnail, row
         there = np.isfinite(self._clip.extents[:, row])
         if not there.any() or row < self._next:
             return
@@ -297,18 +304,21 @@ def _joined(clip: _Clip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
             both = (body_of[one] >= 0) & (body_of[other] >= 0)
             if 2 * int((both & (body_of[one] == body_of[other])).sum()) > int(both.sum()):
                 owners = [owners[other] if owner == owners[one] else owner for owner in owners]
+    cut = np.zeros(len(clip.numbers), dtype=bool)
+    cut[[row for part in parts for row in part.cuts]] = True
     votes = [(body_of == number).sum(axis=1) for number in range(len(people))]
     tracks = []
     for owner in sorted(set(owners)):
         mine = [n for n, each in enumerate(votes) if each.any() and owners[int(each.argmax())] == owner]
         if mine:
-            tracks.append(_track(clip, [people[n] for n in sorted(mine, key=lambda n: votes[n].max())]))
+            surest_last = sorted(mine, key=lambda n: votes[n].max())
+            tracks.append(_track([people[n] for n in surest_last], cut))
     return tuple(tracks)
 
 
-def _track(clip: _Clip, people: Sequence[_Followed]) -> BodyTrack:
+def _track(people: Sequence[_Followed], cut: np.ndarray) -> BodyTrack:
     """One person whom these all are, the surest last, who counts where there are several in a frame."""
-    count = len(clip.numbers)
+    count = len(cut)
     whole = {
         name: np.full((count, NUM_BODY_POINTS, *shape), np.nan)
         for name, shape in (("keypoints", (2,)), ("visibility", ()), ("world", (3,)))
@@ -327,4 +337,4 @@ def _track(clip: _Clip, people: Sequence[_Followed]) -> BodyTrack:
             between = predicted[before] + part.reshape(-1, *[1] * (moved.ndim - 1)) * moved
             values[rows[near]] = between[near]
         score[list(person.scores)] = list(person.scores.values())
-    return BodyTrack(**whole, score=score, present=np.isfinite(whole["visibility"][:, 0]))
+    return BodyTrack(**whole, score=score, present=np.isfinite(whole["visibility"][:, 0]), cut=cut)

@@ -62,6 +62,8 @@ class BodyTrack:
     score: np.ndarray = array("T")
     """The detector's, 0..1; NaN in frames in which it was not asked"""
     present: np.ndarray = array("T", kind="b")
+    cut: np.ndarray = array("T", kind="b")
+    """Frames that begin another shot, or may: not every frame is looked at"""
 
 
 @dataclass(frozen=True, eq=False)

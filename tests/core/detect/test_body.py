@@ -133,9 +133,11 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
         tracks.append(find_bodies(media, range(1, 211), list(hands), Intrinsics.assumed(*size), options))
     assert [len(each) for each in tracks] == [1, 1]
     ((one,), (other,)) = tracks
-    for name in ("keypoints", "visibility", "world", "score", "present"):
+    for name in ("keypoints", "visibility", "world", "score", "present", "cut"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert not one.present[101:109].any()
+    assert one.cut[cut]
+    assert set(np.flatnonzero(one.cut)) <= {cut - 1, cut}
     assert one.present[:100].mean() > 0.9
     wrists = one.keypoints[:, [*WRISTS.values()]]
     off = np.linalg.norm(hands[:, :, None, 0] - wrists, axis=-1).min(axis=2) / np.ptp(hands, axis=2).max(-1)

@@ -162,15 +162,24 @@ def test_several_people_and_shots():
     assert arm.present.tolist() == [True] * 30 + [False] * 30
 
 
-@pytest.mark.parametrize(("jump", "last"), [(0.0, 40), (600.0, 30)])
-def test_an_arm_without_a_body_ends(jump, last):
-    """Soon after it is lost, and at once where the hand jumps: that is a cut."""
+@pytest.mark.parametrize(("jump", "cut", "last"), [(0.0, False, 40), (600.0, False, 30), (0.0, True, 30)])
+def test_an_arm_without_a_body_ends(jump, cut, last):
+    """Soon after it is lost, and at once at a cut: where one was seen, or the hand jumps."""
     lost = np.arange(60) >= 30
     hand = PERSON.hands[0]
     moved = replace(hand, keypoints_2d=hand.keypoints_2d + np.where(lost, jump, 0.0)[:, None, None])
-    arm = arms_of([moved], [replace(PERSON.body, present=~lost)], CAMERA, FPS)[0].arm
+    body = replace(PERSON.body, present=~lost, cut=cut & (np.arange(60) == 30))
+    arm = arms_of([moved], [body], CAMERA, FPS)[0].arm
     assert arm is not None
     assert np.flatnonzero(arm.present).tolist() == list(range(last))
+
+
+def test_a_hand_that_returns_without_its_body_has_no_arm():
+    """The body that was there meanwhile does not count: it may be somebody else's."""
+    hand, lost = without(PERSON.hands[0], slice(20, 40)), np.arange(60) >= 38
+    arm = arms_of([hand], [replace(PERSON.body, present=~lost)], CAMERA, FPS)[0].arm
+    assert arm is not None
+    assert np.flatnonzero(arm.present).tolist() == list(range(20))
 
 
 def seen_as(**arrays: np.ndarray | float) -> Callable[[BodyTrack], BodyTrack]:
