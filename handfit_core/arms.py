@@ -137,7 +137,7 @@ def arms_of(
     """The hands with the arms that they have on these bodies, or with a sentence why they have none."""
     count = max((len(hand.detected) for hand in hands), default=0)
     directions = np.full((len(hands), count, 2, 3), np.nan)
-    errors, scales = np.full((len(hands), count, 2), np.nan), np.full((len(hands), count), np.nan)
+    errors, bones = np.full((2, len(hands), count, 2), np.nan)
     whys: list[list[tuple[int, str]]] = [[] for _ in hands]
     for shot in _shots(hands, bodies, camera):
         for body, chosen in _belonging(hands, bodies, camera, shot, whys):
@@ -146,13 +146,12 @@ def arms_of(
                 for i in chosen:
                     whys[i].append((int(hands[i].present[shot].sum()), NO_FIT))
             else:
-                directions[chosen, shot], errors[chosen, shot], scales[chosen, shot] = found
+                directions[chosen, shot], errors[chosen, shot], bones[chosen, shot] = found
     made = []
-    for hand, of_arm, off, scale, why in zip(hands, directions, errors, scales, whys, strict=True):
-        there = np.isfinite(scale)
+    for hand, of_arm, off, long, why in zip(hands, directions, errors, bones, whys, strict=True):
+        there = np.isfinite(long[:, 0])
         if there.any():
-            # What the arm says of the hand's distance tells its lengths: the hand stays where it is.
-            lengths = np.median(scale[there]) * _lengths(hand)
+            lengths = np.median(long[there], axis=0)
             wrist = np.where(there[:, None], hand.joints_3d[:, 0], np.nan)
             elbow = wrist - lengths[1] * of_arm[:, 1]
             arm = ArmMotion(elbow - lengths[0] * of_arm[:, 0], elbow, wrist, lengths, there, off)
@@ -222,11 +221,11 @@ def _fitted(
     hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice, fps: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Of the A arms that hang on a body in the T frames of a shot, NaN in frames without: the directions of
-    upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and by how much (A, T) the arms must
-    be longer to reach from this body to the hands as they are. None where hands and body do not fit."""
+    upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and their lengths (A, T, 2),
+    metres, to reach from this body to the hands as they are. None where hands and body do not fit."""
     seen = _seen(hands, body, camera, shot)
-    arms = fit_arms(seen, fps)
-    points = np.stack(arms.points(seen.lengths)[:2], axis=2)
+    arms, lengths = fit_arms(seen, fps)
+    points = np.stack(arms.points(lengths)[:2], axis=2)
     size = np.stack([_size(hand, camera)[shot] for hand in hands], axis=1)
     off = np.linalg.norm(camera.project(points) - seen.pixels[..., :2, :], axis=-1).mean(axis=-1) / size
     body_seen = seen.visibility[..., 0] > 0.0
@@ -240,8 +239,10 @@ def _fitted(
     visible = np.clip(np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:]), 0.3, 1.0)
     errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
     there = _near(sure, fps) & seen.with_hand
-    directions[~there] = errors[~there] = np.nan
-    return directions.swapaxes(0, 1), errors.swapaxes(0, 1), np.where(there, scale, np.nan).T
+    # What the arm says of the hand's distance tells its lengths: the hand stays where it is.
+    lengths = scale * lengths
+    directions[~there] = errors[~there] = lengths[~there] = np.nan
+    return directions.swapaxes(0, 1), errors.swapaxes(0, 1), lengths.swapaxes(0, 1)
 
 
 def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice) -> ArmsSeen:
