@@ -124,9 +124,8 @@ def with_bodies(
         scatter(track.detections.keypoints_2d, track.detections.frame, track.frame_count, np.nan)
         for track in found.tracks
     ]
-    bodies = find_bodies(media, found.numbers, points, found.intrinsics, options, on_frame, should_stop)
-    if (lens := options.measured_lens(media.width, media.height)) is not None:  # as of the hands
-        bodies = tuple(replace(body, keypoints=lens.undistorted(body.keypoints)) for body in bodies)
+    camera = options.measured_lens(media.width, media.height) or found.intrinsics
+    bodies = find_bodies(media, found.numbers, points, camera, options, on_frame, should_stop)
     if found.fits is None and not should_stop():
         found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))
     return found, bodies
@@ -138,7 +137,7 @@ def arms_of(
     """The hands with the arms that they have on these bodies, or with a sentence why they have none."""
     count = max((len(hand.detected) for hand in hands), default=0)
     directions = np.full((len(hands), count, 2, 3), np.nan)
-    errors, scales = np.full((len(hands), count, 2), np.nan), np.full((len(hands), count), np.nan)
+    errors, bones = np.full((2, len(hands), count, 2), np.nan)
     whys: list[list[tuple[int, str]]] = [[] for _ in hands]
     for shot in _shots(hands, bodies, camera):
         for body, chosen in _belonging(hands, bodies, camera, shot, whys):
@@ -147,13 +146,12 @@ def arms_of(
                 for i in chosen:
                     whys[i].append((int(hands[i].present[shot].sum()), NO_FIT))
             else:
-                directions[chosen, shot], errors[chosen, shot], scales[chosen, shot] = found
+                directions[chosen, shot], errors[chosen, shot], bones[chosen, shot] = found
     made = []
-    for hand, of_arm, off, scale, why in zip(hands, directions, errors, scales, whys, strict=True):
-        there = np.isfinite(scale)
+    for hand, of_arm, off, long, why in zip(hands, directions, errors, bones, whys, strict=True):
+        there = np.isfinite(long[:, 0])
         if there.any():
-            # What the arm says of the hand's distance tells its lengths: the hand stays where it is.
-            lengths = np.median(scale[there]) * _lengths(hand)
+            lengths = np.median(long[there], axis=0)
             wrist = np.where(there[:, None], hand.joints_3d[:, 0], np.nan)
             elbow = wrist - lengths[1] * of_arm[:, 1]
             arm = ArmMotion(elbow - lengths[0] * of_arm[:, 0], elbow, wrist, lengths, there, off)
@@ -223,11 +221,11 @@ def _fitted(
     hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice, fps: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Of the A arms that hang on a body in the T frames of a shot, NaN in frames without: the directions of
-    upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and by how much (A, T) the arms must
-    be longer to reach from this body to the hands as they are. None where hands and body do not fit."""
+    upper arm and forearm (A, T, 2, 3), their expected errors (A, T, 2), and their lengths (A, T, 2),
+    metres, to reach from this body to the hands as they are. None where hands and body do not fit."""
     seen = _seen(hands, body, camera, shot)
-    arms = fit_arms(seen, fps)
-    points = np.stack(arms.points(seen.lengths)[:2], axis=2)
+    arms, lengths = fit_arms(seen, fps)
+    points = np.stack(arms.points(lengths)[:2], axis=2)
     size = np.stack([_size(hand, camera)[shot] for hand in hands], axis=1)
     off = np.linalg.norm(camera.project(points) - seen.pixels[..., :2, :], axis=-1).mean(axis=-1) / size
     body_seen = seen.visibility[..., 0] > 0.0
@@ -240,9 +238,11 @@ def _fitted(
     disagreement = np.arccos(np.clip((directions * seen.directions).sum(axis=-1), -1.0, 1.0))
     visible = np.clip(np.minimum(seen.visibility[..., :2], seen.visibility[..., 1:]), 0.3, 1.0)
     errors = np.hypot(np.array(GATES.errors) / visible, 0.5 * np.nan_to_num(disagreement))
-    there = _near(body_seen, fps) & seen.with_hand
-    directions[~there] = errors[~there] = np.nan
-    return directions.swapaxes(0, 1), errors.swapaxes(0, 1), np.where(there, scale, np.nan).T
+    there = _near(sure, fps) & seen.with_hand
+    # What the arm says of the hand's distance tells its lengths: the hand stays where it is.
+    lengths = scale * lengths
+    directions[~there] = errors[~there] = lengths[~there] = np.nan
+    return directions.swapaxes(0, 1), errors.swapaxes(0, 1), lengths.swapaxes(0, 1)
 
 
 def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot: slice) -> ArmsSeen:
@@ -271,7 +271,8 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
 
 
 def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intrinsics) -> list[slice]:
-    """The frames between cuts, where the shoulders of a body jump, or a hand while no body is there."""
+    """The frames between cuts: those that were seen, and where the shoulders of a body jump, or a hand while
+    no body is there."""
     sizes = [np.nanmedian(_size(hand, camera)) for hand in hands if hand.present.any()]
     if not sizes:
         return []
@@ -281,7 +282,7 @@ def _shots(hands: Sequence[HandTrack], bodies: Sequence[BodyTrack], camera: Intr
         rows = np.flatnonzero(body.present)
         middle = body.keypoints[rows][:, [*SHOULDERS.values()]].mean(axis=1)
         jumps = np.linalg.norm(np.diff(middle, axis=0), axis=1) > GATES.max_jump * np.median(sizes)
-        cuts.update(rows[1:][jumps].tolist())
+        cuts.update([*rows[1:][jumps].tolist(), *np.flatnonzero(body.cut).tolist()])
         followed[1:] |= body.present[1:] & body.present[:-1]
     for hand in hands:
         rows = np.flatnonzero(hand.detected)

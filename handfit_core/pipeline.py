@@ -234,7 +234,7 @@ def add_arms(
         media,
         take.frame_numbers.tolist(),
         [hand.keypoints_2d for hand in take.hands],
-        take.intrinsics,
+        take.lens or take.intrinsics,
         CaptureOptions(),
         lambda done: report(Progress("detect", done, total)),
         stop,
@@ -271,6 +271,7 @@ def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
 
 
 def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics, numbers: list[int]) -> Take:
+    lens = options.measured_lens(media.width, media.height)
     return Take(
         source=_read_part(media.source, len(numbers)),
         fps=media.fps,
@@ -282,6 +283,7 @@ def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics
         model=OPEN_HAND if options.model is None else _absolute(options.model),
         model_digests={},
         hands=(),
+        distortion=None if lens is None else lens.distortion,
     )
 
 

@@ -199,6 +199,7 @@ def moved_keys(
     times = np.clip(wanted, keyed[0], keyed[-1])
     after = np.clip(np.searchsorted(keyed, times), 0, len(keyed) - 1)
     between = keyed[after] - keyed[np.maximum(after - 1, 0)] <= dense
+    between |= np.abs(keyed[after] - times) < _ON_KEY  # the first key behind a gap
     between &= np.abs(wanted - times) < _ON_KEY
     still = np.ones(len(keyed), dtype=bool)
     if len(keyed) > 1:

@@ -22,6 +22,7 @@ from handfit_core.detect.keypoints import Detections
 from handfit_core.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
@@ -212,6 +213,9 @@ class Take:
     """Where several views of the hands were filmed from; None: there is one view"""
     verdict: Verdict | None = None
     """Whether the views that were given belong together; None: one was given"""
+    distortion: tuple[float, float, float, float, float] | None = None
+    """Of the measured lens, as `Lens` has it: what is in the pictures, and taken out of all that was found in
+    them; None: none is known"""
 
     def __post_init__(self) -> None:
         numbers = np.asarray(self.frame_numbers)
@@ -240,6 +244,13 @@ class Take:
         if self.cameras is not None:
             check_arrays(self.cameras, TakeError, "cameras: ", V=1 + len(self.cameras.views))
 
+    @property
+    def lens(self) -> Lens | None:
+        """The measured lens of the pictures; None where they count as free of distortion."""
+        if self.distortion is None:
+            return None
+        return Lens(self.intrinsics, self.distortion, self.width, self.height)
+
     def view(self, number: int) -> Take:
         """The clip of a further view, counted from 1, and its camera, as a take without hands. Its first
         frame lies `cameras.time_offset[number]` seconds after this one's. Raises TakeError where it cannot be
@@ -257,6 +268,7 @@ class Take:
             hands=(),
             cameras=None,
             verdict=None,
+            distortion=None,
         )
 
     def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
@@ -288,6 +300,8 @@ class Take:
             "model_digests": dict(self.model_digests),
             "sides": [track.side for track in self.hands],
         }
+        if self.distortion is not None:
+            header["distortion"] = list(self.distortion)
         if self.program:
             header["program"] = self.program
         if self.verdict is not None:
@@ -488,6 +502,13 @@ def _verdict_of(verdict: Mapping[str, Any]) -> Verdict:
     )
 
 
+def _distortion_of(header: Mapping[str, Any]) -> tuple[float, ...]:
+    terms = [number("distortion", term) for term in _list("distortion", header.get("distortion"))]
+    if len(terms) != 5:
+        raise ValueError(f"distortion must be five numbers, not {len(terms)}")
+    return tuple(terms)
+
+
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
     source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
@@ -512,6 +533,7 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
         "sides": sides,
         "views": [_view_of(view) for view in views],
         "verdict": _verdict_of(_object(header, "verdict")) if "verdict" in header else None,
+        "distortion": _distortion_of(header) if "distortion" in header else None,
         "arms": {hand: text("arms", why, 200) for hand, why in arms.items()},
     }
 

@@ -30,8 +30,15 @@ class Person:
     body: BodyTrack
 
 
-def person(count: int = 60, distance: float = 1.2, speed: float = 1.0, bend: float = 0.0) -> Person:
-    """`speed` 0 holds still; `bend`, radians, is the wrists'."""
+def person(
+    count: int = 60,
+    distance: float = 1.2,
+    speed: float = 1.0,
+    bend: float = 0.0,
+    build: tuple[float, float] = (1.0, 1.0),
+) -> Person:
+    """`speed` 0 holds still; `bend`, radians, is the wrists'; `build`: how much longer upper arms and
+    forearms are than most people's with such hands."""
     time = speed * np.arange(count) / FPS
     hands, arms = [], []
     for side, mirror in zip(SIDES, (1.0, -1.0), strict=True):
@@ -44,8 +51,8 @@ def person(count: int = 60, distance: float = 1.2, speed: float = 1.0, bend: flo
         forearm = _unit(np.stack([-0.35 * mirror + wave, -0.6 + wave, -0.5 + 0.0 * time], axis=1))
         sway = 0.02 * np.sin(time)[:, None] * [1.0, 0.0, 0.5]
         shoulder = sway + [0.5 * mirror * ARMS.shoulders * length, 0.0, distance]
-        elbow = shoulder + ARMS.upper_arm * length * upper
-        wrist = elbow + ARMS.forearm * length * forearm
+        elbow = shoulder + build[0] * ARMS.upper_arm * length * upper
+        wrist = elbow + build[1] * ARMS.forearm * length * forearm
         # The palm faces the camera, more or less.
         normal = _unit(np.cross(forearm, [1.0, 0.2, 0.0]))
         along = np.cos(bend) * forearm + np.sin(bend) * normal
@@ -74,6 +81,7 @@ def body_of(points: np.ndarray, noise: float = 0.0, seed: int = 0) -> BodyTrack:
         world=world,
         score=np.full(count, 0.9),
         present=np.ones(count, dtype=bool),
+        cut=np.zeros(count, dtype=bool),
     )
 
 

@@ -6,7 +6,7 @@ the nearest frame of the new rate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ from handfit_core.files import is_file
 from handfit_core.retiming import check_rate, is_other_rate, moved_keys, retimed, retimed_field, sampled
 from handfit_core.take import Take
 
+from ..rigs.arm import ArmBones, has_arm
+from ..rigs.rig import PosedBones
 from .actions import present_curves
 from .confidence import is_marked, mark_doubtful
 from .corrections import check_writable, corrections_of, keep_field
@@ -28,6 +30,7 @@ from .keys import (
     PoseKeys,
     align_signs,
     change_places,
+    check_unlocked,
     is_smooth,
     pose_at,
     read_pose_keys,
@@ -77,12 +80,18 @@ def retime(scene: bpy.types.Scene, collection: bpy.types.Collection) -> list[str
     for hand in hands:
         check_unlayered(hand.armature)
         check_writable(hand.armature)
+        if has_arm(hand.armature):
+            check_unlocked(ArmBones(hand.armature))
     ratio, number = rate / built, int(kept.frame_numbers[0])
     first = round(float(timing_of(collection).scene_frames(kept.frame_numbers[:1])[0]))
     marked = [hand for hand in hands if is_marked(scene, hand)]
     for hand in marked:
         mark_doubtful(scene, hand, False)
     keys = [_retimed_keys(hand, first, number, ratio) for hand in hands]
+    arms = [
+        _sampled(hand, ArmBones(hand.armature), first, ratio, np.zeros(0)) if has_arm(hand.armature) else None
+        for hand in hands
+    ]
 
     take = _retimed_take(kept, captured, rate)
     if not collection.manient.source_digest:
@@ -92,8 +101,8 @@ def retime(scene: bpy.types.Scene, collection: bpy.types.Collection) -> list[str
     if not is_other_rate(rate, captured.fps):
         collection.manient.source_take = collection.manient.source_digest = ""
     describe_capture(collection, collection.manient.camera, Timing(float(first - number)), rate)
-    for hand, (new, field, fitted) in zip(hands, keys, strict=True):
-        _write(hand.armature, new, first, ratio)
+    for hand, (new, field, fitted), arm in zip(hands, keys, arms, strict=True):
+        _write(hand.armature, new, arm, first, ratio)
         keep_field(hand.armature, field)
         hand.armature.manient.fitted = ""
         numbers = [int(n) for n in new.frames[fitted] - first + number]
@@ -133,12 +142,39 @@ def _retimed_take(kept: Take, captured: Take, rate: float) -> Take:
 def _retimed_keys(hand: CapturedHand, first: int, number: int, ratio: float) -> tuple[PoseKeys, Any, Any]:
     """A hand's keys at the new rate, its corrections by the new numbers, and which (N,) of the keys' frames
     are no keys by hand."""
-    rig, old = hand.rig, corrections_of(hand.armature)
+    old = corrections_of(hand.armature)
     new = retimed_field(old, number, ratio)
-    keys = read_pose_keys(rig)
+
+    def changed(own: np.ndarray, times: np.ndarray, quats: np.ndarray, places: np.ndarray) -> Any:
+        turned_old, moved_old = old.at(times - first + number)
+        turned, moved = new.at(own - first + number)
+        return changed_quats(quats, turned_old, turned), places - moved_old + moved
+
     corrected = np.array(old.corrected) - number + first
+    result = _sampled(hand, hand.rig, first, ratio, corrected, changed)
+    rows = np.arange(len(hand.take.frame_numbers))
+    by_hand = keyed_by_hand(hand, rows).any(axis=1)
+    own = np.asarray(hand.take.frame_numbers)[by_hand] - number + first
+    former = first + (result.frames - first) / ratio
+    near = np.abs(former[:, None] - own).min(axis=1, initial=np.inf) < 1.0
+    return result, new, result.rotation_keyed.all(axis=1) & result.location_keyed & ~near
+
+
+def _sampled(
+    hand: CapturedHand,
+    bones: PosedBones,
+    first: int,
+    ratio: float,
+    corrected: np.ndarray,
+    changed: Callable[..., Any] = lambda _own, _times, quats, places: (quats, places),
+) -> PoseKeys:
+    """The keys of a hand's own bones or of its arm's at the new rate, of their present motion at that time.
+
+    `changed` gets frames of the new keys, which frames they were, and the poses there, and gives the poses.
+    """
+    keys = read_pose_keys(bones)
     step = int(np.diff(hand.take.frame_numbers).min()) if len(hand.take.frame_numbers) > 1 else 1
-    dense = np.inf if is_smooth(rig) else step + 0.5
+    dense = np.inf if is_smooth(bones) else step + 0.5
     keyed = [*keys.rotation_keyed.T, keys.location_keyed]
     moved = [moved_keys(keys.frames[own], first, ratio, dense, corrected) for own in keyed]
     frames = np.unique(np.concatenate([f for f, _ in moved]))
@@ -147,36 +183,31 @@ def _retimed_keys(hand: CapturedHand, first: int, number: int, ratio: float) -> 
     for channel, (own, times) in enumerate(moved):
         at = np.searchsorted(frames, own)
         has[at, channel] = True
-        was, placed = pose_at(rig, times)
-        (turned_old, moved_old), (turned, shifted) = (
-            old.at(times - first + number),
-            new.at(own - first + number),
-        )
+        turned, placed = changed(own, times, *pose_at(bones, times))
         if channel < len(moved) - 1:
-            quats[at, channel] = changed_quats(was, turned_old, turned)[:, channel]
+            quats[at, channel] = turned[:, channel]
         else:
-            locations[at] = placed - moved_old + shifted
-    result = PoseKeys(frames, quats, locations, has[:, :-1], has[:, -1])
-    rows = np.arange(len(hand.take.frame_numbers))
-    by_hand = keyed_by_hand(hand, rows).any(axis=1)
-    own = np.asarray(hand.take.frame_numbers)[by_hand] - number + first
-    former = first + (frames - first) / ratio
-    near = np.abs(former[:, None] - own).min(axis=1, initial=np.inf) < 1.0
-    return result, new, has.all(axis=1) & ~near
+            locations[at] = placed
+    return PoseKeys(frames, quats, locations, has[:, :-1], has[:, -1])
 
 
-def _write(armature: bpy.types.Object, keys: PoseKeys, first: int, ratio: float) -> None:
-    """Give a hand these keys and no others; what else its action moves is stretched with them."""
+def _write(
+    armature: bpy.types.Object, keys: PoseKeys, arm: PoseKeys | None, first: int, ratio: float
+) -> None:
+    """Give a hand and its arm these keys and no others; what else its action moves is stretched with them."""
     hand = hand_of(armature)
     assert hand is not None
-    rig = hand.rig
-    remove_pose_keys(rig, -np.inf, np.inf)
-    starts = tuple(f'pose.bones["{name}"].' for name in rig.bones)
+    parts: list[tuple[PosedBones, PoseKeys]] = [(hand.rig, keys)]
+    if arm is not None:
+        parts.append((ArmBones(armature), arm))
+    starts = tuple(f'pose.bones["{name}"].' for bones, _ in parts for name in bones.bones)
     for curve in present_curves(armature):
         if not curve.data_path.startswith(starts):
             change_places(curve, [ratio, 1.0], [first - first * ratio, 0.0])
-    write_pose_keys(rig, keys)
-    align_signs(rig)
+    for bones, new in parts:
+        remove_pose_keys(bones, -np.inf, np.inf)
+        write_pose_keys(bones, new)
+        align_signs(bones)
     data = armature.animation_data
     if data is not None and data.action is not None:
         forget_all_keys(data.action)  # they are of the former rate

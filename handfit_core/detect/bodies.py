@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
@@ -22,9 +22,11 @@ from handfit_core.detect.body import (
     BodyNetworks,
     BodyTrack,
 )
+from handfit_core.detect.detector import InChunks
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.detect.shot_boundary import Thumbnail
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
@@ -76,7 +78,7 @@ def find_bodies(
     media: Media,
     numbers: Sequence[int],
     hands: Sequence[np.ndarray],
-    intrinsics: Intrinsics,
+    camera: Intrinsics | Lens,
     options: CaptureOptions,
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: Callable[[], bool] = lambda: False,
@@ -85,8 +87,9 @@ def find_bodies(
 
     `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
     NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
-    side, is nearest a hand's; two hands share one where they share it in most frames. Of the options, the
-    number of threads counts, and changes no result.
+    side, is nearest a hand's; two hands share one where they share it in most frames. A lens' distortion is
+    taken out of the bodies, as it has been of the hands. Of the options, the number of threads counts, and
+    changes no result.
 
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
@@ -94,7 +97,7 @@ def find_bodies(
     if not len(hands):
         return ()
     seen = np.stack(hands)
-    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), intrinsics)
+    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), camera)
     if not clip.wanted.any():
         return ()
     with _BodyDetector(media, clip) as detector:
@@ -114,7 +117,7 @@ class _Clip:
     """(H, T, 2) pixels, NaN where there is no hand"""
     extents: np.ndarray
     """(H, T) sizes of the hands in the picture, pixels"""
-    intrinsics: Intrinsics
+    camera: Intrinsics | Lens
 
     @property
     def wanted(self) -> np.ndarray:
@@ -143,9 +146,11 @@ class _Part:
 
     numbers: list[int]
     people: list[_Followed]
+    cuts: list[int]
+    """Rows of the clip that begin another shot, or may"""
 
 
-class _BodyDetector:
+class _BodyDetector(InChunks[_Part]):
     """Finds the bodies of a clip's hands. Use it as a context manager."""
 
     def __init__(self, media: Media, clip: _Clip) -> None:
@@ -154,23 +159,12 @@ class _BodyDetector:
         self._rows = {number: row for row, number in enumerate(clip.numbers)}
         self._networks = BodyNetworks()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
-        """Give the networks' memory back, and let go of the file."""
         self._networks.close()
         self.media.close()
 
-    def single_threaded(self) -> None:
-        """There is one thread anyway."""
-
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> _Part:
-        """Find the bodies in the chunk with that index, as `detector.InChunks` says. Frames before the first
-        and after the last hand are not read."""
+        """Frames before the first and after the last hand are not read."""
         start, step = index * MEDIA.chunk_frames, FOLLOWING.step
         numbers = list(self.media.numbers(start, MEDIA.chunk_frames))
         rows = [self._rows.get(number, -1) for number in numbers]
@@ -178,7 +172,7 @@ class _BodyDetector:
         following = _Following(self._networks, self._clip)
         if not wanted:
             past = not numbers or numbers[0] > self._clip.numbers[-1]
-            return _Part([] if past else numbers, [])
+            return _Part([] if past else numbers, [], [])
         at, end = wanted[0], wanted[-1] + 1
         with closing(read_ahead(self.media.frames(start + at, end - at, step))) as frames:
             for frame in frames:
@@ -189,7 +183,7 @@ class _BodyDetector:
                 for _ in range(step):
                     at += 1
                     on_frame(at)
-        return _Part(numbers if at >= end else numbers[:at], following.people)
+        return _Part(numbers if at >= end else numbers[:at], following.people, following.cuts)
 
 
 class _Following:
@@ -198,9 +192,13 @@ class _Following:
     def __init__(self, networks: BodyNetworks, clip: _Clip) -> None:
         self.people: list[_Followed] = []
         """All that were followed"""
+        self.cuts: list[int] = []
+        """Rows that begin another shot, or may"""
         self._networks, self._clip = networks, clip
         self._now: list[_Followed] = []
         self._thumbnail: Thumbnail | None = None
+        self._row = -1
+        """Row of the thumbnail"""
         self._unseen, self._next = 0, 0
         """Frames in a row that were looked at and in which no arm was seen, and the row of the next one"""
         self._next_detection = 0
@@ -212,9 +210,10 @@ class _Following:
         """Find the bodies of the hands of that row in its picture (H, W, 3) uint8 RGB."""
         thumbnail = Thumbnail.of(rgb)
         if self._thumbnail is not None and thumbnail.is_cut_from(self._thumbnail):
+            self.cuts += range(self._row + 1, row + 1)
             self._now, self._unseen = [], 0
             self._next = self._next_detection = self._next_search = row
-        self._thumbnail = thumbnail
+        self._thumbnail, self._row = thumbnail, row
         there = np.isfinite(self._clip.extents[:, row])
         if not there.any() or row < self._next:
             return
@@ -264,7 +263,7 @@ class _Following:
 
     def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
         """Add the body of that row where it is found."""
-        body = self._networks.predict(rgb, person.axis, self._clip.intrinsics)
+        body = self._networks.predict(rgb, person.axis, self._clip.camera)
         person.bodies.pop(row, None)
         if body.presence >= FOLLOWING.min_presence:
             person.bodies[row], person.axis = body, body.axis
@@ -305,18 +304,21 @@ def _joined(clip: _Clip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
             both = (body_of[one] >= 0) & (body_of[other] >= 0)
             if 2 * int((both & (body_of[one] == body_of[other])).sum()) > int(both.sum()):
                 owners = [owners[other] if owner == owners[one] else owner for owner in owners]
+    cut = np.zeros(len(clip.numbers), dtype=bool)
+    cut[[row for part in parts for row in part.cuts]] = True
     votes = [(body_of == number).sum(axis=1) for number in range(len(people))]
     tracks = []
     for owner in sorted(set(owners)):
         mine = [n for n, each in enumerate(votes) if each.any() and owners[int(each.argmax())] == owner]
         if mine:
-            tracks.append(_track(clip, [people[n] for n in sorted(mine, key=lambda n: votes[n].max())]))
+            surest_last = sorted(mine, key=lambda n: votes[n].max())
+            tracks.append(_track([people[n] for n in surest_last], cut))
     return tuple(tracks)
 
 
-def _track(clip: _Clip, people: Sequence[_Followed]) -> BodyTrack:
+def _track(people: Sequence[_Followed], cut: np.ndarray) -> BodyTrack:
     """One person whom these all are, the surest last, who counts where there are several in a frame."""
-    count = len(clip.numbers)
+    count = len(cut)
     whole = {
         name: np.full((count, NUM_BODY_POINTS, *shape), np.nan)
         for name, shape in (("keypoints", (2,)), ("visibility", ()), ("world", (3,)))
@@ -335,4 +337,4 @@ def _track(clip: _Clip, people: Sequence[_Followed]) -> BodyTrack:
             between = predicted[before] + part.reshape(-1, *[1] * (moved.ndim - 1)) * moved
             values[rows[near]] = between[near]
         score[list(person.scores)] = list(person.scores.values())
-    return BodyTrack(**whole, score=score, present=np.isfinite(whole["visibility"][:, 0]))
+    return BodyTrack(**whole, score=score, present=np.isfinite(whole["visibility"][:, 0]), cut=cut)

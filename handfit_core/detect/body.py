@@ -16,6 +16,7 @@ from handfit_core.detect.crops import Crop
 from handfit_core.detect.landmark_model import BODY, body_model_path
 from handfit_core.detect.networks import Runner, anchors, turn_upright
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import turn_from_axis
 
 NUM_BODY_POINTS: Final = 33
@@ -61,6 +62,8 @@ class BodyTrack:
     score: np.ndarray = array("T")
     """The detector's, 0..1; NaN in frames in which it was not asked"""
     present: np.ndarray = array("T", kind="b")
+    cut: np.ndarray = array("T", kind="b")
+    """Frames that begin another shot, or may: not every frame is looked at"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +83,7 @@ class Body:
     presence: float
     """Probability that the crop shows a person"""
     keypoints: np.ndarray
-    """(33, 2) pixels of the picture"""
+    """(33, 2) pixels, without the lens' distortion"""
     visibility: np.ndarray
     """(33,) 0..1"""
     world: np.ndarray
@@ -130,8 +133,9 @@ class BodyNetworks(Runner):
             axis=(points - crop.offset) / crop.scale,
         )
 
-    def predict(self, rgb: np.ndarray, axis: np.ndarray, intrinsics: Intrinsics) -> Body:
-        """The body in the crop about two points (2, 2) of a picture (H, W, 3) uint8 RGB."""
+    def predict(self, rgb: np.ndarray, axis: np.ndarray, camera: Intrinsics | Lens) -> Body:
+        """The body in the crop about two points (2, 2) of a picture (H, W, 3) uint8 RGB, without the
+        distortion of a lens."""
         crop = crop_about(axis)
         landmarks, presence, world = self._run(self._landmarks, crop.render(rgb))
         points = landmarks.reshape(SETTINGS.numbers, 5).astype(np.float64)
@@ -140,11 +144,15 @@ class BodyNetworks(Runner):
         metres = world.reshape(SETTINGS.numbers, 3)[:NUM_BODY_POINTS].astype(np.float64)
         metres[:, :2] = metres[:, :2] @ (back * crop.scale)
         # The network takes the ray through the crop's middle for the camera's axis.
-        ray = intrinsics.rays(axis[0])
+        middle, straight = axis[:1], pixels[:NUM_BODY_POINTS]
+        if isinstance(camera, Lens):
+            middle, straight = camera.undistorted(middle), camera.undistorted(straight)
+            camera = camera.intrinsics
+        ray = camera.rays(middle[0])
         to_camera = turn_from_axis(ray / np.linalg.norm(ray))
         return Body(
             presence=float(presence[0]),
-            keypoints=pixels[:NUM_BODY_POINTS],
+            keypoints=straight,
             visibility=1.0 / (1.0 + np.exp(-points[:NUM_BODY_POINTS, 3])),
             world=metres @ to_camera.T,
             axis=pixels[NUM_BODY_POINTS : NUM_BODY_POINTS + 2],

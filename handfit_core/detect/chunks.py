@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Self
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from handfit_core.detect.clips import (
     extend_track,
 )
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.detector import DetectorSettings, Region
+from handfit_core.detect.detector import DetectorSettings, InChunks, Region
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.networks import Networks
@@ -59,7 +58,7 @@ class Chunk:
         return cls(numbers, finder.frames, finder.tracked, finder.counts, finder.cuts, first, last)
 
 
-class ClipDetector:
+class ClipDetector(InChunks[Chunk]):
     """Finds the hands of one clip with MediaPipe's networks. Use it as a context manager.
 
     Raises LandmarkModelError when the model file is missing or damaged.
@@ -71,12 +70,6 @@ class ClipDetector:
         self._settings, self._regions = settings, regions
         self._networks = Networks(settings.landmark_model, quality=settings.quality)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
         """Give the networks' threads and memory back, and let go of the file."""
         self._networks.close()
@@ -87,8 +80,7 @@ class ClipDetector:
         self._networks.threads = 1
 
     def chunk(self, index: int, on_frame: Callable[[int], None], should_stop: Callable[[], bool]) -> Chunk:
-        """Detect the hands of the chunk with that index, counted from 0. `on_frame` is called with the count
-        of its frames so far; `should_stop` is asked before each, and ends the chunk there."""
+        """Detect the hands of the chunk with that index, as `InChunks.chunk` says."""
         rows = index * MEDIA.chunk_frames, MEDIA.chunk_frames
         named = self.media.numbers(*rows)
         regions = [r for r in self._regions if r.frame is None or r.frame in named]

@@ -126,9 +126,11 @@ class InChunks(Protocol[Part]):
 
     media: Media
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     def close(self) -> None:
         """Give memory, threads and the file back."""

@@ -1,21 +1,22 @@
 """Arms fitted onto hands over a clip: shoulder, elbow and wrist of one or two arms of one person.
 
-With w the wrist, f and u the unit directions of forearm and upper arm, both towards the hand, and fixed
-lengths l,
+With w the wrist, f and u the unit directions of forearm and upper arm, both towards the hand, and the
+lengths l, which are equal in all frames,
 
     elbow e = w - l_f f      shoulder s = e - l_u u
 
 An arm has seven unknowns in each frame: w, and two increments of each direction. Every term gives residuals,
 divided by their expected errors, and their derivatives by (w, f, u). As in `clips`, acceleration couples a
-frame with the two before and the two after, so that the whole clip is one banded system, which is solved
-directly until it holds still.
+frame with the two before and the two after, so that the whole clip is one banded system. How much longer a
+person's upper arms and forearms are than most people's is its border. Both are solved directly until they
+hold still.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -39,6 +40,10 @@ class ArmSettings:
     forearm: float = 1.49
     """Lengths in hand lengths: means of both sexes' between joint centres (de Leva, "Adjustments to
     Zatsiorsky-Seluyanov's segment inertia parameters", 1996)"""
+    length_sigma: float = 0.06
+    """Relative deviation of people's lengths"""
+    correlated_seconds: float = 0.5
+    """seconds over which what is seen errs alike, so that it tells only once how long the arms are"""
     shoulders: float = 1.8
     """Distance of the shoulder joints in hand lengths"""
     wrist_sigma: float = 2e-4
@@ -92,7 +97,7 @@ class ArmsSeen(Batch):
     directions: np.ndarray
     """(T, A, 2, 3) unit vectors of the body network's upper arm and forearm, towards the hand"""
     lengths: np.ndarray
-    """(T, A, 2) metres of the upper arm and the forearm, equal in all frames"""
+    """(T, A, 2) metres of the upper arm and the forearm as expected, equal in all frames"""
     hand_length: float
     """metres"""
     camera: Intrinsics
@@ -101,6 +106,10 @@ class ArmsSeen(Batch):
     def with_hand(self) -> np.ndarray:
         """(T, A) bool"""
         return np.isfinite(self.wrist[..., 0])
+
+    def longer(self, by: np.ndarray) -> ArmsSeen:
+        """With upper arms and forearms that are longer by logarithms (2,)."""
+        return replace(self, lengths=self.lengths * np.exp(by))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,12 +204,8 @@ def within_wrist(arms: Arms, seen: ArmsSeen) -> Rows:
     return residual, jacobian
 
 
-TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (
-    at_hand,
-    in_picture,
-    along_network,
-    within_wrist,
-)
+POINT_TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (at_hand, in_picture)
+DIRECTION_TERMS: Final[tuple[Callable[[Arms, ArmsSeen], Rows], ...]] = (along_network, within_wrist)
 
 
 def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
@@ -216,37 +221,42 @@ def shoulder_width(arms: Arms, seen: ArmsSeen) -> Rows:
     return residual, np.concatenate(by_arm, axis=-1)
 
 
-def fit_arms(seen: ArmsSeen, fps: float) -> Arms:
-    """The arms of T consecutive frames, at `fps` frames per second, window by window. Frames in which nothing
-    is seen follow from their neighbours; each arm must have a hand, and a body, in one frame at least."""
+def fit_arms(seen: ArmsSeen, fps: float) -> tuple[Arms, np.ndarray]:
+    """The arms of T consecutive frames, at `fps` frames per second, window by window, and their lengths
+    (T, A, 2), metres, which the first window tells. Frames in which nothing is seen follow from their
+    neighbours; each arm must have a hand, and a body, in one frame at least."""
     arms, count, first, overlap = _start(seen), len(seen.wrist), 0, int(ARMS.overlap_seconds * fps)
     while True:
         last = min(first + SOLVER.window_frames + overlap, count)
         window = slice(first, last)
         # Of the frames that two windows share, the first half is the earlier one's.
         keep = 0 if first == 0 else overlap // 2
-        found = _window(seen.select(window), arms.select(window), fps).select(slice(keep, None))
-        arms = arms.replaced(np.arange(first + keep, last), found)
+        found, longer = _window(seen.select(window), arms.select(window), fps, learn=first == 0)
+        seen = seen.longer(longer)
+        arms = arms.replaced(np.arange(first + keep, last), found.select(slice(keep, None)))
         if last == count:
-            return arms
+            return arms, seen.lengths
         first += SOLVER.window_frames
 
 
 @np.errstate(all="ignore")
-def _window(seen: ArmsSeen, arms: Arms, fps: float) -> Arms:
-    cost, band, gradient = _system(arms, seen, fps)
+def _window(seen: ArmsSeen, arms: Arms, fps: float, *, learn: bool = True) -> tuple[Arms, np.ndarray]:
+    """The arms, and logarithms (2,) of how much longer upper arms and forearms are; 0 unless `learn`."""
+    longer = np.zeros(2)
+    system = _system(arms, seen, longer, fps)
     damping = 1e-6
     for _ in range(ARMS.iterations):
-        candidate = arms.moved(_solve(band, gradient, damping).reshape(*arms.wrist.shape[:2], FREE))
-        after, next_band, next_gradient = _system(candidate, seen, fps)
-        if not after < cost:
+        step, by_length = system.step(damping, learn=learn)
+        moved, stretched = arms.moved(step.reshape(*arms.wrist.shape[:2], FREE)), longer + by_length
+        after = _system(moved, seen, stretched, fps)
+        if not after.cost < system.cost:
             damping *= 10.0
             continue
-        gain, cost = (cost - after) / cost, after
-        arms, band, gradient, damping = candidate, next_band, next_gradient, damping * 0.2
+        gain = (system.cost - after.cost) / system.cost
+        arms, longer, system, damping = moved, stretched, after, damping * 0.2
         if gain < ARMS.tolerance:
             break
-    return arms
+    return arms, longer
 
 
 def _start(seen: ArmsSeen) -> Arms:
@@ -263,28 +273,74 @@ def _start(seen: ArmsSeen) -> Arms:
     return Arms(values[0], _unit(values[1]), _unit(values[2]))
 
 
-def _system(arms: Arms, seen: ArmsSeen, fps: float) -> tuple[float, np.ndarray, np.ndarray]:
-    """The cost, the matrix (3 P, P T) in LAPACK's lower band form, and the gradient (T, P), of P = 7 A
-    unknowns in each of T frames."""
+@dataclass(frozen=True, eq=False)
+class _System:
+    """The normal equations of P = 7 A unknowns in each of T frames, and of both lengths' logarithms."""
+
+    cost: float
+    band: np.ndarray
+    """(3 P, P T) in LAPACK's lower form"""
+    border: np.ndarray
+    """(P T, 2)"""
+    corner: np.ndarray
+    """(2, 2)"""
+    gradient: np.ndarray
+    """(P T,)"""
+    by_length: np.ndarray
+    """(2,) the gradient by the lengths"""
+
+    def step(self, damping: float, *, learn: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Increments of the unknowns (P T,) and of the lengths' logarithms (2,), 0 unless `learn`."""
+        from scipy.linalg import solveh_banded  # slow to load
+
+        damped = self.band.copy(order="F")
+        damped[0] += damping * damped[0] + 1e-9
+        sides = np.column_stack([self.gradient, self.border])
+        own, border = np.split(solveh_banded(damped, sides, lower=True, check_finite=False), [1], axis=1)
+        longer = np.zeros(2)
+        if learn:
+            corner = self.corner - self.border.T @ border
+            longer = np.linalg.solve(corner, self.border.T @ own[:, 0] - self.by_length)
+        return -own[:, 0] - border @ longer, longer
+
+
+def _system(arms: Arms, seen: ArmsSeen, longer: np.ndarray, fps: float) -> _System:
+    seen = seen.longer(longer)
     count, number = arms.wrist.shape[:2]
     size = number * FREE
-    tangents = arms.tangents()
-    rows = [term(arms, seen) for term in TERMS]
-    residual = np.concatenate([each for each, _ in rows], axis=-1)
-    jacobian = np.concatenate([each for _, each in rows], axis=-2) @ tangents
-    cost = float(np.square(residual).sum())
+    # Columns of an arm's unknowns, then of the lengths. Points depend on the products of lengths and
+    # directions alone.
+    tangents = np.zeros((count, number, 9, FREE + 2))
+    tangents[..., :FREE] = arms.tangents()
+    of_directions = tangents.copy()
+    tangents[..., UPPER, FREE], tangents[..., FOREARM, FREE + 1] = arms.upper, arms.forearm
+    rows = [(*term(arms, seen), tangents) for term in POINT_TERMS]
+    rows += [(*term(arms, seen), of_directions) for term in DIRECTION_TERMS]
+    residual = np.concatenate([each for each, _, _ in rows], axis=-1)
+    jacobian = np.concatenate([each @ by for _, each, by in rows], axis=-2)
+    prior = min(count, max(ARMS.correlated_seconds * fps, 1.0)) / ARMS.length_sigma**2
+    cost = float(np.square(residual).sum() + prior * np.square(longer).sum())
+    gradients = (jacobian.swapaxes(-1, -2) @ residual[..., None])[..., 0]
+    squared = jacobian.swapaxes(-1, -2) @ jacobian
     own = np.zeros((count, 3 * size, size))
     """Columns of the matrix: a frame with itself, the next one and the one after"""
-    gradient = (jacobian.swapaxes(-1, -2) @ residual[..., None])[..., 0].reshape(count, size)
-    squared = jacobian.swapaxes(-1, -2) @ jacobian
+    gradient = gradients[..., :FREE].reshape(count, size)
+    by_length = gradients[..., FREE:].sum(axis=(0, 1)) + prior * longer
+    border = squared[..., :FREE, FREE:].reshape(count, size, 2)
+    corner = squared[..., FREE:, FREE:].sum(axis=(0, 1)) + prior * np.eye(2)
     for arm in range(number):
         at = slice(arm * FREE, (arm + 1) * FREE)
-        own[:, at, at] = squared[:, arm]
+        own[:, at, at] = squared[:, arm, :FREE, :FREE]
     if number == 2:
         apart, by_arms = shoulder_width(arms, seen)
-        by_both = np.einsum("tkar,tarv->tkav", by_arms, tangents).reshape(count, -1, size)
-        own[:, :size] += by_both.swapaxes(1, 2) @ by_both
-        gradient += (by_both.swapaxes(1, 2) @ apart[..., None])[..., 0]
+        by_each = np.einsum("tkar,tarv->tkav", by_arms, tangents)
+        along, by_both = by_each[..., FREE:].sum(axis=2), by_each[..., :FREE].reshape(count, -1, size)
+        turned = by_both.swapaxes(1, 2)
+        own[:, :size] += turned @ by_both
+        gradient += (turned @ apart[..., None])[..., 0]
+        border += turned @ along
+        corner += np.einsum("tkv,tkw->vw", along, along)
+        by_length += np.einsum("tkv,tk->v", along, apart)
         cost += float(np.square(apart).sum())
     # Differences of the points over two and three frames, by the unknowns of each
     points = np.stack(arms.points(seen.lengths), axis=2).reshape(count, number, 9)
@@ -299,12 +355,17 @@ def _system(arms: Arms, seen: ArmsSeen, fps: float) -> tuple[float, np.ndarray, 
     ):
         last = max(count - len(coefficients) + 1, 0)
         change = sum(c * points[a : last + a] for a, c in enumerate(coefficients)) * weight
+        along = sum(c * moving[a : last + a, ..., FREE:] for a, c in enumerate(coefficients))
+        along = along * weight[..., None]
         cost += float(np.square(change).sum())
+        corner += np.einsum("taiv,taiw->vw", along, along)
+        by_length += np.einsum("taiv,tai->v", along, change)
         for a, ca in enumerate(coefficients):
-            of_a = (ca * weight[..., None] * moving[a : last + a]).swapaxes(-1, -2)
+            of_a = (ca * weight[..., None] * moving[a : last + a, ..., :FREE]).swapaxes(-1, -2)
             gradient[a : last + a] += (of_a @ change[..., None])[..., 0].reshape(-1, size)
+            border[a : last + a] += (of_a @ along).reshape(-1, size, 2)
             for b, cb in enumerate(coefficients[: a + 1]):
-                block = of_a @ (cb * weight[..., None] * moving[b : last + b])
+                block = of_a @ (cb * weight[..., None] * moving[b : last + b, ..., :FREE])
                 for arm in range(number):
                     at = arm * FREE
                     row = (a - b) * size + at
@@ -312,7 +373,8 @@ def _system(arms: Arms, seen: ArmsSeen, fps: float) -> tuple[float, np.ndarray, 
     band = np.zeros((count, size, 3 * size))
     for column in range(size):
         band[:, column, : 3 * size - column] = own[:, column:, column]
-    return cost, band.reshape(count * size, 3 * size).T, gradient
+    band = band.reshape(count * size, 3 * size).T
+    return _System(cost, band, border.reshape(-1, 2), corner, gradient.reshape(-1), by_length)
 
 
 def _of_acceleration(fps: float) -> np.ndarray:
@@ -332,14 +394,6 @@ def _of_speed(seen: ArmsSeen, fps: float) -> np.ndarray:
     speed = way * fps / (after - before)[:, None, None]
     weight = np.repeat(fps / (ARMS.resting_speed + ARMS.speed_share * np.nan_to_num(speed)), 9, axis=-1)
     return np.where(np.isfinite(speed), weight, 0.0)
-
-
-def _solve(band: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
-    from scipy.linalg import solveh_banded  # slow to load
-
-    damped = band.copy(order="F")
-    damped[0] += damping * damped[0] + 1e-9
-    return -solveh_banded(damped, gradient.reshape(-1), overwrite_ab=True, lower=True, check_finite=False)
 
 
 def _robust(residual: np.ndarray, jacobian: np.ndarray) -> Rows:

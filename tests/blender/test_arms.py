@@ -123,6 +123,26 @@ def test_without_one_the_take_says_why(make_take):
         bpy.ops.manient.add_arms(hand=built.hands[0].armature.name)
 
 
+def test_deleted_in_edit_mode_it_is_gone_until_it_is_added_again(make_take, tmp_path: Path):
+    """Which is how an artist is rid of a bad one; the hand, and what is made of it, do without."""
+    take = with_arms(make_take(sides=("right",)).take)
+    built = build_take(take)
+    armature = bpy.context.view_layer.objects.active = built.hands[0].armature
+    hand_keys = read_pose_keys(rig_of(armature))
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name in ArmBones(armature).bones:
+        armature.data.edit_bones.remove(armature.data.edit_bones[name])
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert not has_arm(armature)
+    assert bpy.ops.manient.simplify_keys() == bpy.ops.manient.restore_keys() == {"FINISHED"}
+    np.testing.assert_array_equal(read_pose_keys(rig_of(armature)).frames, hand_keys.frames)
+    (file,) = export_hands(built.hands, Stage.of_take(take), tmp_path, "hands", "bvh")
+    assert "wrist" in (text := file.read_text())
+    assert "arm" not in text
+    assert bpy.ops.manient.add_arms(hand=armature.name) == {"FINISHED"}
+    assert arm_error(built.hands[0], take.hands[0].arm, take.frame_numbers) < 1e-4
+
+
 def test_controls_come_and_go_beside_it(make_take):
     take = with_arms(make_take(sides=("right",)).take)
     built = build_take(take)

@@ -10,6 +10,7 @@ import pytest
 
 from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
+from blender_manient.rigs.arm import ArmBones
 from blender_manient.scene import store
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
@@ -24,6 +25,7 @@ from blender_manient.session.refiner import Refiner
 from handfit_core.errors import OptionError
 from handfit_core.media.source import Source
 from handfit_core.retiming import shown_numbers
+from tests.takes import with_arms
 
 from .conftest import HEIGHT, WIDTH
 
@@ -247,6 +249,24 @@ def test_another_rate_is_noticed_and_put_right(take, rate, matched):
         assert store.rows_at(collection, hand.take, np.array([frame])).tolist() == [frame - first]
     assert hand.take.fps == pytest.approx(rate)
     assert store.captured_take(collection).fps == CLIP_FPS
+
+
+def test_arms_are_sampled_too(take):
+    """On whole frames, as the hand: stretched keys would lie between them."""
+    scene_of(24.0)
+    armature = build_take(with_arms(take), match_scene=False).hands[0].armature
+    arm = ArmBones(armature)
+    before = read_pose_keys(arm).frames
+    quats, places = pose_at(arm, FIRST + 0.5 * np.arange(80))
+    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+    retime(armature, 48.0)
+    keys = read_pose_keys(arm)
+    rows = keys.frames.astype(int) - FIRST
+    np.testing.assert_array_equal(keys.frames, FIRST + rows)
+    assert set(FIRST + 2 * (before - FIRST)) <= set(keys.frames)
+    assert len(rows) > 1.8 * len(before)
+    rotated_alike(keys.quats, quats[rows])
+    np.testing.assert_allclose(keys.locations, places[rows], atol=1e-6)
 
 
 def test_there_and_back_keeps_the_correction_which_can_be_cleared(retimed):

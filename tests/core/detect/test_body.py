@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from handfit_core import capture
+from handfit_core.arrays import arrays_of
 from handfit_core.detect.bodies import FOLLOWING, find_bodies
 from handfit_core.detect.body import WRISTS, BodyNetworks, crop_about
 from handfit_core.detect.landmark_model import BODY, body_model_path
@@ -20,6 +21,8 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
 from handfit_core.options import CaptureOptions
+from handfit_core.pipeline import add_arms
+from handfit_core.take import Take
 from tests.conftest import ROOT
 
 PAINTED, SIGNER, TWO = (
@@ -130,9 +133,11 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
         tracks.append(find_bodies(media, range(1, 211), list(hands), Intrinsics.assumed(*size), options))
     assert [len(each) for each in tracks] == [1, 1]
     ((one,), (other,)) = tracks
-    for name in ("keypoints", "visibility", "world", "score", "present"):
+    for name in ("keypoints", "visibility", "world", "score", "present", "cut"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert not one.present[101:109].any()
+    assert one.cut[cut]
+    assert set(np.flatnonzero(one.cut)) <= {cut - 1, cut}
     assert one.present[:100].mean() > 0.9
     wrists = one.keypoints[:, [*WRISTS.values()]]
     off = np.linalg.norm(hands[:, :, None, 0] - wrists, axis=-1).min(axis=2) / np.ptp(hands, axis=2).max(-1)
@@ -168,12 +173,17 @@ def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(net
     cv2.imwrite(str(tmp_path / "bent.png"), bent)
     of = {hand.side: hand for hand in capture(path, arms=True, intrinsics=camera).hands}
     elbows = []
-    for hand in capture(tmp_path / "bent.png", arms=True, lens=lens).hands:
+    taken = capture(tmp_path / "bent.png", arms=True, lens=lens)
+    for hand in taken.hands:
         off = np.linalg.norm(hand.keypoints_2d - of[hand.side].keypoints_2d, axis=-1)
         assert off.mean() < 5.0
         elbow, other = (camera.project(each.arm.elbow[0]) for each in (hand, of[hand.side]) if each.arm)
         elbows.append(np.linalg.norm(elbow - other))
     assert np.mean(elbows) < 15.0  # and 23 without
+    later = add_arms(Take.from_bytes(taken.to_bytes(compact=False)))
+    for hand, again in zip(taken.hands, later.hands, strict=True):
+        for name, points in arrays_of(hand.arm).items():
+            np.testing.assert_array_equal(getattr(again.arm, name), points)
 
 
 @pytest.mark.usefixtures("networks")

@@ -39,6 +39,7 @@ def body(visibility=0.9, score=0.9, misplaced=0.0):
         world=np.zeros((COUNT, NUM_BODY_POINTS, 3)),
         score=np.full(COUNT, score),
         present=np.ones(COUNT, dtype=bool),
+        cut=np.zeros(COUNT, dtype=bool),
     )
 
 

@@ -13,8 +13,9 @@ from handfit_core.arms import _seen, arms_of
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
 from handfit_core.fit.arms import (
     ARMS,
+    DIRECTION_TERMS,
     FREE,
-    TERMS,
+    POINT_TERMS,
     Arms,
     ArmsSeen,
     _start,
@@ -66,7 +67,9 @@ def problem(count: int = 4) -> tuple[Arms, ArmsSeen]:
     return arms, seen
 
 
-@pytest.mark.parametrize("term", [*TERMS, shoulder_width], ids=lambda term: term.__name__)
+@pytest.mark.parametrize(
+    "term", [*POINT_TERMS, *DIRECTION_TERMS, shoulder_width], ids=lambda term: term.__name__
+)
 def test_terms_lead_downhill(term):
     """Their derivatives give the slope of their cost by every unknown, also where outliers count less."""
     arms, seen = problem()
@@ -102,8 +105,17 @@ def test_people_are_found_again(bend):
         close(hand.arm.wrist, hand.joints_3d[:, 0])
         lengths = np.linalg.norm(np.diff(at(hand.arm), axis=1), axis=2)
         close(lengths, np.broadcast_to(hand.arm.lengths, lengths.shape))
-        assert np.median(degrees_off(hand.arm, truth)) < 1.5
+        assert np.median(degrees_off(hand.arm, truth)) < 2.5
         assert degrees_off(hand.arm, truth).max() < 6.0
+
+
+def test_a_persons_lengths_are_learned():
+    """Of somebody with long upper arms and short forearms."""
+    known = person(200, build=(1.12, 0.92))
+    for hand, truth in zip(arms_of(known.hands, [known.body], CAMERA, FPS), known.points, strict=True):
+        assert np.median(degrees_off(hand.arm, truth), axis=0).max() < 3.0
+        assert hand.arm is not None
+        close(hand.arm.lengths, np.linalg.norm(np.diff(truth, axis=1), axis=2)[0], rtol=0.04)
 
 
 def test_noise_falls():
@@ -122,10 +134,11 @@ def test_long_clips_are_solved_in_windows():
     """Windows give what one system over the whole clip gives, to a millimetre."""
     long = person(720)
     seen = _seen(long.hands, body_of(long.points, 0.019), CAMERA, slice(0, 720))
-    whole, parts = _window(seen, _start(seen), FPS), fit_arms(seen, FPS)
-    assert (
-        np.linalg.norm(whole.points(seen.lengths)[0] - parts.points(seen.lengths)[0], axis=-1).max() < 0.001
-    )
+    parts, lengths = fit_arms(seen, FPS)
+    built = replace(seen, lengths=lengths)
+    whole, _ = _window(built, _start(built), FPS, learn=False)
+    shoulders = (arms.points(lengths)[0] for arms in (whole, parts))
+    assert np.linalg.norm(np.subtract(*shoulders), axis=-1).max() < 0.001
 
 
 def test_shoulders_of_one_person_are_joined():
@@ -133,7 +146,8 @@ def test_shoulders_of_one_person_are_joined():
     visibility = PERSON.body.visibility.copy()
     visibility[:, [SHOULDERS["left"], ELBOWS["left"]]] = 0.01
     seen = _seen(PERSON.hands, replace(PERSON.body, visibility=visibility), CAMERA, slice(0, 60))
-    shoulders = fit_arms(seen, FPS).points(seen.lengths)[0]
+    arms, lengths = fit_arms(seen, FPS)
+    shoulders = arms.points(lengths)[0]
     apart = np.linalg.norm(shoulders[:, 0] - shoulders[:, 1], axis=1)
     assert np.abs(apart - ARMS.shoulders * seen.hand_length).max() < 0.02
 
@@ -162,15 +176,24 @@ def test_several_people_and_shots():
     assert arm.present.tolist() == [True] * 30 + [False] * 30
 
 
-@pytest.mark.parametrize(("jump", "last"), [(0.0, 40), (600.0, 30)])
-def test_an_arm_without_a_body_ends(jump, last):
-    """Soon after it is lost, and at once where the hand jumps: that is a cut."""
+@pytest.mark.parametrize(("jump", "cut", "last"), [(0.0, False, 40), (600.0, False, 30), (0.0, True, 30)])
+def test_an_arm_without_a_body_ends(jump, cut, last):
+    """Soon after it is lost, and at once at a cut: where one was seen, or the hand jumps."""
     lost = np.arange(60) >= 30
     hand = PERSON.hands[0]
     moved = replace(hand, keypoints_2d=hand.keypoints_2d + np.where(lost, jump, 0.0)[:, None, None])
-    arm = arms_of([moved], [replace(PERSON.body, present=~lost)], CAMERA, FPS)[0].arm
+    body = replace(PERSON.body, present=~lost, cut=cut & (np.arange(60) == 30))
+    arm = arms_of([moved], [body], CAMERA, FPS)[0].arm
     assert arm is not None
     assert np.flatnonzero(arm.present).tolist() == list(range(last))
+
+
+def test_a_hand_that_returns_without_its_body_has_no_arm():
+    """The body that was there meanwhile does not count: it may be somebody else's."""
+    hand, lost = without(PERSON.hands[0], slice(20, 40)), np.arange(60) >= 38
+    arm = arms_of([hand], [replace(PERSON.body, present=~lost)], CAMERA, FPS)[0].arm
+    assert arm is not None
+    assert np.flatnonzero(arm.present).tolist() == list(range(20))
 
 
 def seen_as(**arrays: np.ndarray | float) -> Callable[[BodyTrack], BodyTrack]:
