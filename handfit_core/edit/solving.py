@@ -501,7 +501,7 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
 
 def _any_pin(pins: np.ndarray) -> np.ndarray:
     """(N, 21, 2) pins -> (N,) bool: frames with one."""
-    return np.asarray(np.isfinite(pins).all(axis=-1).any(axis=1))
+    return np.isfinite(pins).all(axis=-1).sum(axis=1) > 0
 
 
 def _mean_offset(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:

@@ -11,25 +11,26 @@ import io
 import ipaddress
 import math
 import os
+import queue
 import re
 import sys
 import threading
 import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Final, Self
 from urllib.parse import urlsplit
 
 import numpy as np
 
-from handfit_core.errors import InputError, OptionError
+from handfit_core.errors import InputError, OptionError, OutputError
 from handfit_core.files import shown
 from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
 from handfit_core.media.headers import read_picture_header
 from handfit_core.media.opening import open_media
-from handfit_core.media.recording import ClipWriter, Decode, LivePicture, Recorder
+from handfit_core.media.recording import ClipWriter
 from handfit_core.media.source import Frame
 
 
@@ -49,6 +50,8 @@ class CameraSettings:
 
 CAMERA: Final = CameraSettings()
 _SCHEMES: Final = ("http", "https", "rtsp")
+_WAITING: Final = 32
+"""pictures that may wait to be written; at 1080 lines they have 200 MB at most"""
 
 Say = Callable[[str], None]
 """Takes a sentence about what is wrong with a source at the moment; empty: nothing is"""
@@ -122,6 +125,58 @@ def _is_here(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+Decode = Callable[[], np.ndarray | None]
+"""Gives a picture (H, W, 3) uint8 RGB; None where it is damaged"""
+
+
+@dataclass(eq=False)
+class LivePicture:
+    """A picture of a live source, decoded once it is wanted."""
+
+    number: int
+    """Counted from 1 over all that came"""
+    time: float
+    """seconds of `time.perf_counter` when it came"""
+    decode: Decode
+
+    @cached_property
+    def rgb(self) -> np.ndarray | None:
+        """(H, W, 3) uint8; None for a damaged one."""
+        return self.decode()
+
+
+class Recorder:
+    """Writes one recording in a thread of its own, since encoding takes longer than some sources have."""
+
+    def __init__(self, path: str | os.PathLike[str], fps: float, say: Callable[[str], None]) -> None:
+        """`say` is told, in a sentence, why nothing can be written any more. Raises OutputError."""
+        self.writer = ClipWriter(path, fps)
+        self._say = say
+        self._waiting: queue.Queue[LivePicture | None] = queue.Queue(_WAITING)
+        self._thread = threading.Thread(target=self._write, name="handfit-record", daemon=True)
+        self._thread.start()
+
+    def put(self, picture: LivePicture) -> None:
+        """Write a picture soon; where too many wait, it is left out."""
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(picture)
+
+    def close(self) -> ClipWriter:
+        """Write what waits, and close the file."""
+        self._waiting.put(None)
+        self._thread.join()
+        self.writer.close()
+        return self.writer
+
+    def _write(self) -> None:
+        while (picture := self._waiting.get()) is not None:
+            try:
+                if picture.rgb is not None:
+                    self.writer.write(picture.rgb, picture.time)
+            except OutputError as error:
+                self._say(str(error))
 
 
 class LiveReader:

@@ -8,12 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import queue
 import struct
-import threading
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -29,27 +24,6 @@ _QUALITY: Final = 95
 """JPEG's"""
 _MARK_WITHIN: Final = 512
 """bytes from the beginning"""
-_WAITING: Final = 32
-"""pictures that may wait to be written; at 1080 lines they have 200 MB at most"""
-
-Decode = Callable[[], np.ndarray | None]
-"""Gives a picture (H, W, 3) uint8 RGB; None where it is damaged"""
-
-
-@dataclass(eq=False)
-class LivePicture:
-    """A picture of a live source, decoded once it is wanted."""
-
-    number: int
-    """Counted from 1 over all that came"""
-    time: float
-    """seconds of `time.perf_counter` when it came"""
-    decode: Decode
-
-    @cached_property
-    def rgb(self) -> np.ndarray | None:
-        """(H, W, 3) uint8; None for a damaged one."""
-        return self.decode()
 
 
 def _element(name: str, content: bytes | int | str | float) -> bytes:
@@ -161,38 +135,6 @@ class ClipWriter:
                 self._put(_head(*self._size, 1.0 / self.fps, self.frames))
         if not self.frames:
             self.path.unlink(missing_ok=True)
-
-
-class Recorder:
-    """Writes one recording in a thread of its own, since encoding takes longer than some sources have."""
-
-    def __init__(self, path: str | os.PathLike[str], fps: float, say: Callable[[str], None]) -> None:
-        """`say` is told, in a sentence, why nothing can be written any more. Raises OutputError."""
-        self.writer = ClipWriter(path, fps)
-        self._say = say
-        self._waiting: queue.Queue[LivePicture | None] = queue.Queue(_WAITING)
-        self._thread = threading.Thread(target=self._write, name="handfit-record", daemon=True)
-        self._thread.start()
-
-    def put(self, picture: LivePicture) -> None:
-        """Write a picture soon; where too many wait, it is left out."""
-        with contextlib.suppress(queue.Full):
-            self._waiting.put_nowait(picture)
-
-    def close(self) -> ClipWriter:
-        """Write what waits, and close the file."""
-        self._waiting.put(None)
-        self._thread.join()
-        self.writer.close()
-        return self.writer
-
-    def _write(self) -> None:
-        while (picture := self._waiting.get()) is not None:
-            try:
-                if picture.rgb is not None:
-                    self.writer.write(picture.rgb, picture.time)
-            except OutputError as error:
-                self._say(str(error))
 
 
 def is_recording(path: Path) -> bool:
