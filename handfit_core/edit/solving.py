@@ -230,15 +230,22 @@ class _Frames(Batch):
         found = self._solved(seen, second, self.own, free_distance, uncertainty, held, [start])
         if self.near is None:
             if self.touches is not None:
-                # Frames in which the same points touch do so in the same way.
+                # Frames in which the same points touch do so in the same way, and one between two others as
+                # they do.
+                touching = np.isfinite(self.touches).any(axis=1)
                 _, reason = np.unique(np.nan_to_num(self.touches, nan=-1.0), axis=0, return_inverse=True)
+                groups = [np.flatnonzero((reason.reshape(-1) == one) & touching) for one in np.unique(reason)]
                 bends = np.zeros_like(found.angles)
-                for one in np.unique(reason):
-                    same = (reason.reshape(-1) == one) & np.isfinite(self.touches).any(axis=1)
-                    if same.any():
-                        bends[same] = np.median((found.angles - self.own.angles)[same], axis=0)
+                for rows in filter(len, groups):
+                    bends[rows] = np.median((found.angles - self.own.angles)[rows], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
                 found = self._solved(seen, second, self.own, free_distance, uncertainty, held, [start])
+                bends = found.angles - self.own.angles
+                for rows in filter(len, groups):
+                    beside = bends[[rows[0], *rows[:-1]]], bends[[*rows[1:], rows[-1]]]
+                    bends[rows] = np.median([*beside, bends[rows]], axis=0)
+                start = replace(self.own, angles=self.own.angles + bends)
+                found = self._solved(seen, second, start, free_distance, uncertainty, held, [start])
             points = self.fitter.chain.points(found)
             left = fingers._displaced(self.intrinsics.project(points), points)
             short = np.flatnonzero(left.max(axis=1) > pinning.PINS.reached_pixels)
