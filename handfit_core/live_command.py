@@ -86,10 +86,10 @@ def _live(args: argparse.Namespace) -> int:
     with contextlib.ExitStack() as opened:
         send = opened.enter_context(args.sender(args, capture)) if args.vmc is not None else None
         run = Live(args.source, options)
+        if recording is not None:
+            run.record(recording)
+            written = run.reader.recording
         with run, contextlib.suppress(KeyboardInterrupt):
-            if recording is not None:
-                run.record(recording)
-                written = run.reader.recording
             _follow(run, args, send)
     if not run.reader.received:
         raise InputError(f"{shown(args.source)}: no picture came")
