@@ -102,9 +102,12 @@ def linked(stage, source, steps=12):
     yield from stage.hold("RELEASE")
     yield from stage.until(lambda: refine.state()["dragged"] is None, 10.0, "the last fit")
     yield from refine.ended(stage, "RET")
-    yield 1.0
     link = part("session.live_link")
-    yield from stage.until(lambda: link.keying_progress(follower) is None, 20.0, "the follower's keys")
+
+    def keyed():
+        return _index_turns(follower)[30] != before[30] and link.keying_progress(follower) is None
+
+    yield from stage.until(keyed, 30.0, "the follower's keys")
     assert link.trouble(follower) is None
     after, ours = _index_turns(follower), _index_turns(armature)
     assert [frame for frame in before if abs(before[frame] - after[frame]) > 0.01] == [28, 30, 32]
