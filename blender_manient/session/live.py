@@ -106,7 +106,7 @@ class LiveSession:
 
     @property
     def _settings(self) -> Any:
-        """Those that can be changed meanwhile."""
+        """The panel's settings that can be changed while it runs."""
         return (self.scene.find() or bpy.context.scene).manient.live
 
     @property

@@ -130,7 +130,7 @@ def test_a_range_keeps_what_both_views_say(armature):
 
 
 def test_a_drag_in_the_second_view(armature):
-    """It follows while it is dragged, goes back when it is cancelled, and is kept when it is released."""
+    """The hand follows a dragged point, goes back when the drag is cancelled, and is kept on release."""
     mode = mode_of(armature, 1)
     before, place = mode.refiner.shown_landmarks(0), mode.picture_places()[TIP] + AWAY
 

@@ -176,7 +176,7 @@ class TestFiles:
 
     @pytest.mark.parametrize("text", ["", "[cam_0]\nname = 'x'\n"], ids=["empty", "one camera"])
     def test_a_calibration_that_is_none(self, samples, tmp_path, text):
-        """It is told before hands are looked for."""
+        """A calibration file that is none is refused before hands are looked for."""
         rig = tmp_path / "rig.toml"
         rig.write_text(text)
         views = [str(samples / PAIR / f"clip1_{view}.mp4") for view in "ab"]

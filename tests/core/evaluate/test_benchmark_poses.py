@@ -143,7 +143,7 @@ def test_clip_labels_are_of_their_own_moments(clip: Shot) -> None:
 
 
 def test_two_cameras_see_one_hand() -> None:
-    """The same bones and bends, and with no offset the same place: nearest in the true moments of both."""
+    """Both have the same bones and bends, and without an offset the hand is in one place at one moment."""
     first, second, truth = pair_shots(0, 0, 30, 320)
     a, b = (shot.hands[0].keypoints()[1:-1] for shot in (first, second))
     np.testing.assert_allclose(a, truth["joints3d"], atol=1e-7)
