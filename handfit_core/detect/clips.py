@@ -270,7 +270,7 @@ class ClipFinder(Detector):
 
     def _detect_new(self, rgb: np.ndarray, crops: list[Crop]) -> list[HandDetection]:
         known = [tracked.last for tracked in self.tracked]
-        return self._searching.detect_new(rgb, crops, known)
+        return self._searching.detect_new(rgb, self._searching.detect_palms(rgb, crops), known)
 
     def _start_tracks(self, hands: list[HandDetection], new: list[TrackedHand]) -> None:
         """Begin to track those hands that are not tracked yet, and add them to the new ones."""

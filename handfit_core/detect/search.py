@@ -194,12 +194,12 @@ class Search:
                     for span, turn, mirrored in SEARCH.whole_picture_crops
                 ]
             if crops:
-                found = self._extend(rgb, self._detect_palms(small, crops).scaled(block), found)
+                found = self._extend(rgb, self.detect_palms(small, crops).scaled(block), found)
         if len(self._divisors) > 1:
             sure = [c.hand for c in found if self._accepts(c)]
             neighbours = list(self._neighbour_crops(sure, max(rgb.shape)))
             if neighbours:
-                found = self._extend(rgb, self._detect_palms(rgb, neighbours), found)
+                found = self._extend(rgb, self.detect_palms(rgb, neighbours), found)
         return [
             replace(candidate.hand, certainty=candidate.probability)
             for candidate in self._verify(rgb, found)
@@ -207,12 +207,12 @@ class Search:
         ]
 
     def detect_new(
-        self, rgb: np.ndarray, crops: Sequence[Crop], known: Sequence[HandDetection]
+        self, rgb: np.ndarray, palms: Palms, known: Sequence[HandDetection]
     ) -> list[HandDetection]:
-        """The hands whose palms are in these crops, `palm_input_px` wide, without the known ones. A likely
-        one has a single prediction, as tracked hands have."""
+        """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
+        have."""
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
-        found = self._extend(rgb, self._detect_palms(rgb, crops), sure, augment_all=False)
+        found = self._extend(rgb, palms, sure, augment_all=False)
         return [c.hand for c in found if self._accepts(c) and c not in sure]
 
     def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
@@ -299,7 +299,8 @@ class Search:
         ]
         return self._networks.map(lambda n, crop: refine(n, rgb, crop, SEARCH.box_min_presence), crops)
 
-    def _detect_palms(self, rgb: np.ndarray, crops: Sequence[Crop]) -> Palms:
+    def detect_palms(self, rgb: np.ndarray, crops: Sequence[Crop]) -> Palms:
+        """The palms in these crops, `palm_input_px` wide, after non-maximum suppression."""
         found = self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, self._min_palm_score), crops)
         return Palms.suppressed(list(found))
 

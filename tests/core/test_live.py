@@ -164,14 +164,14 @@ def test_lost_hand_is_held_then_rests(frames):
     np.testing.assert_array_equal(poses[-1].transl, poses[0].transl)
 
 
-@pytest.mark.parametrize(("row", "is_open"), [(0, True), (14, False)])
-def test_open_hand_calibrates(frames, take, row, is_open):
+@pytest.mark.parametrize(("row", "rate", "is_open"), [(0, 30, True), (0, 5, True), (14, 30, False)])
+def test_open_hand_calibrates(frames, take, row, rate, is_open):
     """It has a hand's length, and its own pose is the one at rest; a fist tells nothing."""
     grey = np.full_like(frames[0].rgb, 128)
     pictures = [frames[row].rgb] * 34 + [grey] * 40
     with HandFollower(LiveOptions()) as follower:
         follower.calibrate()
-        poses = [follower.follow(Frame(i + 1, i / 30, rgb)) for i, rgb in enumerate(pictures)]
+        poses = [follower.follow(Frame(i + 1, i / rate, rgb)) for i, rgb in enumerate(pictures)]
         (found,) = follower.calibrations
     assert len(found) == is_open
     for calibration in found:
@@ -179,6 +179,16 @@ def test_open_hand_calibrates(frames, take, row, is_open):
         assert 0.16 < calibration.hand_length < 0.21  # that of the picture is 0.187 m
         np.testing.assert_allclose(poses[-1].hands[0].hand_pose, calibration.hand_pose, atol=1e-6)
         np.testing.assert_array_equal(poses[-1].hands[0].betas, calibration.betas)
+
+
+@pytest.mark.parametrize(
+    ("step", "gap", "quality"), [(1, 0.1, "standard"), (2, 0.02, "standard"), (2, 0.07, "draft")]
+)
+def test_detection_hurries_where_frames_are_dropped_and_come_late(frames, step, gap, quality):
+    with HandFollower(LiveOptions()) as follower:
+        for i in range(14):
+            follower.follow(Frame(1 + i * step, i * gap, frames[0].rgb))
+        assert follower._networks.quality == quality
 
 
 @pytest.mark.parametrize(("shift", "begins"), [(0, True), (250, False)])

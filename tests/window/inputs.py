@@ -23,7 +23,7 @@ from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
 from tests.conftest import samples_dir
-from tests.takes import correctable, of_two_views, take_of, track_of, with_arms
+from tests.takes import correctable, take_of, track_of, with_arms
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
@@ -110,17 +110,6 @@ class Inputs:
         take = take_of(tracks, camera, 1280, 720, source=Source("video", ("gone.mp4",)))
         return correctable(take).save(self.folder / "two.take.npz")
 
-    @property
-    def two_views(self) -> Path:
-        """A take of two views, whose clips show the skeletons that were seen."""
-        clips = self.folder / "a.avi", self.folder / "b.avi"
-        take = of_two_views((Source("video", (str(clips[0]),)), Source("video", (str(clips[1]),))))
-        (hand,) = take.hands
-        points = hand.keypoints_2d, *(seen.keypoints_2d for seen in hand.seen_by if seen is not None)
-        for clip, shown, rate in zip(clips, points, (30, 25), strict=True):
-            self._written(clip.name, _DRAW_SKELETONS, json.dumps([shown.tolist(), KEYPOINT_PARENTS]), rate)
-        return take.save(self.folder / "two_views.take.npz")
-
     def drawing(self) -> dict[str, object]:
         """A drawing of a robot's hand, and where its keypoints are."""
         path = self.folder / "robot.png"
@@ -160,17 +149,6 @@ shown += shown[-2:0:-1]
 writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 12.0, (640, 480))
 for i in range(2400):
     writer.write(shown[0 if i < 480 else i // 2 % len(shown)])
-writer.release()
-"""
-_DRAW_SKELETONS = """
-import json
-(frames, parents), output, rate = json.loads(sys.argv[1]), sys.argv[2], float(sys.argv[3])
-writer = cv2.VideoWriter(output, cv2.VideoWriter_fourcc(*"MJPG"), rate, (640, 480))
-for points in np.round(frames).astype(int).tolist():
-    picture = np.full((480, 640, 3), (150, 140, 120), np.uint8)
-    for point in range(1, 21):
-        cv2.line(picture, points[parents[point]], points[point], (20, 30, 60), 6, cv2.LINE_AA)
-    writer.write(picture)
 writer.release()
 """
 _WRITE_CLIP = """

@@ -58,7 +58,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "character.linked": lambda i: {"source": i.clip(60)},
     "views.captured": lambda i: i.two_cameras,
     "views.told": lambda i: {**i.two_cameras, "rig": i.rig},
-    "views_edit.dragged_in_the_second": lambda i: {"take": i.two_views},
     "live.recorded": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
 }
 

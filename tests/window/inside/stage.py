@@ -23,7 +23,7 @@ SHORTCUT = "F19"
 """A key that Blender leaves alone"""
 HOVER = 0.06
 """seconds until the button under the mouse lights up"""
-BUTTON_STEP = 12
+BUTTON_STEP = 16
 """pixels; a button is at least 20 high"""
 STEP = 0.01
 """seconds between looks at a condition"""
@@ -75,6 +75,9 @@ class Stage:
         for obj in list(bpy.data.objects):
             bpy.data.objects.remove(obj)
         self.area().spaces[0].shading.type = "SOLID"
+        # Without a graphics card, what smooths edges takes most of the time of a drawing.
+        bpy.context.preferences.system.viewport_aa = "OFF"
+        bpy.context.preferences.system.use_overlay_smooth_wire = False
         yield from self.move_to(self.region())
         yield SETTLE
 

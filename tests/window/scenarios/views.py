@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from scenarios import views_edit
 from scenarios.capturing import assert_sentence, begin, done, finish, hands, part
 from scenarios.panels import opened_by_default
 
@@ -35,7 +36,7 @@ def _seen_through():
 
 def captured(stage, source, second):
     """Chosen, captured and called good; the button leads to the second view's camera, through which the hand
-    lies on its picture, too, and back; saved and opened again, undone and redone."""
+    lies on its picture, too, and back; undone and redone, saved and opened again, and edited."""
     with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
         yield from stage.open_sidebar()
         yield from chosen(stage, source, second)
@@ -63,6 +64,7 @@ def captured(stage, source, second):
         yield from stage.invoke("manient.switch_view")
         assert _seen_through() == other
         yield from stage.screenshot("views-reopened")
+        yield from views_edit.dragged_in_the_second(stage, hands()[0])
 
 
 def told(stage, source, second, rig):

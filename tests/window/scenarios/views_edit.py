@@ -1,18 +1,17 @@
-"""Keypoints of a take of two cameras, dragged in the second one's picture."""
+"""Keypoints of a capture from two cameras, dragged in the second one's picture."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
-from scenarios.capturing import changed, import_take, part, pose_at
+from scenarios.capturing import changed, part, pose_at
 from scenarios.refine import INDEX_TIP, dragged, edited, ended, operator, places, warmed
 
 
-def dragged_in_the_second(stage, take):
+def dragged_in_the_second(stage, armature):
     """V shows the other view. A point that is dragged there moves the hand in both views. Undo, Esc and X do
     as in the first view."""
-    armature = yield from import_take(stage, take)
     bpy.context.scene.camera = part("scene.store").hand_of(armature).camera
     bpy.ops.ed.undo_push(message="Camera")
     before = {frame: pose_at(armature, frame) for frame in (5, 20)}
@@ -57,7 +56,7 @@ def dragged_in_the_second(stage, take):
     yield from stage.until(lambda: not _mode().pins() and _mode().drag is None, 20.0, "the pin to go")
     assert changed(bpy.context.object, before) == []
     yield from ended(stage)
-    assert bpy.context.scene.camera.name == "camera of b"
+    assert bpy.context.scene.camera.name == "camera of clip1_b"
 
 
 def _escaped(stage):
