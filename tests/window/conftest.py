@@ -55,7 +55,7 @@ def make_window(tmp_path_factory) -> Iterator[MakeWindow]:
 @pytest.fixture(scope="session")
 def blender(make_window: MakeWindow) -> BlenderWindow:
     """Blender at an artist's window size."""
-    return make_window((1280, 800))
+    return make_window((1600, 1000))
 
 
 @pytest.fixture(scope="session")
