@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Future
+from contextlib import ExitStack
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -14,7 +15,7 @@ from handfit_core.tasks.capture import Settings, note_failure
 from handfit_core.tasks.record import Result, attempt, read_record, remove_abandoned
 from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task
-from handfit_core.tasks.workers import SchedulerGone, Workers
+from handfit_core.tasks.workers import SchedulerGone, Workers, interrupted_by_waking
 
 
 def run_tasks(
@@ -28,9 +29,19 @@ def run_tasks(
     waiting, last = deque(sorted(tasks, key=lambda task: -task.frames)), list[Task]()
     attempts = defaultdict[str, list[dict[str, Any]]](list)
     """By the keys of tasks, how their processes have died"""
-    running, ended = dict[Future[Result], Task](), SimpleQueue[Future[Result]]()
+    running, ended = dict[Future[Result], Task](), SimpleQueue[Future[Result] | None]()
+
+    def next_ended() -> Future[Result]:
+        if (future := ended.get()) is None:
+            raise KeyboardInterrupt
+        return future
+
     remove_abandoned(output)
-    try:
+    with ExitStack() as stack:
+        stack.callback(remove_abandoned, output)
+        stack.callback(workers.close)
+        if workers.are_others:
+            stack.enter_context(interrupted_by_waking(lambda: ended.put(None)))
         while waiting or last or running:
             while not running or (waiting and len(running) < workers.room):
                 task = waiting.popleft() if waiting else last.pop()
@@ -44,9 +55,10 @@ def run_tasks(
                 else:
                     running[future] = task
                     future.add_done_callback(ended.put)
-            over = [ended.get()]
+            over = [next_ended()]
             if isinstance(_error(over[0]), BrokenExecutor):
-                over += [ended.get() for _ in range(len(running) - 1)]  # one has died, and with it the others
+                # One has died, and with it the others.
+                over += [next_ended() for _ in range(len(running) - 1)]
                 workers.renew()
             results = [(task := running.pop(f), f, _result(task, f, output, settings)) for f in over]
             overran = any(result and _overran(result) for *_, result in results)
@@ -64,9 +76,6 @@ def run_tasks(
                     last.append(task)
                 else:
                     waiting.append(task)
-    finally:
-        workers.close()
-        remove_abandoned(output)
 
 
 def _error(future: Future[Result]) -> BaseException | None:

@@ -48,6 +48,8 @@ class Workers:
     """How often a task is tried whose process dies"""
     room = 1
     """How many tasks may be handed out at a time"""
+    are_others = False
+    """Whether this process only waits for them"""
     run: Callable[[Task, Path, Settings], Result] = staticmethod(run_task)
     """What is done"""
 
@@ -72,6 +74,7 @@ class LocalProcesses(Workers):
     cores."""
 
     tries = 3
+    are_others = True
 
     def __init__(self, jobs: int) -> None:
         """Raises OptionError where loky is missing."""
@@ -153,6 +156,7 @@ class DaskWorkers(Workers):
     """The scheduler tries by itself, and blames what waited at a worker that died, too; alone nothing does"""
     room = 10_000
     """More than there are threads: the scheduler knows best who is free"""
+    are_others = True
 
     def __init__(self, address: str, jobs: int) -> None:
         """Connect to the scheduler of that address; `local`: to one of this machine, with `jobs` workers.
@@ -227,6 +231,22 @@ class DaskWorkers(Workers):
             self._cluster.close()
 
 
+_waking: Callable[[], None] | None = None
+"""What an interruption calls, instead of ending what the main thread is at; see `interrupted_by_waking`"""
+
+
+@contextlib.contextmanager
+def interrupted_by_waking(wake: Callable[[], None]) -> Iterator[None]:
+    """Have an interruption within `terminated_as_interrupted` call a function that is safe in signal
+    handlers. A KeyboardInterrupt in the midst of loky's own work may leave it waiting for ever."""
+    global _waking
+    _waking = wake
+    try:
+        yield
+    finally:
+        _waking = None
+
+
 @contextlib.contextmanager
 def terminated_as_interrupted() -> Iterator[None]:
     """Take SIGTERM as Ctrl-C, once."""
@@ -234,7 +254,9 @@ def terminated_as_interrupted() -> Iterator[None]:
     def interrupt(_number: int, _frame: object) -> None:
         for each in before:  # a second one would end what the first one has begun to tidy up
             signal.signal(each, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        if _waking is None:
+            raise KeyboardInterrupt
+        _waking()
 
     before = {each: signal.signal(each, interrupt) for each in (signal.SIGINT, signal.SIGTERM)}
     try:
