@@ -37,7 +37,7 @@ from tests.window.inputs import Inputs, write_robot_hand
 SIZE = (1600, 1000)
 SHOWN = (1120, 700)
 """pixels; enough to read the panel's text"""
-SIDEBAR = (1035, 80, 1325, 740)
+SIDEBAR = (1035, 80, 1325, 760)
 """x, y, right and bottom of the sidebar in the window, pixels"""
 PLATE, BESIDE = (215, 150, 875, 895), (1035, 80, 1300, 825)
 """of the picture that the viewport shows, and of the sidebar"""

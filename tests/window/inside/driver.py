@@ -76,6 +76,7 @@ class Driver:
 
     def _played(self, function, arguments):
         yield from self.stage.reset()
+        self.stage.draw_smoothly(on=function.__module__ == "scenarios.pictures")
         self.meter.start()
         yield from function(self.stage, **arguments)
         yield from self.stage.screenshot(f"{function.__module__}-{function.__name__}")

@@ -75,11 +75,14 @@ class Stage:
         for obj in list(bpy.data.objects):
             bpy.data.objects.remove(obj)
         self.area().spaces[0].shading.type = "SOLID"
-        # Without a graphics card, what smooths edges takes most of the time of a drawing.
-        bpy.context.preferences.system.viewport_aa = "OFF"
-        bpy.context.preferences.system.use_overlay_smooth_wire = False
         yield from self.move_to(self.region())
         yield SETTLE
+
+    def draw_smoothly(self, *, on: bool) -> None:
+        """Smooth edges as Blender does by default, or not: without a graphics card that takes most of the
+        time."""
+        system = bpy.context.preferences.system
+        system.viewport_aa, system.use_overlay_smooth_wire = "8" if on else "OFF", on
 
     # Waiting
 

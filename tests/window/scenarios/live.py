@@ -165,6 +165,7 @@ def acted(stage, source, take):
 def measured(stage, source, figures, rounds, seconds):
     """For scripts/measure_window.py: redraws while a Rigify character follows, and while a timer asks for as
     many; milliseconds that the add-on keeps the main thread."""
+    stage.draw_smoothly(on=True)
     yield from rigify_character(stage)
     area, found = stage.area(), {"timer that redraws": [], "live": []}
 
