@@ -276,8 +276,8 @@ def run_pytest(
     options = [a for a in session.posargs if a not in chosen]
     # More BLAS threads than one only wait for each other, as handfit_core/__main__.py explains.
     threads = {"OPENBLAS_NUM_THREADS": "1"}
-    one = bool(chosen) or "-k" in options
-    parallel = [] if one or not workers else ["-n", str(workers), "--dist", spread]
+    whole = session.posargs in ([], ["-m", "quick"])
+    parallel = ["-n", str(workers), "--dist", spread] if workers and whole else []
     session.run(
         *("python", "-m", "pytest", *parallel, *(chosen or paths), *options),
         env={**threads, **strict, **(env or {})},

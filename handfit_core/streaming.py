@@ -83,7 +83,7 @@ class LiveSettings:
     late: float = 0.04
     """seconds since the frame before, from which on one that comes after a dropped one is late"""
     judged: int = 50
-    """Over so many frames"""
+    """Frames over which the part of late ones is averaged"""
     most_late: float = 0.15
     """Part of the frames that may be late before detection hurries, up to the run's end"""
     speed_cutoff: float = 1.0

@@ -85,7 +85,7 @@ def test_other_fingers_stay(keypoint: int) -> None:
     """And where the finger falls short of its pin, they move by about as much, riding on the palm unbent.
     Points nearer to the camera than the pinned one move farther in the picture."""
     judged = 0
-    for hand, _ in list(drags(keypoint))[keypoint % 2 :: 2]:
+    for hand, _ in drags(keypoint):
         found = refit_each(hand)
         bent = (found.hand_pose != hand.hand_pose).reshape(5, 9).any(axis=1)  # fingers in MANO's order
         assert bent.sum() <= 1
@@ -94,7 +94,7 @@ def test_other_fingers_stay(keypoint: int) -> None:
             short = missed(hand, refit_each(replace(hand, locked=locked(0)))).item()
             assert moved(hand, found)[others(keypoint)].max() <= LEAST * size_of(hand) + 2.0 * short
             assert missed(hand, found) < (1.0 if short < 1.0 else 0.03 * size_of(hand))
-    assert judged >= 4  # of 8
+    assert judged >= 8  # of 16
 
 
 @pytest.mark.parametrize("keypoint", range(21))

@@ -84,7 +84,7 @@ def lines(text: str) -> Iterator[dict[str, Any]]:
     return map(json.loads, text.splitlines())
 
 
-@pytest.mark.parametrize("jobs", [["--jobs", "10000"], []])
+@pytest.mark.parametrize("jobs", [["--jobs", "1"], ["--jobs", "2"], ["--jobs", "10000"], []])
 def test_every_input_once_and_skipped_the_second_time(tmp_path: Path, jobs: list[str]) -> None:
     shop = Shop(tmp_path, ["a", "b", "empty"])
     said = list(lines(shop.run("--progress", "json", *jobs, code=1, sheet=True)))
@@ -186,7 +186,7 @@ needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="ne
 
 
 @needs_proc
-@pytest.mark.parametrize("what", ["worker", "group", signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("what", ["worker", "leader", "group", signal.SIGINT, signal.SIGTERM])
 def test_a_killed_batch_goes_on(tmp_path: Path, what: Any) -> None:
     names = [f"slow{number}" for number in range(5)]
     shop = Shop(tmp_path, names)
@@ -198,7 +198,7 @@ def test_a_killed_batch_goes_on(tmp_path: Path, what: Any) -> None:
     elif what == "group":
         os.killpg(child.pid, signal.SIGKILL)
     else:
-        os.kill(child.pid, what)
+        os.kill(child.pid, signal.SIGKILL if what == "leader" else what)
     child.communicate(timeout=PATIENCE)
     if what == "worker":
         assert child.returncode == 0
