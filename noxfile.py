@@ -68,7 +68,7 @@ AROUND_BLENDER = (
 )
 """Files test_NAME.py of tests/blender that are about files and processes"""
 
-WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/test_pipeline.py"]
+WITH_ONE_NETWORK = ["tests/core/detect/test_direct.py", "tests/core/capturing/test_pipeline.py"]
 """Tests of captures, which run once more without MediaPipe's landmark network of December 2020"""
 
 TRIED_ZIP = ROOT / "out" / "tried"

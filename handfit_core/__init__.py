@@ -12,14 +12,14 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from handfit_core.errors import HandfitError
-from handfit_core.version import __version__
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.version import __version__
 
 if TYPE_CHECKING:
+    from handfit_core.capturing.live.streaming import live
+    from handfit_core.capturing.pipeline import Progress, capture
     from handfit_core.geometry.camera import Intrinsics
     from handfit_core.media.source import Source
-    from handfit_core.pipeline import Progress, capture
-    from handfit_core.streaming import live
     from handfit_core.take import HandTrack, Take
 
 __all__ = [
@@ -37,11 +37,11 @@ __all__ = [
 _LAZY = {
     "HandTrack": "take",
     "Intrinsics": "geometry.camera",
-    "Progress": "pipeline",
+    "Progress": "capturing.pipeline",
     "Source": "media.source",
     "Take": "take",
-    "capture": "pipeline",
-    "live": "streaming",
+    "capture": "capturing.pipeline",
+    "live": "capturing.live.streaming",
 }
 """Which module has what. None of them loads with the package: NumPy looks only when it loads at how many
 threads it may have, and `python -m handfit_core` loads the package before it can say so"""

@@ -23,18 +23,18 @@ import traceback
 from collections.abc import Iterator, Sequence
 from typing import Any, TextIO
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.files import path_of, printable
-from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
+from handfit_core.capturing.convert import add_interchange_commands
+from handfit_core.capturing.live.command import add_live_command
+from handfit_core.capturing.options import CaptureOptions, add_options
+from handfit_core.capturing.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.files import path_of, printable
+from handfit_core.common.version import __version__
 from handfit_core.hand_model.commands import add_model_commands
-from handfit_core.interchange.commands import add_interchange_commands
-from handfit_core.live_command import add_live_command
 from handfit_core.media.commands import add_lens_command
-from handfit_core.options import CaptureOptions, add_options
-from handfit_core.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
+from handfit_core.take.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
 from handfit_core.tasks.arguments import check_command
 from handfit_core.tasks.commands import add_batch_command
-from handfit_core.version import __version__
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -111,8 +111,8 @@ def _parser() -> argparse.ArgumentParser:
     add_batch_command(commands)
     add_lens_command(commands, _lens_progress)
     add_model_commands(commands)
-    if importlib.util.find_spec("handfit_core.interchange.send"):  # as with the next one
-        from handfit_core.interchange.send import add_send_command, add_vmc_option
+    if importlib.util.find_spec("handfit_core.capturing.live.send"):  # as with the next one
+        from handfit_core.capturing.live.send import add_send_command, add_vmc_option
 
         add_send_command(commands)
         add_vmc_option(live)

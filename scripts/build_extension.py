@@ -29,9 +29,9 @@ from scripts.needed import need
 need("numpy", "nox -s build")
 
 from blender_manient.common.installation import this_platform
-from handfit_core.errors import HandfitError
-from handfit_core.files import written_whole
-from handfit_core.version import __version__
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.files import written_whole
+from handfit_core.common.version import __version__
 from scripts.extension.core_wheel import core_wheel
 from scripts.extension.papers import licence
 from scripts.extension.staging import extension_tool, fix, run_tool, stage

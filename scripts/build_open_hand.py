@@ -39,14 +39,8 @@ from scipy.optimize import nnls
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from handfit_core.files import written_whole
-from handfit_core.geometry.similarity import laid_over
-from handfit_core.hand_model.anatomy import anatomical_axes
-from handfit_core.hand_model.checks import checked_model
-from handfit_core.hand_model.data import HandModel
-from handfit_core.hand_model.files import ARRAY_NAMES, OPEN_HAND, load_model_npz, save_model_npz
-from handfit_core.hand_model.mano_pickle import load_mano_pickle
-from handfit_core.skeleton import (
+from handfit_core.common.files import written_whole
+from handfit_core.common.skeleton import (
     FINGER_JOINTS,
     FINGERS,
     MANO_TIP_VERTICES,
@@ -56,6 +50,12 @@ from handfit_core.skeleton import (
     Side,
     other_side,
 )
+from handfit_core.geometry.similarity import laid_over
+from handfit_core.hand_model.anatomy import anatomical_axes
+from handfit_core.hand_model.checks import checked_model
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.files import ARRAY_NAMES, OPEN_HAND, load_model_npz, save_model_npz
+from handfit_core.hand_model.mano_pickle import load_mano_pickle
 from scripts.benchmark.meshes import face_normals, vertex_normals
 from scripts.flesh import neighbour_mean, pose_correctives, smoothed
 

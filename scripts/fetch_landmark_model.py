@@ -28,8 +28,8 @@ from scripts.needed import need
 
 need("numpy", "python -m pip install -c constraints.txt .")
 
+from handfit_core.common.errors import HandfitError, LandmarkModelError
 from handfit_core.detect import landmark_model
-from handfit_core.errors import HandfitError, LandmarkModelError
 from scripts.extension.wheels import BuildError, pip, sha256_of
 
 

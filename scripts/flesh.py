@@ -19,12 +19,12 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.linalg import splu
 from scipy.spatial import Delaunay, KDTree
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, NUM_JOINTS, PARENTS
 from handfit_core.geometry.rotations import rotmat_to_quat, rotmat_to_rotvec
 from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits, rotmats_from_angles
 from handfit_core.hand_model.axes import QUATERNION_PRODUCTS, REST_FROM_MODEL, bone_frames, posedirs_of
 from handfit_core.hand_model.data import HandModel, forward_kinematics
 from handfit_core.hand_model.forearm import with_wrist
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, NUM_JOINTS, PARENTS
 
 POSES: Final = 60
 SEED: Final = 20250612

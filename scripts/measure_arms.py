@@ -31,7 +31,7 @@ import cv2
 from mathutils import Matrix, Vector
 
 from handfit_core import capture
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.take import HandTrack, Take

@@ -18,10 +18,10 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from handfit_core.errors import HandfitError
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture
-from handfit_core.sheet import write_sheet
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import HandfitError
+from handfit_core.take.sheet import write_sheet
 from handfit_core.tasks.capture import Settings, note_failure
 from handfit_core.tasks.record import Result, attempt
 from handfit_core.tasks.report import read_results, write_report

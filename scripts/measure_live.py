@@ -33,14 +33,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 import cv2
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.capturing.live.streaming import HandFollower, Live, LiveOptions
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Frame
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture
-from handfit_core.streaming import HandFollower, Live, LiveOptions
 from handfit_core.take import Take
 
 Row = tuple[str, str, float]

@@ -29,18 +29,18 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
+from handfit_core.capturing.detection import detect_frames
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import HandfitError, InputError, OptionError
 from handfit_core.detect.keypoints import Track
 from handfit_core.detect.tracks import link_tracks
-from handfit_core.detection import detect_frames
-from handfit_core.errors import HandfitError, InputError, OptionError
 from handfit_core.fit.fast import fitter_of
+from handfit_core.fit.solvers import get_solver
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture
-from handfit_core.solvers import get_solver
 
 SAMPLE = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 BATCH = 256
@@ -137,7 +137,7 @@ def peak_memory(source: str, frames: str | None = None) -> float:
     # Not getrusage, which starts with the parent's peak.
     code = (
         "import sys; from handfit_core.media.frame_range import FrameRange; "
-        "from handfit_core.pipeline import capture; "
+        "from handfit_core.capturing.pipeline import capture; "
         "capture(sys.argv[1], frames=FrameRange.parse(sys.argv[2]) if sys.argv[2] else None); "
         "print(next(line for line in open('/proc/self/status') if line.startswith('VmHWM')))"
     )

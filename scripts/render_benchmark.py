@@ -26,10 +26,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.common.errors import HandfitError, OptionError, OutputError
+from handfit_core.common.files import written_whole
+from handfit_core.common.skeleton import SIDES
 from handfit_core.evaluate.datasets.plain import save_index
-from handfit_core.files import written_whole
-from handfit_core.skeleton import SIDES
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.kinematics import model_of
 from scripts.benchmark.pairs import FOLDER, TRUTH, pair_shots

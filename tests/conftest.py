@@ -41,8 +41,8 @@ def golden(request: pytest.FixtureRequest) -> Golden:
 
 @pytest.fixture(scope="session")
 def landmark_model() -> Path:
+    from handfit_core.common.errors import LandmarkModelError
     from handfit_core.detect.landmark_model import landmark_model_path
-    from handfit_core.errors import LandmarkModelError
 
     try:
         return landmark_model_path()

@@ -17,9 +17,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, PARENTS
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.checks import checked_model
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS
 
 VERTICES = 778
 FACES = 1538

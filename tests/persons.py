@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.arms import _axes
+from handfit_core.capturing.arms import _axes
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.body import ELBOWS, NUM_BODY_POINTS, SHOULDERS, WRISTS, BodyTrack
 from handfit_core.fit.arms import ARMS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
-from handfit_core.skeleton import SIDES
 from handfit_core.take import HandTrack
 from tests.takes import track_of
 

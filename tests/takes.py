@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
-from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
-from handfit_core.views import Cameras, SeenHand, Verdict, View
+from handfit_core.take.views import Cameras, SeenHand, Verdict, View
 
 
 def track_of(

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import mirrored_pose
 from handfit_core.hand_model.poses import FILE
-from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
 from tests.takes import take_of, track_of
 

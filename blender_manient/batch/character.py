@@ -11,11 +11,11 @@ from typing import Any, cast, get_args
 
 import bpy
 
-from handfit_core.errors import HandfitError, HandModelError, InputError, OptionError
-from handfit_core.files import is_file, shown
+from handfit_core.common.errors import HandfitError, HandModelError, InputError, OptionError
+from handfit_core.common.files import is_file, shown
+from handfit_core.common.skeleton import SIDES, Side
+from handfit_core.common.slices import run_to_completion
 from handfit_core.retarget.hand_map import HandMap, read_preset
-from handfit_core.skeleton import SIDES, Side
-from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from handfit_core.errors import OutputError
-from handfit_core.files import shown
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import shown
 from handfit_core.tasks.record import (
     Result,
     missing_and_changed,

@@ -19,7 +19,7 @@ from typing import Any, TextIO
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.take import Take
 from handfit_core.tasks.inputs import PREVIEW_SUFFIX
 from handfit_core.tasks.progress import say

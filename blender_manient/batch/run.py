@@ -16,10 +16,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.files import check_writable
-from handfit_core.machine import usable_jobs
-from handfit_core.options import OPTIONS, CaptureOptions
+from handfit_core.capturing.options import OPTIONS, CaptureOptions
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.files import check_writable
+from handfit_core.common.machine import usable_jobs
 from handfit_core.tasks.arguments import WITH_PARENT
 from handfit_core.tasks.progress import Progress
 from handfit_core.tasks.record import Result

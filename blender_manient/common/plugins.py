@@ -14,7 +14,7 @@ from typing import Any
 
 import bpy
 
-from handfit_core.files import shown
+from handfit_core.common.files import shown
 
 KINDS = ("exporters", "rigs")
 """The folders, called as the packages that they belong to"""

@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
-from handfit_core.options import OPTIONS
+from handfit_core.capturing.options import OPTIONS
 from handfit_core.worker.interpreter import unquoted
 
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])

@@ -3,7 +3,7 @@ and writes files; it knows of no operator and no panel."""
 
 from __future__ import annotations
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 
 from ..common.plugins import find_plugins, print_once
 from .exporter import Exporter

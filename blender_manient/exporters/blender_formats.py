@@ -14,8 +14,8 @@ import bpy
 import numpy as np
 from bpy_extras.io_utils import axis_conversion
 
-from handfit_core.errors import OptionError
-from handfit_core.files import check_room
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import check_room
 
 from ..common.blender_versions import gltf_left_out
 from ..rigs.arm import has_arm

@@ -16,9 +16,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from handfit_core.common.skeleton import Side
 from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.retarget.bones import Bones
-from handfit_core.skeleton import Side
 
 from ..common.blender_versions import assign_action
 from ..rigs import rig_of

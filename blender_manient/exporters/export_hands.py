@@ -28,8 +28,8 @@ from pathlib import Path, PureWindowsPath
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError, OutputError
-from handfit_core.files import check_room, shown, written_whole
+from handfit_core.common.errors import HandfitError, OptionError, OutputError
+from handfit_core.common.files import check_room, shown, written_whole
 from handfit_core.take import Take
 
 from ..common.plugins import failure_sentence

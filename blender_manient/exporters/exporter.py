@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, ClassVar, Literal, Protocol
 import bpy
 import numpy as np
 
-from handfit_core.skeleton import Side
+from handfit_core.common.skeleton import Side
 
 from ..common.blender_versions import has_operator
 

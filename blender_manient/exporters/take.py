@@ -11,10 +11,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from handfit_core.batch import scatter
+from handfit_core.capturing.retiming import shown_rows
+from handfit_core.common.batch import scatter
 from handfit_core.edit.corrections import point_rows
 from handfit_core.hand_model.motion import POSE_ARRAYS
-from handfit_core.retiming import shown_rows
 from handfit_core.take import HandTrack, Take, at_rows
 
 from ..scene.camera import CAMERA_AT_REST

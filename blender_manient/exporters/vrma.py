@@ -10,7 +10,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.common.errors import HandModelError, OptionError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.files import kept_model
 from handfit_core.interchange.formats.vrma import vrm_animation
@@ -18,7 +19,6 @@ from handfit_core.interchange.humanoid import HumanoidHand
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 
 from ..rigs import rig_of
 from ..rigs.character import bones_of

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.take import Take
 from handfit_core.worker.events import Event
 

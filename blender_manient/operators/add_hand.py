@@ -7,12 +7,12 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.edit import landmark_points
 from handfit_core.edit.adding import KNUCKLE, USUAL_PALM, WRIST, laid, with_added
-from handfit_core.errors import HandfitError, OptionError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.hand_model.files import kept_model
-from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, Side
 from handfit_core.take import Take
 
 from ..common import screen

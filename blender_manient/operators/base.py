@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import slice_clock
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.slices import slice_clock
 
 from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, why_not_reachable

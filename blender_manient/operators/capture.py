@@ -6,13 +6,13 @@ from pathlib import Path
 
 import bpy
 
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import InputError, OptionError
 from handfit_core.detect.detector import Region
-from handfit_core.errors import InputError, OptionError
 from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.lenses import saved_lens
-from handfit_core.options import CaptureOptions
 from handfit_core.worker.events import WorkerError
 
 from ..common import preferences, screen

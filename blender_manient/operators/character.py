@@ -12,10 +12,10 @@ import numpy as np
 from bpy_extras.io_utils import ExportHelper, ImportHelper
 from mathutils import Matrix, Vector
 
-from handfit_core.errors import HandfitError, HandModelError, OptionError
-from handfit_core.files import shown, written_whole
+from handfit_core.common.errors import HandfitError, HandModelError, OptionError
+from handfit_core.common.files import shown, written_whole
+from handfit_core.common.skeleton import SIDES, other_side
 from handfit_core.retarget.hand_map import HandMap, read_preset, to_preset
-from handfit_core.skeleton import SIDES, other_side
 
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 from handfit_core.worker.client import Worker
 from handfit_core.worker.events import Event
 from handfit_core.worker.interpreter import PYTHON_VARIABLE, find_python

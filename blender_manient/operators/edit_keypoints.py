@@ -5,9 +5,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.edit.corrections import Pins
-from handfit_core.errors import OptionError
-from handfit_core.skeleton import NUM_KEYPOINTS
 
 from ..scene.store import active_hand, hand_of
 from ..session import shared_worker

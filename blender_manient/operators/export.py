@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 
 from ..common.section import sentence, split
 from ..exporters import EXPORTERS, PRESETS

@@ -5,9 +5,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import CaptureOptions
 
 from ..session import jobs, source_info
 from .base import ManientOperator, ModalOperator

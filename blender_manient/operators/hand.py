@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from handfit_core.errors import OptionError, TakeError
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
+from handfit_core.common.errors import OptionError, TakeError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 from handfit_core.take import Take
 
 from ..common.section import split

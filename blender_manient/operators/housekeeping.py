@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError, OutputError
-from handfit_core.files import shown, why
+from handfit_core.common.errors import HandfitError, OptionError, OutputError
+from handfit_core.common.files import shown, why
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.hand_model import load_model
-from handfit_core.skeleton import SIDES, Side
 
 from ..common import plugins, preferences, screen
 from ..session import cache, details, shared_worker

@@ -8,8 +8,8 @@ from pathlib import Path
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from handfit_core.errors import OptionError
-from handfit_core.files import written_whole
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import written_whole
 from handfit_core.media.chessboard import board_png
 from handfit_core.media.lenses import checked_name
 from handfit_core.media.opening import VIDEO_SUFFIXES

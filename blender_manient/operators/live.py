@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import bpy
 
-from handfit_core.errors import OptionError
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES, Side, other_side
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import SIDES, Side, other_side
 
 from ..common import screen
 from ..common.block_reference import BlockReference

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from bpy_extras.io_utils import ImportHelper
 
-from handfit_core.errors import HandfitError, InputError
+from handfit_core.common.errors import HandfitError, InputError
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_numbers
 from handfit_core.take import Take
 

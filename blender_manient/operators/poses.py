@@ -8,7 +8,7 @@ from collections.abc import Callable
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.hand_model.poses import Pose
 
 from ..common.blender_versions import channels, new_slot, property_group

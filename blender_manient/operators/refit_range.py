@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.common.errors import HandfitError, OptionError
 
 from ..common import screen
 from ..common.section import sentence

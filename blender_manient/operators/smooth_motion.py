@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.common.errors import HandfitError, OptionError
 
 from ..common.wording import capitalised, counted
 from ..scene.own_keys import captured_poses, smoothed, writing

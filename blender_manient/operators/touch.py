@@ -7,8 +7,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.edit import POINT_NAMES, touching_pair
-from handfit_core.errors import HandfitError, OptionError
 
 from ..common.wording import capitalised, counted
 from ..scene.corrections import correct_frames

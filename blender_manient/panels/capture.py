@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.options import OPTIONS
+from handfit_core.capturing.options import OPTIONS
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import counted

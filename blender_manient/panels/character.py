@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import bpy
 
-from handfit_core.errors import HandfitError, HandModelError
+from handfit_core.common.errors import HandfitError, HandModelError
+from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
 from handfit_core.retarget.hand_map import PALM_FINGERS
-from handfit_core.skeleton import FINGERS, SIDES, Side, other_side
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised, counted

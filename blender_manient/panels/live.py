@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.skeleton import SIDES
+from handfit_core.common.skeleton import SIDES
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised

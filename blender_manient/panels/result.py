@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from handfit_core.fit_quality import NOT_KNOWN
+from handfit_core.take.fit_quality import NOT_KNOWN
 
 from ..common.section import Section, fitted, sentence
 from ..common.wording import capitalised, counted

@@ -11,9 +11,9 @@ from typing import cast
 
 import bpy
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.retarget.hand_map import HandMap, SeveralHands
-from handfit_core.skeleton import SIDES, Side
 
 from ..common.plugins import failure_sentence, find_plugins, print_once
 from .character import ArmControls, Character, Found, bones_of

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
 from handfit_core.geometry.rotations import rotmat_to_quat, unflip_quats
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.hand_model.axes import points_to_world

@@ -7,11 +7,11 @@ from typing import ClassVar
 
 import bpy
 
+from handfit_core.common.skeleton import Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import Found, the_surest
 from handfit_core.retarget.names import named_hands
 from handfit_core.retarget.structure import LABEL, structured_hands
-from handfit_core.skeleton import Side
 
 from .character import Character, driven_bones
 

@@ -10,9 +10,9 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from handfit_core.common.skeleton import JOINT_NAMES, PARENTS, Side
 from handfit_core.hand_model import ShapedHand, axes
 from handfit_core.hand_model.anatomy import joint_limits
-from handfit_core.skeleton import JOINT_NAMES, PARENTS, Side
 
 from . import arm, controls
 from .rig import Rig

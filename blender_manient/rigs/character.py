@@ -10,9 +10,9 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import Found, HandMap
-from handfit_core.skeleton import Side
 
 from .rig import PosedBones
 

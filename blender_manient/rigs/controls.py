@@ -20,10 +20,10 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 from handfit_core.geometry.rotations import quat_to_rotmat
 from handfit_core.hand_model.anatomy import JointLimits, anatomical_angles
 from handfit_core.hand_model.axes import ANATOMICAL_IN_BONE
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS
 
 from ..common.blender_versions import channels, used_actions
 from .arm import TO_WRIST

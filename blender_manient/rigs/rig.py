@@ -10,10 +10,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, HandModelError, OptionError
+from handfit_core.common.errors import HandfitError, HandModelError, OptionError
+from handfit_core.common.skeleton import Side
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
-from handfit_core.skeleton import Side
 
 from ..common.plugins import failure_sentence
 from ..common.wording import capitalised

@@ -10,9 +10,9 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import Found, HandMap
-from handfit_core.skeleton import FINGER_JOINTS, Side
 
 from ..common.blender_versions import channels, used_actions
 from .by_bones import NamedCharacter

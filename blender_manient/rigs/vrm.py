@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, Found, HandMap
-from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, Side
 
 from .character import Character
 

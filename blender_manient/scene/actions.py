@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 
 from ..common.blender_versions import action_slot, channels
 

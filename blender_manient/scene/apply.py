@@ -13,11 +13,11 @@ from typing import Literal
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.capturing.retiming import sampled
+from handfit_core.common.errors import HandModelError, OptionError
+from handfit_core.common.skeleton import NUM_JOINTS
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.retiming import sampled
-from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import HandTrack, Take, at_rows
 
 from .controls import shown_keys, shown_pose

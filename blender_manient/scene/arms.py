@@ -9,10 +9,10 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.capturing.retiming import retimed
+from handfit_core.common.errors import OptionError
+from handfit_core.common.slices import run_to_completion
 from handfit_core.hand_model.arm import ArmMotion
-from handfit_core.retiming import retimed
-from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
 from ..common.blender_versions import channels

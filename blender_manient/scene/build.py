@@ -18,12 +18,12 @@ from typing import Any, TypeVar
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import BuildInterrupted
+from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
+from handfit_core.common.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.edit.corrections import Correction, CorrectionField
-from handfit_core.errors import BuildInterrupted
 from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
-from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.take import HandTrack, Take
 
 from ..common.wording import NAME_BYTES, hand_part, named_after, shortened_name

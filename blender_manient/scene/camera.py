@@ -7,7 +7,7 @@ import math
 import bpy
 from mathutils import Matrix
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.take import Take
 
 from .plate import Plate

@@ -14,8 +14,8 @@ from collections.abc import Container, Iterable, Iterator
 
 import bpy
 
-from handfit_core.errors import TakeError
-from handfit_core.views import Verdict
+from handfit_core.common.errors import TakeError
+from handfit_core.take.views import Verdict
 
 from .camera import frame_scene
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched

@@ -15,7 +15,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import FINGER_JOINTS, other_side
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, unflip_quats
 from handfit_core.retarget.arms import (
     THICKNESS,
@@ -29,7 +30,6 @@ from handfit_core.retarget.arms import (
 )
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import TargetHand
-from handfit_core.skeleton import FINGER_JOINTS, other_side
 
 from ..rigs import arm_controls
 from ..rigs.character import ArmControls, CharacterBones, bones_of

@@ -17,8 +17,16 @@ from typing import Final, Literal
 import bpy
 import numpy as np
 
+from handfit_core.common.skeleton import (
+    JOINTS_BY_FINGER,
+    KEYPOINT_SOURCE,
+    NUM_JOINTS,
+    PALM_KEYPOINTS,
+    PARENTS,
+)
 from handfit_core.edit.corrections import CorrectionField
-from handfit_core.fit_quality import (
+from handfit_core.take import HandTrack, Take
+from handfit_core.take.fit_quality import (
     IN_PICTURE,
     Scale,
     error_is_known,
@@ -27,8 +35,6 @@ from handfit_core.fit_quality import (
     relative_errors,
     view_errors,
 )
-from handfit_core.skeleton import JOINTS_BY_FINGER, KEYPOINT_SOURCE, NUM_JOINTS, PALM_KEYPOINTS, PARENTS
-from handfit_core.take import HandTrack, Take
 
 from .corrections import readable_corrections
 from .store import CapturedHand, captured_hands, hand_of, rows_at, scene_frames

@@ -19,6 +19,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import OptionError, TakeError
+from handfit_core.common.skeleton import NUM_JOINTS
 from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
@@ -29,8 +31,6 @@ from handfit_core.edit.corrections import (
     correction_between,
     kept_frame,
 )
-from handfit_core.errors import OptionError, TakeError
-from handfit_core.skeleton import NUM_JOINTS
 
 from ..common.blender_versions import action_slot, property_group
 from ..common.block_reference import BlockReference

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 
 from ..rigs import rig_of
 from ..rigs.controls import in_use

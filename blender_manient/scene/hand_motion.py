@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.skeleton import Side
+from handfit_core.common.skeleton import Side
 
 from ..common.blender_versions import action_slot, channels, property_group
 from ..rigs.character import CharacterBones

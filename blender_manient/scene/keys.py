@@ -22,12 +22,12 @@ import bpy
 import numpy as np
 from mathutils import Euler, Quaternion
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_JOINTS
 from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_JOINTS
 
 from ..common.blender_versions import assign_action, channels, first_slot
 from ..rigs.rig import PosedBones, Rig, bone_path

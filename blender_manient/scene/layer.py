@@ -8,10 +8,10 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import OptionError
+from handfit_core.common.slices import run_to_completion
 from handfit_core.edit.simplify import Channels, simplifying
-from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, quat_multiply, unflip_quats
-from handfit_core.slices import run_to_completion
 
 from ..common.blender_versions import action_slot, assign_action, channels
 from ..common.wording import with_note

@@ -11,15 +11,15 @@ from collections.abc import Generator, Mapping
 import bpy
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_JOINTS, Side
+from handfit_core.common.slices import map_yields
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import RestPose, points_to_rest
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import NUM_JOINTS, Side
-from handfit_core.slices import map_yields
 
 from ..common.blender_versions import action_slot
 from ..common.block_reference import BlockReference

@@ -14,8 +14,8 @@ from typing import Literal
 import bpy
 from mathutils import Matrix, Vector
 
-from handfit_core.errors import OptionError
-from handfit_core.retiming import check_rate
+from handfit_core.capturing.retiming import check_rate
+from handfit_core.common.errors import OptionError
 from handfit_core.take import Take
 
 from ..common.blender_versions import has_strips

@@ -8,12 +8,12 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.skeleton import other_side
 from handfit_core.hand_model import HandModel, axes
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import other_side
 from handfit_core.take import HandTrack
 
 from ..common.blender_versions import action_slot, assign_action

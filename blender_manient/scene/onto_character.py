@@ -16,7 +16,9 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Quaternion
 
-from handfit_core.errors import HandModelError, OptionError
+from handfit_core.common.errors import HandModelError, OptionError
+from handfit_core.common.skeleton import NUM_JOINTS, SIDES, Side
+from handfit_core.common.slices import map_yields, run_to_completion
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
 from handfit_core.hand_model.files import kept_model
@@ -30,8 +32,6 @@ from handfit_core.retarget.transfer import (
     smoothed_travel,
     target_hand,
 )
-from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
-from handfit_core.slices import map_yields, run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import action_slot, channels, new_slot

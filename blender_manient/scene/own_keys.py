@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_JOINTS
 from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
@@ -27,7 +28,6 @@ from handfit_core.edit.corrections import (
     kept_frame,
 )
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_JOINTS
 from handfit_core.take import at_rows
 
 from .corrections import check_writable, corrections_of, keep_field, without_field

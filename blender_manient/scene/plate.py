@@ -10,12 +10,12 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import InputError
-from handfit_core.files import is_file
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import is_file
+from handfit_core.common.slices import run_to_completion
 from handfit_core.media.exif import upright
 from handfit_core.media.opening import numbered_like, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
-from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
 from ..common import preferences
@@ -178,7 +178,7 @@ def movie_plate(image: bpy.types.Image, take: Take, timing: Timing) -> Plate:
 
 def retimed_plate(image: bpy.types.Image, take: Take, timing: Timing, last: int) -> Plate:
     """A video of `last` frames at another rate than its own: on every scene frame the picture whose moment is
-    the nearest, as `handfit_core.retiming.shown_numbers` has it."""
+    the nearest, as `handfit_core.capturing.retiming.shown_numbers` has it."""
     number, first = int(take.frame_numbers[0]), _first_scene_frame(take, timing)
     start = first - int((number - 1) * timing.scale)
     duration = int((last - 1) * timing.scale) + 1

@@ -15,16 +15,16 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES, other_side
+from handfit_core.common.slices import run_to_completion
 from handfit_core.edit.corrections import changed_quats, correction_between
-from handfit_core.errors import OptionError
 from handfit_core.hand_model.drawing import colored, drawn_pose
 from handfit_core.hand_model.files import OPEN_HAND, kept_model
 from handfit_core.hand_model.poses import Pose, ready_poses
 from handfit_core.retarget.contacts import Fingertips
 from handfit_core.retarget.hand_map import HandMap, empty_map
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, SIDES, other_side
-from handfit_core.slices import run_to_completion
 
 from ..common.blender_versions import property_group
 from ..rigs.character import CharacterBones, bones_of

@@ -14,8 +14,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import OutputError
-from handfit_core.files import check_room, written_whole
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import check_room, written_whole
 from handfit_core.take import Take
 
 from .build import BuiltTake

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
-from handfit_core.errors import OutputError
-from handfit_core.files import shown
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import shown
 
 
 def prove_whole(path: Path, beside: Path, is_whole: Callable[[BinaryIO, int], bool]) -> None:

@@ -24,14 +24,14 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import HandfitError, HandModelError, OptionError
+from handfit_core.common.skeleton import NUM_BETAS
 from handfit_core.edit.corrections import CorrectionField
-from handfit_core.errors import HandfitError, HandModelError, OptionError
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.shape_names import shape_names
-from handfit_core.skeleton import NUM_BETAS
 
 from ..common.blender_versions import channels
 from ..rigs.rig import Rig

@@ -14,10 +14,17 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.capturing.retiming import (
+    check_rate,
+    is_other_rate,
+    moved_keys,
+    retimed,
+    retimed_field,
+    sampled,
+)
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import is_file
 from handfit_core.edit.corrections import changed_quats
-from handfit_core.errors import OptionError
-from handfit_core.files import is_file
-from handfit_core.retiming import check_rate, is_other_rate, moved_keys, retimed, retimed_field, sampled
 from handfit_core.take import Take
 
 from ..rigs.arm import ArmBones, has_arm

@@ -16,12 +16,12 @@ from typing import Any
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 from handfit_core.edit.simplify import LOCATION, Channels, Sight, Simplified, simplifying
-from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import channels_to_quat, unflip_quats
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES
 
 from ..common.blender_versions import action_slot, channels, property_group, used_actions
 from ..common.wording import with_note

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import OptionError
 from handfit_core.edit.corrections import CorrectionField, fade
-from handfit_core.errors import OptionError
 
 from .confidence import doubtful_ranges
 from .corrections import corrections_of

@@ -18,17 +18,17 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from handfit_core.batch import scatter
-from handfit_core.errors import HandModelError, TakeError
-from handfit_core.files import storable
+from handfit_core.common.batch import scatter
+from handfit_core.common.errors import HandModelError, TakeError
+from handfit_core.common.files import storable
+from handfit_core.common.skeleton import Side
+from handfit_core.common.slices import run_to_completion
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.settings import MEDIA
-from handfit_core.skeleton import Side
-from handfit_core.slices import run_to_completion
 from handfit_core.take import HandTrack, Take
 
 from ..rigs import rig_of

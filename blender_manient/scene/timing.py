@@ -8,8 +8,8 @@ from fractions import Fraction
 import bpy
 import numpy as np
 
-from handfit_core.errors import TakeError
-from handfit_core.retiming import check_rate, is_other_rate, retimed
+from handfit_core.capturing.retiming import check_rate, is_other_rate, retimed
+from handfit_core.common.errors import TakeError
 from handfit_core.take import Take
 
 LAST_FRAME = 1_048_574

@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from handfit_core.capturing.retiming import is_other_rate
 from handfit_core.hand_model import axes
-from handfit_core.retiming import is_other_rate
 from handfit_core.take import Take
 
 from ..common.wording import named_after

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import bpy
 
-from handfit_core.errors import OutputError
-from handfit_core.files import cache_dir
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import cache_dir
 
 from ..common import preferences
 

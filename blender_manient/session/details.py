@@ -8,7 +8,7 @@ import sys
 import bpy
 import numpy as np
 
-from handfit_core.version import __version__
+from handfit_core.common.version import __version__
 
 TEXT_NAME = "Hand Capture Details"
 

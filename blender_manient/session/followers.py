@@ -8,8 +8,8 @@ from typing import Any
 
 import bpy
 
-from handfit_core.errors import HandfitError
-from handfit_core.slices import slice_clock
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.slices import slice_clock
 
 from ..common.block_reference import BlockReference
 

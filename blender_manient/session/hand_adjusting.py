@@ -9,8 +9,8 @@ from collections.abc import Callable
 
 import bpy
 
-from handfit_core.errors import HandfitError
-from handfit_core.skeleton import SIDES
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import SIDES
 
 from ..common.block_reference import BlockReference
 from ..common.wording import counted

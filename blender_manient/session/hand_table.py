@@ -13,8 +13,8 @@ from typing import Any
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap, empty_map
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES
 
 from ..scene.characters import active_character, keep_map, table_of, why_not_reachable
 

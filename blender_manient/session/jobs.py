@@ -18,11 +18,11 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
-from handfit_core.errors import BuildInterrupted, Cancelled, HandfitError, InputError
+from handfit_core.capturing.options import CROWD, CaptureOptions
+from handfit_core.common.errors import BuildInterrupted, Cancelled, HandfitError, InputError
+from handfit_core.common.slices import map_yields, slice_clock
+from handfit_core.fit.solvers import SOLVERS
 from handfit_core.media.source import Source
-from handfit_core.options import CROWD, CaptureOptions
-from handfit_core.slices import map_yields, slice_clock
-from handfit_core.solvers import SOLVERS
 from handfit_core.take import Take
 
 from ..common.block_reference import BlockReference

@@ -12,8 +12,8 @@ from typing import Any
 
 import bpy
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import map_yields, run_to_completion, slice_clock
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.slices import map_yields, run_to_completion, slice_clock
 
 from ..common import screen
 from ..common.wording import capitalised

@@ -15,13 +15,13 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.arrays import unpack
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.arrays import unpack
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.skeleton import Side
+from handfit_core.common.slices import run_to_completion, slice_clock
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import Side
-from handfit_core.slices import run_to_completion, slice_clock
 from handfit_core.worker.events import Event, as_error
 
 from ..common.block_reference import BlockReference

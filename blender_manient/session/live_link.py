@@ -17,8 +17,8 @@ from typing import TypeVar
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.slices import map_yields, run_to_completion
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.slices import map_yields, run_to_completion
 
 from ..common import screen
 from ..scene.characters import hands_to_move

@@ -9,11 +9,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import HandfitError, OptionError, OutputError
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import HandfitError, OptionError, OutputError
+from handfit_core.common.skeleton import SIDES, Side
+from handfit_core.common.slices import map_yields
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES, Side
-from handfit_core.slices import map_yields
 
 from ..common import preferences
 from ..common.blender_versions import action_slot, channels, first_slot

@@ -19,12 +19,12 @@ from bpy.props import (
     StringProperty,
 )
 
-from handfit_core.errors import HandfitError
+from handfit_core.capturing.options import OPTIONS
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import NUM_BETAS, NUM_JOINTS
+from handfit_core.fit.solvers import SOLVERS
 from handfit_core.media.camera_names import cameras
 from handfit_core.media.lenses import saved_lenses
-from handfit_core.options import OPTIONS
-from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS
-from handfit_core.solvers import SOLVERS
 
 from ..common.preferences import PRESETS, notifier
 from ..exporters import EXPORTERS

@@ -13,6 +13,9 @@ from typing import Any, Literal
 import bpy
 import numpy as np
 
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import OptionError, TakeError
+from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.edit import (
     RefineHand,
     gaps_between,
@@ -22,12 +25,9 @@ from handfit_core.edit import (
     to_message,
 )
 from handfit_core.edit.corrections import Pins, Touches, changed_quats, point_rows
-from handfit_core.errors import OptionError, TakeError
+from handfit_core.fit.solvers import SOLVERS
 from handfit_core.hand_model import HandModel, ShapedHand
 from handfit_core.hand_model.files import kept_model
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
-from handfit_core.solvers import SOLVERS
 from handfit_core.take import HandTrack, Take
 
 from ..common.block_reference import BlockReference

@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from handfit_core.solvers import SOLVERS
+from handfit_core.fit.solvers import SOLVERS
 from handfit_core.worker.client import Advice, Worker
 from handfit_core.worker.events import Event, WorkerError, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter

@@ -16,15 +16,15 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
-from handfit_core.errors import HandfitError, InputError, OptionError
-from handfit_core.files import shown, why
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.retiming import shown_numbers
+from handfit_core.common.errors import HandfitError, InputError, OptionError
+from handfit_core.common.files import shown, why
 from handfit_core.interchange.opening import is_recording
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender
 from handfit_core.media.source import SourceKind
-from handfit_core.options import CaptureOptions
-from handfit_core.retiming import shown_numbers
 from handfit_core.take import is_take
 
 from ..common import preferences, screen

@@ -13,6 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.body import (
     ELBOWS,
     NUM_BODY_POINTS,
@@ -30,8 +32,6 @@ from handfit_core.geometry.lens import Lens
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass
+from handfit_core.common.arrays import array, array_dataclass
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.landmark_model import BODY, body_model_path
 from handfit_core.detect.networks import Runner, anchors, turn_upright

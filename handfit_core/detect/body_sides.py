@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import scatter
+from handfit_core.common.batch import scatter
+from handfit_core.common.skeleton import SIDES, HandChoice, other_side
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
 from handfit_core.detect.keypoints import Track
-from handfit_core.skeleton import SIDES, HandChoice, other_side
 
 log = logging.getLogger("handfit")
 

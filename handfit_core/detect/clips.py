@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
@@ -26,7 +27,6 @@ from handfit_core.detect.matching import (
 from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
 from handfit_core.detect.search import SEARCH, Search, tiles
 from handfit_core.detect.shot_boundary import Thumbnail
-from handfit_core.skeleton import Side
 
 
 @dataclass(frozen=True)

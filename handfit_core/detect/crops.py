@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.common.skeleton import other_side
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.skeleton import other_side
 
 
 def downscale(rgb: np.ndarray, block_width: int, block_height: int) -> np.ndarray:

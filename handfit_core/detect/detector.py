@@ -13,11 +13,11 @@ from typing import Any, Final, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
+from handfit_core.common.errors import OptionError
+from handfit_core.common.registry import Registry
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.errors import OptionError
 from handfit_core.media.source import Media
-from handfit_core.registry import Registry
-from handfit_core.skeleton import Side
 
 Quality = Literal["draft", "standard", "best"]
 """Effort for each hand. `draft`: one prediction of the fastest landmark network. `standard`: two networks,

@@ -16,9 +16,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import distances
-from handfit_core.skeleton import SIDES
 
 
 @dataclass(frozen=True)

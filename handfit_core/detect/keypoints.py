@@ -9,10 +9,10 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from handfit_core.arrays import Array, array, array_dataclass, declared
-from handfit_core.batch import Batch
+from handfit_core.common.arrays import Array, array, array_dataclass, declared
+from handfit_core.common.batch import Batch
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 from handfit_core.hand_model.landmarks import Landmarks
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
 
 MOST_IN_FRAME: Final = 4000
 """Hands of one picture, as of 2 000 people; pictures with more are refused"""

@@ -25,9 +25,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Final
 
+from handfit_core.common.errors import LandmarkModelError
+from handfit_core.common.files import cache_dir, is_file, path_of, read_file, shown, written_whole
 from handfit_core.detect.tflite import with_image_metadata
-from handfit_core.errors import LandmarkModelError
-from handfit_core.files import cache_dir, is_file, path_of, read_file, shown, written_whole
 
 log = logging.getLogger("handfit")
 

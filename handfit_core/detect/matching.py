@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import slices
+from handfit_core.common.batch import slices
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 
 _PALM = [0, 5, 9, 13, 17]
 _BONES = [[parent, point] for point, parent in enumerate(KEYPOINT_PARENTS) if parent >= 0]

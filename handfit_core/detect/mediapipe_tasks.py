@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.common.errors import LandmarkModelError
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.detector import Backend, Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import fingerprint, is_calibrated, landmark_model_path
-from handfit_core.errors import LandmarkModelError
-from handfit_core.skeleton import Side
 
 MAX_HANDS = 10
 """Where all hands are wanted: the graph has a fixed number of places for them, each of which costs"""

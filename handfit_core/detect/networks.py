@@ -25,13 +25,13 @@ from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
+from handfit_core.common.errors import LandmarkModelError
+from handfit_core.common.machine import usable_cores
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.landmark_model import TASK, landmark_model_path, landmarks_2020_path
-from handfit_core.errors import LandmarkModelError
-from handfit_core.machine import usable_cores
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
 
 
 @dataclass(frozen=True)

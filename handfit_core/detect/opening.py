@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from handfit_core.capturing.options import CaptureOptions
 from handfit_core.detect.detector import DETECTORS, Detector, DetectorSettings
-from handfit_core.options import CaptureOptions
 
 
 def settings_of(options: CaptureOptions, *, video: bool = False) -> DetectorSettings:

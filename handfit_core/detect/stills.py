@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import hand_of_box
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.search import Search
-from handfit_core.skeleton import Side
 
 
 class StillFinder(Detector):

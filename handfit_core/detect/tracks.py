@@ -13,11 +13,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.errors import NoHandFoundError
+from handfit_core.common.skeleton import SIDES, HandChoice, Side, other_side
 from handfit_core.detect.identity import separate_hands
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.detect.matching import MATCHING, covers, distances, share_within
-from handfit_core.errors import NoHandFoundError
-from handfit_core.skeleton import SIDES, HandChoice, Side, other_side
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from handfit_core.batch import scatter
+from handfit_core.common.batch import scatter
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_BETAS, NUM_KEYPOINTS
 from handfit_core.edit.handles import landmark_points
-from handfit_core.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import HandModel
 from handfit_core.hand_model.anatomy import relaxed_pose
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS
 from handfit_core.take import HandTrack, Take
 
 Seen = Literal["back", "palm"]

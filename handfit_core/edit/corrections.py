@@ -28,7 +28,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import (
+from handfit_core.common.arrays import (
     array,
     array_dataclass,
     arrays_of,
@@ -37,10 +37,10 @@ from handfit_core.arrays import (
     declared_values,
     value,
 )
-from handfit_core.errors import TakeError
+from handfit_core.common.errors import TakeError
+from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
+from handfit_core.common.values import Unfit, number
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
-from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
-from handfit_core.values import Unfit, number
 
 FORMAT_VERSION: Final = 1
 _ALWAYS_KEPT: Final = ("pins", "spread", "added_key")

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, NUM_KEYPOINTS, PALM_KEYPOINTS
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.settings import EDITS
@@ -22,7 +23,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import BEND, LAST_BEND, MIDDLE_BEND
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_KEYPOINTS, PALM_KEYPOINTS
 
 
 def is_free(pins: np.ndarray) -> np.ndarray:

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, check_arrays, value
-from handfit_core.batch import scatter
+from handfit_core.common.arrays import array, array_dataclass, check_arrays, value
+from handfit_core.common.batch import scatter
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
+from handfit_core.common.values import Unfit, flag, listed, number, path, shortly, whole
 from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.settings import EDITS
-from handfit_core.errors import OptionError
+from handfit_core.fit.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
-from handfit_core.solvers import MOST_SMOOTHING, USUAL_SMOOTHING
 from handfit_core.take import TAKE_LIMITS, HandTrack, Take
-from handfit_core.values import Unfit, flag, listed, number, path, shortly, whole
 
 
 def _camera(name: str, given: Any) -> Intrinsics:

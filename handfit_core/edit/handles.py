@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, can_touch
 from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import detector_landmarks
 from handfit_core.hand_model.surface import surface_of
-from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, can_touch
 
 POINT_NAMES: Final = (
     "Palm",

@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST, array, array_dataclass, check_arrays, packed, unpacked
-from handfit_core.batch import scatter
+from handfit_core.common.arrays import LARGEST, array, array_dataclass, check_arrays, packed, unpacked
+from handfit_core.common.batch import scatter
+from handfit_core.common.errors import Cancelled, OptionError, ProtocolError
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.hand import RefineHand, SecondSight
 from handfit_core.edit.refit import refit_each, refit_range
-from handfit_core.errors import Cancelled, OptionError, ProtocolError
+from handfit_core.fit.solvers import ShouldStop
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
-from handfit_core.solvers import ShouldStop
 
 MODES = ("each", "draft", "range")
 _LAST: list[tuple[tuple[object, ...], HandMotion]] = []

@@ -26,10 +26,10 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.edit.settings import PINS
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import NUM_KEYPOINTS
 
 _FINGERS: Final = np.arange(1, NUM_KEYPOINTS).reshape(5, 4)
 _PALM: Final = [0, *_FINGERS[:, 0]]

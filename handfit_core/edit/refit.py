@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.handles import landmark_points
-from handfit_core.errors import HandModelError
+from handfit_core.fit.solvers import ShouldStop, never
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND, HandModel
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
-from handfit_core.solvers import ShouldStop, never
 
 
 def _solving():

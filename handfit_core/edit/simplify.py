@@ -19,11 +19,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_from_joints
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import channels_to_quat, quat_to_rotmat
 from handfit_core.hand_model.axes import WORLD_FROM_CAMERA, RestPose
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, keypoints_from_joints
 
 LOCATION: Final = NUM_JOINTS
 """`Channels.joint` of the wrist's location"""

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handfit_core.arrays import arrays_of
-from handfit_core.batch import Batch, scatter
+from handfit_core.common.arrays import arrays_of
+from handfit_core.common.batch import Batch, scatter
+from handfit_core.common.errors import Cancelled
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Detections, Landmarked
 from handfit_core.edit import pins as pinning
@@ -16,21 +18,19 @@ from handfit_core.edit.free import is_free, pose_from_pins
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.handles import landmark_points
 from handfit_core.edit.settings import EDITS
-from handfit_core.errors import Cancelled
 from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, SecondView, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
 from handfit_core.fit.settings import SOLVER, TERMS
 from handfit_core.fit.solution import Solution
+from handfit_core.fit.solvers import ShouldStop
 from handfit_core.fit.views.hands import SeenOverTime
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_JOINTS, NUM_KEYPOINTS, PALM_KEYPOINTS, Side
-from handfit_core.solvers import ShouldStop
 
 
 def load() -> None:

@@ -7,11 +7,11 @@ import importlib.util
 from pathlib import Path
 from typing import get_args
 
-from handfit_core.errors import OptionError
+from handfit_core.capturing.options import CaptureOptions, add_options
+from handfit_core.capturing.pipeline import Progress
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import check_writable, path_of
 from handfit_core.evaluate import CAMERA_CHOICES, ProtocolName
-from handfit_core.files import check_writable, path_of
-from handfit_core.options import CaptureOptions, add_options
-from handfit_core.pipeline import Progress
 
 REPORTS_NEED = ("pandas", "matplotlib", "jinja2", "joblib")
 DEFAULT_METHODS = ("raw", "fused", CaptureOptions.solver)

@@ -17,17 +17,17 @@ import joblib
 import numpy as np
 
 from handfit_core import detect, media
+from handfit_core.capturing.detection import detect_frames
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import InputError
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
 from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.opening import open_detector, settings_of
-from handfit_core.detection import detect_frames
-from handfit_core.errors import InputError
 from handfit_core.evaluate.kept import code_digest, kept, versions
 from handfit_core.evaluate.labels import Entry, Unit
 from handfit_core.media.pictures import read_picture
 from handfit_core.media.source import Frame, Media, Source
-from handfit_core.options import CaptureOptions
 
 UNREADABLE = (0, 0)
 

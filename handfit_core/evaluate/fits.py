@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import joblib
 
-import handfit_core
-from handfit_core import fit, geometry, hand_model, paper, skeleton, solvers
-from handfit_core.arrays import arrays_of
+from handfit_core import fit, geometry, hand_model, paper
+from handfit_core.common import skeleton
+from handfit_core.common.arrays import arrays_of
 from handfit_core.detect import correction
 from handfit_core.detect.correction import network
 from handfit_core.evaluate import ProtocolName, methods
@@ -32,11 +31,8 @@ def fit_all(
 
     A hand model is the bundled one or a file of someone's, as `load_model` takes it.
     """
-    layer = Path(handfit_core.__file__).parent / "layer.py"  # which needs torch to be imported
     learnt = (anatomy.LANDMARKS_FILE, network.FILE, doubt.FILE)
-    code = code_digest(
-        fit, paper, solvers, correction, geometry, skeleton, methods, hand_model, layer, *learnt
-    )
+    code = code_digest(fit, paper, correction, geometry, skeleton, methods, hand_model, *learnt)
     made_with = (protocol, versions("numpy", "scipy", "torch"), code)
     run = joblib.delayed(kept(_fit, "fits", ignore=("task", "protocol", "model")))
     calls = (run((made_with, _key(task, model)), task, protocol, model) for task in tasks)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.detect.keypoints import Detections
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import LEAST_POINTS, SeenHands
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 
 from joblib import Memory
 
-from handfit_core.files import cache_dir
+from handfit_core.common.files import cache_dir
 
 
 def kept(function: Callable[..., Any], folder: str, ignore: Sequence[str]) -> Any:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import Side
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import Side
 
 
 @dataclass(frozen=True, eq=False)

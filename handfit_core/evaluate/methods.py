@@ -14,17 +14,17 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.detect.keypoints import Track
-from handfit_core.errors import OptionError
 from handfit_core.evaluate import ProtocolName
+from handfit_core.fit.solvers import SOLVERS, get_solver, solver_names
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel
 from handfit_core.paper import EXPERIMENTS
 from handfit_core.paper.fitter import PaperFitter
-from handfit_core.skeleton import NUM_KEYPOINTS
-from handfit_core.solvers import SOLVERS, get_solver, solver_names
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, WRIST_KEYPOINT
 from handfit_core.geometry.similarity import align
-from handfit_core.skeleton import KEYPOINT_PARENTS, WRIST_KEYPOINT
 
 PCK_THRESHOLDS_MM: Final = np.linspace(20.0, 50.0, 100)
 """(100,) mm: the range that EgoDexter and Dexter+Object are usually reported on"""

@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from handfit_core.common.errors import NoHandFoundError
+from handfit_core.common.skeleton import TIP_KEYPOINTS, Side
 from handfit_core.detect.keypoints import Track, largest_extent
 from handfit_core.detect.tracks import link_tracks
-from handfit_core.errors import NoHandFoundError
 from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels, Problem, Unit, said
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import TIP_KEYPOINTS, Side
 
 PAPER_SIDE: Side = "left"
 """The published evaluation takes every hand for a left one, as both of its data sets hold."""

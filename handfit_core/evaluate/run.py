@@ -10,8 +10,11 @@ from itertools import accumulate, count
 
 import pandas as pd
 
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import DatasetError, OptionError
+from handfit_core.common.skeleton import Side
+from handfit_core.common.version import __version__
 from handfit_core.detect.keypoints import Detections
-from handfit_core.errors import DatasetError, OptionError
 from handfit_core.evaluate import CameraChoice, ProtocolName
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.fits import fit_all
@@ -24,9 +27,6 @@ from handfit_core.evaluate.scores import Evaluation
 from handfit_core.evaluate.scoring import Models, baselines, results_of_rows, score
 from handfit_core.evaluate.summary import compare, summarise
 from handfit_core.hand_model import OPEN_HAND, load_model
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import Side
-from handfit_core.version import __version__
 
 COMPARED_METRICS: dict[ProtocolName, tuple[str, ...]] = {
     "strict": ("pa_mpjpe", "epe", "error_2d"),

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from handfit_core.batch import SLICE
+from handfit_core.common.batch import SLICE
+from handfit_core.common.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS, Side
 from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.labels import Problem, said
 from handfit_core.evaluate.methods import TrackResult
@@ -27,7 +28,6 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.surface import surface_of
-from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS, Side
 
 MM = 1000.0
 

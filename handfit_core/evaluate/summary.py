@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.metrics import (
     PCK_THRESHOLDS_MM,
@@ -26,7 +27,6 @@ from handfit_core.evaluate.metrics import (
 )
 from handfit_core.evaluate.scores import Comparison, Scores
 from handfit_core.fit.doubt import DOUBT
-from handfit_core.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,10 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from handfit_core.errors import DatasetError
+from handfit_core.capturing.joining import Clip, joined
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import DatasetError
 from handfit_core.evaluate.metrics import (
     camera_distances,
     root_aligned_distances,
@@ -28,10 +31,7 @@ from handfit_core.fit.views.rig_file import Rig
 from handfit_core.fit.views.verdict import rotation_between
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
-from handfit_core.joining import Clip, joined
 from handfit_core.media.opening import open_media
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture
 from handfit_core.take import Take
 
 KIND: Final = "two-cameras"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from handfit_core.solvers import Solver, TrackSolver
+from handfit_core.fit.solvers import Solver, TrackSolver
 
 
 def _fast(smoothing: float, hand_length: float | None) -> TrackSolver:

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
 from handfit_core.fit.settings import SOLVER
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import turn_from_axis

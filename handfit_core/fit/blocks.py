@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import Batch, Index
+from handfit_core.common.batch import Batch, Index
 from handfit_core.fit.settings import SOLVER
 from handfit_core.hand_model.chain import BETAS, HAND_SIZE
 

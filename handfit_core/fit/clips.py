@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handfit_core.batch import slices
+from handfit_core.common.batch import slices
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.problem import MotionPrior, Problem
 from handfit_core.fit.settings import SOLVER

@@ -15,11 +15,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.keypoints import Detections
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import TERMS
-from handfit_core.skeleton import SIDES, Side
 
 FILE: Final = Path(__file__).parent / "data" / "doubt.npz"
 

@@ -8,7 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from handfit_core.batch import scatter, slices
+from handfit_core.common.batch import scatter, slices
+from handfit_core.common.skeleton import NUM_BETAS
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.clips import smooth_clip
@@ -28,6 +29,7 @@ from handfit_core.fit.problem import Held, MotionPrior, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
 from handfit_core.fit.settings import MOTION, SOLVER, TERMS, VIEWS
 from handfit_core.fit.solution import Solution
+from handfit_core.fit.solvers import OnFrame, ShouldStop, never
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
 from handfit_core.fit.terms import (
@@ -53,8 +55,6 @@ from handfit_core.hand_model.landmarks import Landmarks, detector_landmarks
 from handfit_core.hand_model.length import betas_of_measured, length_rates
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import surface_of
-from handfit_core.skeleton import NUM_BETAS
-from handfit_core.solvers import OnFrame, ShouldStop, never
 
 
 class FastFitter:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.common.skeleton import PALM_KEYPOINTS
 from handfit_core.fit.settings import MOTION
 from handfit_core.geometry.rotations import (
     euler_to_rotmat,
@@ -15,7 +16,6 @@ from handfit_core.geometry.rotations import (
     rotvec_to_rotmat,
 )
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import PALM_KEYPOINTS
 
 
 def detect_cuts(pixels: np.ndarray) -> np.ndarray:

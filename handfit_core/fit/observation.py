@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.chain import State

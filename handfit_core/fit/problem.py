@@ -8,13 +8,13 @@ from typing import Literal
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
+from handfit_core.common.skeleton import JOINTS_BY_FINGER
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows
 from handfit_core.hand_model.chain import FIXED_SHAPE, HAND_SIZE, Chain, State
-from handfit_core.skeleton import JOINTS_BY_FINGER
 
 SharedShape = Literal["given", "each", "one"]
 

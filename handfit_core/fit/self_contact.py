@@ -8,14 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import slices
+from handfit_core.common.batch import slices
+from handfit_core.common.skeleton import TIP_KEYPOINTS
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation, SelfContact
 from handfit_core.geometry.crossing import CROSSING, CROSSING_STARTS, Crossing
 from handfit_core.hand_model.anatomy import MIDDLE_BEND
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import Surface
-from handfit_core.skeleton import TIP_KEYPOINTS
 
 PINCH_BONES: Final = np.array([(2, b) for b in (5, 8, 11, 14)])
 """(P, 2) last bones of thumb and finger, as `Surface` numbers bones"""

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
 from handfit_core.hand_model.chain import State
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.skeleton import PALM_KEYPOINTS
 from handfit_core.fit.observation import Observation
 from handfit_core.geometry.rotations import turn_from_axis
 from handfit_core.geometry.similarity import laid_over
 from handfit_core.hand_model.chain import Chain, State
-from handfit_core.skeleton import PALM_KEYPOINTS
 
 
 def spatial(seen: Observation) -> np.ndarray:

@@ -21,11 +21,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import PALM_KEYPOINTS
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import MOTION, TERMS
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import PALM_KEYPOINTS
 
 
 @dataclass(frozen=True)

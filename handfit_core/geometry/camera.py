@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 
 SMALLEST_FOCAL: Final = 1e-3
 LARGEST_FOCAL: Final = 1e9

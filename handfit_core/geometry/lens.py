@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 
 SAME_ASPECT: Final = 0.01

@@ -16,10 +16,10 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, Side
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler, rotmat_to_rotvec
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side
 
 SPREAD, BEND, MIDDLE_BEND, LAST_BEND = 1, 2, 5, 8
 """Indices among a finger's nine angles: of the knuckle, and of the joints beyond it"""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass
+from handfit_core.common.arrays import array, array_dataclass
 
 
 @array_dataclass

@@ -18,9 +18,9 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat, rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.data import HandModel, ShapedHand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 WORLD_FROM_CAMERA: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """(x, y, z) -> (x, z, -y)"""

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import Batch, slices
+from handfit_core.common.batch import Batch, slices
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, NUM_BETAS, NUM_KEYPOINTS
 from handfit_core.geometry.rotations import (
     euler_to_rotmat,
     rotmat_to_euler,
@@ -30,7 +31,6 @@ from handfit_core.geometry.rotations import (
 )
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import Landmarks, bone_axes
-from handfit_core.skeleton import JOINTS_BY_FINGER, NUM_BETAS, NUM_KEYPOINTS
 
 _ROOT = 3
 """The root comes after the three joints among a finger's frames"""

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.arrays import arrays_of, check_arrays, declared
-from handfit_core.errors import HandModelError
+from handfit_core.common.arrays import arrays_of, check_arrays, declared
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import NUM_BETAS, SIDES
+from handfit_core.common.values import shortly
 from handfit_core.hand_model.data import LIMITS, HandModel
-from handfit_core.skeleton import NUM_BETAS, SIDES
-from handfit_core.values import shortly
 
 
 def checked_model(

@@ -8,10 +8,10 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from handfit_core.errors import OptionError
-from handfit_core.files import check_writable, path_of
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import check_writable, path_of
+from handfit_core.common.skeleton import FINGERS, KEYPOINT_PARENTS, SIDES, keypoints_from_joints
 from handfit_core.hand_model.files import OPEN_HAND, load_model, read_model, save_model_npz
-from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, SIDES, keypoints_from_joints
 
 if TYPE_CHECKING:
     from handfit_core.hand_model.data import HandModel

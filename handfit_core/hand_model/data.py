@@ -1,7 +1,7 @@
 """The arrays of a hand model in MANO's format, whoever made it, and its NumPy forward pass.
 
 Everything here needs NumPy only: Blender builds rigs from it. The differentiable, batched twin in
-torch is `handfit_core.layer`; a test holds the two together.
+torch is `handfit_core.paper.layer`; a test holds the two together.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass
+from handfit_core.common.arrays import array, array_dataclass
+from handfit_core.common.skeleton import FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, Side, keypoints_from_joints
 from handfit_core.geometry import rotations
-from handfit_core.skeleton import FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, Side, keypoints_from_joints
 
 
 @dataclass(frozen=True)

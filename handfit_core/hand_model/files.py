@@ -12,14 +12,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import arrays_of, declared
-from handfit_core.errors import HandModelError
-from handfit_core.files import path_of, read_file, shown, why, written_whole
+from handfit_core.common.arrays import arrays_of, declared
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.files import path_of, read_file, shown, why, written_whole
+from handfit_core.common.npz import NotNpz, NpzArchive
+from handfit_core.common.skeleton import SIDES, Side, other_side
+from handfit_core.common.values import text, whole
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import LIMITS, HandModel
-from handfit_core.npz import NotNpz, NpzArchive
-from handfit_core.skeleton import SIDES, Side, other_side
-from handfit_core.values import text, whole
 
 OPEN_HAND = "open-hand"
 """Name of the bundled model; anything else given as a model is a path."""

@@ -13,8 +13,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS
 from handfit_core.hand_model.data import HandModel
-from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS
 
 Wrist = Literal["open", "cap", "forearm"]
 """How a mesh ends: as its model does, or closed by a cap or a piece of forearm, of as many vertices"""

@@ -6,8 +6,8 @@ import logging
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGERS, NUM_BETAS
 from handfit_core.hand_model.data import HandModel
-from handfit_core.skeleton import FINGERS, NUM_BETAS
 
 _MIDDLE = FINGERS.index("middle")
 

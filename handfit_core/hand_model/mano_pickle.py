@@ -12,13 +12,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.errors import HandModelError
-from handfit_core.files import read_file, shown, why
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.files import read_file, shown, why
+from handfit_core.common.safe_pickle import Refused, load, plain
+from handfit_core.common.skeleton import MANO_TIP_VERTICES, NUM_JOINTS, PARENTS, Side
+from handfit_core.common.values import Unfit
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import LIMITS, HandModel
-from handfit_core.safe_pickle import Refused, load, plain
-from handfit_core.skeleton import MANO_TIP_VERTICES, NUM_JOINTS, PARENTS, Side
-from handfit_core.values import Unfit
 
 _REQUIRED: Final = (
     *("v_template", "f", "shapedirs", "posedirs", "J_regressor", "weights"),

@@ -7,9 +7,9 @@ from typing import Final, Self
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, value
-from handfit_core.skeleton import FINGERS, NUM_BETAS, SIDES, Side
-from handfit_core.values import one_of
+from handfit_core.common.arrays import array, array_dataclass, value
+from handfit_core.common.skeleton import FINGERS, NUM_BETAS, SIDES, Side
+from handfit_core.common.values import one_of
 
 POSE_ARRAYS: Final = ("global_orient", "hand_pose", "transl")
 _LARGEST_BETA: Final = 1e3

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import NUM_JOINTS, SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.axes import REST_FROM_MODEL, mirrored_pose
-from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 
 FILE: Final = Path(__file__).parent / "data" / "poses.npz"
 """The ready poses, which `scripts/ready_poses.py` at commit 2ca2c99 made"""

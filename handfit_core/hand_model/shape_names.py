@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS
 from handfit_core.hand_model.data import HandModel
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS
 
 _LONG_FINGERS: Final = tuple(finger for finger in FINGERS if finger != "thumb")
 

@@ -14,12 +14,12 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, NUM_BETAS
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.chain import Chain, Posed
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import NO_OFFSETS, bone_axes
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, NUM_BETAS
 
 NUM_BONES: Final = 19
 """15 bones of the fingers, three each as in `skeleton.FINGERS`, the thumb's metacarpal among them; then the

@@ -19,11 +19,11 @@ from typing import Any, Final, NoReturn
 
 import numpy as np
 
-from handfit_core import safe_pickle
-from handfit_core.errors import InputError
-from handfit_core.files import path_of, read_file, shown, why
+from handfit_core.common import safe_pickle
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import path_of, read_file, shown, why
+from handfit_core.common.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 from handfit_core.interchange.settings import LIMITS
-from handfit_core.npz import NotNpz, NpzArchive, npy_array, npy_pickle
 
 _NPY: Final = b"\x93NUMPY"
 _LONG_NUMBER: Final = re.compile(rb"\d{%d}" % LIMITS.digits)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
 
 log = logging.getLogger("handfit")

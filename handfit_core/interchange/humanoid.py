@@ -15,14 +15,14 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat, unflip_quats
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
 from handfit_core.retarget.transfer import SourceHand, TargetHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, SIDES, Side
 from handfit_core.take import Take
 
 BODY: Final[dict[str, tuple[str, tuple[float, float, float]]]] = {

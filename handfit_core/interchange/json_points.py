@@ -11,13 +11,13 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from handfit_core.errors import InputError
-from handfit_core.files import shown
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.values import LARGEST_WHOLE
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.point_names import plain, point_named, side_named
 from handfit_core.interchange.settings import LIMITS
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
-from handfit_core.values import LARGEST_WHOLE
 
 _LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
 _FRAMES: Final = "frames results data predictions detections annotations instanceinfo".split()

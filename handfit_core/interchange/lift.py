@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 from handfit_core.detect.correction.canonical import Canonical, canonical_arrays
 from handfit_core.detect.correction.network import Layers
 from handfit_core.detect.keypoints import Detections
 from handfit_core.interchange.recording import SeenHands, known
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 
 FEATURES: Final = 4 * NUM_KEYPOINTS
 

@@ -14,10 +14,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST, array, array_dataclass
-from handfit_core.batch import Batch, scatter, slices
+from handfit_core.common.arrays import LARGEST, array, array_dataclass
+from handfit_core.common.batch import Batch, scatter, slices
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
+from handfit_core.common.values import Unfit
 from handfit_core.detect.keypoints import check_crowd
-from handfit_core.errors import OptionError
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
@@ -26,9 +28,7 @@ from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.recording import Asked, known, usual_place
 from handfit_core.interchange.skeletons import UP_AXES
-from handfit_core.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS
-from handfit_core.values import Unfit
 
 POSE: Final = 45
 """Numbers of a hand's pose, axis-angle"""

@@ -10,7 +10,9 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from handfit_core.files import shown
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import NUM_BETAS, SIDES
+from handfit_core.common.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.files import load_model
 from handfit_core.interchange import mano
@@ -19,8 +21,6 @@ from handfit_core.interchange.mano import FoundHands, tell
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording
 from handfit_core.interchange.settings import LIMITS
-from handfit_core.skeleton import NUM_BETAS, SIDES
-from handfit_core.values import Unfit
 
 _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")

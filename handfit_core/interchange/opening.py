@@ -10,9 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import arrays_of
-from handfit_core.errors import InputError, PictureSizeError
-from handfit_core.files import shown
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.arrays import arrays_of
+from handfit_core.common.errors import InputError, PictureSizeError
+from handfit_core.common.files import shown
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
@@ -21,7 +22,6 @@ from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, open_media, pictures_in
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
-from handfit_core.options import CaptureOptions
 from handfit_core.take import is_take
 
 DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt".split(" "))

@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST
-from handfit_core.batch import Batch
-from handfit_core.errors import InputError
+from handfit_core.common.arrays import LARGEST
+from handfit_core.common.batch import Batch
+from handfit_core.common.errors import InputError
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, other_side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.json_points import several_hands
 from handfit_core.interchange.recording import LEAST_POINTS, PointsHand, SeenHands, known
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, other_side
 
 UNKNOWN: Final = -1
 """A side that is not told"""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from handfit_core.skeleton import FINGERS, KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.skeleton import FINGERS, KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
 
 _APPLE_CODE: Final = re.compile(r"VNHLK([A-Z]{3,4})")
 _APPLE_THUMB: Final = re.compile(r"thumb_?MP(?![a-zA-Z])", re.IGNORECASE)

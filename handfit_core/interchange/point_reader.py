@@ -9,8 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from handfit_core.errors import InputError, OptionError
-from handfit_core.files import shown
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import (
     JsonFrames,
@@ -42,7 +43,6 @@ from handfit_core.interchange.recording import Asked, PointsHand, Recording, kno
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.table_points import HandTable, columns_of
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 
 
 @dataclass(frozen=True)

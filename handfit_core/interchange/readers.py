@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from handfit_core.errors import InputError, OptionError
-from handfit_core.files import shown
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.files import shown
+from handfit_core.common.registry import Registry
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.recording import Asked, Recording
-from handfit_core.registry import Registry
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.arrays import array, array_dataclass, check_arrays, value
-from handfit_core.batch import Batch
+from handfit_core.common.arrays import array, array_dataclass, check_arrays, value
+from handfit_core.common.batch import Batch
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.values import one_of
 from handfit_core.detect.keypoints import check_crowd
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.settings import LIMITS
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS
-from handfit_core.values import one_of
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import os
 from dataclasses import dataclass
 from typing import Final
 
-from handfit_core.errors import InputError
-from handfit_core.files import shown
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import shown
 
 
 @dataclass(frozen=True)

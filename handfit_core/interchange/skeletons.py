@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.hand_model.data import HandModel
@@ -16,7 +17,6 @@ from handfit_core.retarget.hand_map import HandMap, the_surest
 from handfit_core.retarget.names import named_hands
 from handfit_core.retarget.structure import structured_hands
 from handfit_core.retarget.transfer import SourceHand, TargetHand, palm_frame, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, Side
 
 UP_AXES: Final = {
     "y": np.diag([1.0, -1.0, -1.0]),

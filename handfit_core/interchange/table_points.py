@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.interchange.document import Table
 from handfit_core.interchange.json_points import rate_of
 from handfit_core.interchange.point_hands import UNKNOWN, Told, ToldHands
 from handfit_core.interchange.point_names import PointColumn, plain, point_columns, point_named, side_named
 from handfit_core.interchange.settings import LIMITS
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
 
 _NAMES: Final = {
     "frame": "frame frameid framenumber frameindex frameidx frameno framenum image file".split(),

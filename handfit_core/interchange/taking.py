@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from handfit_core.batch import slices
+from handfit_core.common.batch import slices
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.detect.detector import Detected
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.observation import lines_of_sight
@@ -17,7 +18,6 @@ from handfit_core.hand_model.landmarks import NO_OFFSETS, detector_landmarks
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import LEAST_POINTS, VIRTUAL, PointsHand, Recording, known
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, Side
 
 
 def detected_in(recording: Recording) -> Detected:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from handfit_core.errors import OptionError
-from handfit_core.files import shown
-from handfit_core.registry import Registry
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import shown
+from handfit_core.common.registry import Registry
 from handfit_core.take import Take
 
 

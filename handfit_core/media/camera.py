@@ -25,8 +25,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from handfit_core.errors import InputError, OptionError, OutputError
-from handfit_core.files import shown
+from handfit_core.common.errors import InputError, OptionError, OutputError
+from handfit_core.common.files import shown
 from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
 from handfit_core.media.headers import read_picture_header
 from handfit_core.media.opening import open_media

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.errors import Cancelled, InputError
+from handfit_core.common.errors import Cancelled, InputError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.lenses import MeasuredLens

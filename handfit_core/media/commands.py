@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Callable
 from functools import partial
 
-from handfit_core.errors import OptionError
-from handfit_core.files import output_path, path_of, printable, written_whole
+from handfit_core.common.errors import OptionError
+from handfit_core.common.files import output_path, path_of, printable, written_whole
 from handfit_core.media.chessboard import board_png, measure_lens
 from handfit_core.media.lenses import checked_name, save_lens, saved_lenses
 

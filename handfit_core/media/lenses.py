@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from handfit_core.errors import InputError, OptionError
-from handfit_core.files import data_dir, read_file, shown, storable, why, written_whole
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.files import data_dir, read_file, shown, storable, why, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 

@@ -8,8 +8,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from handfit_core.errors import InputError
-from handfit_core.files import path_of, shown, why
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import path_of, shown, why
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.pictures import Pictures
 from handfit_core.media.settings import MEDIA

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media.exif import is_tiff, read_orientation, upright
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import Limit, check_picture, common_limit

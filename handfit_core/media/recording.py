@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.errors import OutputError
-from handfit_core.files import shown, why
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import shown, why
 
 _MARK: Final = "Manient live recording"
 _TICKS: Final = 10_000

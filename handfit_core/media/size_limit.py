@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media.headers import Header, read_picture_header, read_video_header
 
 SMALL_FILE: Final = 10_000_000

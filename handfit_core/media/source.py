@@ -14,10 +14,10 @@ from typing import Final, Literal
 
 import numpy as np
 
-from handfit_core.errors import TakeError
-from handfit_core.files import storable
+from handfit_core.common.errors import TakeError
+from handfit_core.common.files import storable
+from handfit_core.common.npz import LONGEST_HEADER
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.npz import LONGEST_HEADER
 
 SourceKind = Literal["photo", "sequence", "video", "data"]
 """`data`: hands of another program, to which no pictures belong"""

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.errors import InputError
-from handfit_core.files import shown
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import shown
 from handfit_core.media.recording import is_recording
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import check_frame_size, check_video, not_a_video

@@ -7,8 +7,8 @@ from __future__ import annotations
 from functools import partial
 from typing import Final
 
+from handfit_core.fit.solvers import Solver, TrackSolver
 from handfit_core.paper.fitter import PaperOptions, fit_track
-from handfit_core.solvers import Solver, TrackSolver
 
 _MSE, _GEMAN, _HUBER = ("L-BFGS-B", "mse"), ("L-BFGS-B", "geman_mcclure"), ("L-BFGS-B", "huber")
 _TIPS, _ALL = "error, fingertips counted again", "error of the 21 keypoints"

@@ -15,8 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import scatter
+from handfit_core.common.batch import scatter
+from handfit_core.common.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.detect.keypoints import Track
+from handfit_core.fit.solvers import OnFrame, ShouldStop, never
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import Similarity, align
@@ -25,8 +27,6 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
 from handfit_core.paper.placement import place, turn_to_ray
 from handfit_core.paper.settings import PAPER
-from handfit_core.skeleton import INDEX_KNUCKLE_KEYPOINT, NUM_BETAS, PALM_KEYPOINTS, WRIST_KEYPOINT
-from handfit_core.solvers import OnFrame, ShouldStop, never
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ class PaperFitter:
         # These need torch, without which the experiments still have names and titles.
         import torch
 
-        from handfit_core.layer import HandLayer
         from handfit_core.paper import terms
+        from handfit_core.paper.layer import HandLayer
 
         self._torch = torch
         self._options = options

@@ -11,13 +11,13 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from handfit_core.common.skeleton import FINGER_JOINTS, TIP_KEYPOINTS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import JointLimits, anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.layer import HandLayer, rotvec_to_rotmat
+from handfit_core.paper.layer import HandLayer, rotvec_to_rotmat
 from handfit_core.paper.settings import PAPER
-from handfit_core.skeleton import FINGER_JOINTS, TIP_KEYPOINTS
 
 Loss = Callable[[torch.Tensor], torch.Tensor]
 

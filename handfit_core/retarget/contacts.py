@@ -27,14 +27,14 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
+from handfit_core.common.slices import map_yields
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler
 from handfit_core.hand_model.anatomy import axes_of, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL, points_to_rest
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.surface import cross, gaps_along, nearest_along, surface_of
 from handfit_core.retarget.transfer import SourceHand, TargetHand, globally
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
-from handfit_core.slices import map_yields
 
 PAIRS: Final = np.array(list(combinations(range(len(FINGERS)), 2)))
 """(10, 2) fingers that can touch each other, those with the thumb first"""

@@ -10,10 +10,10 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from handfit_core.errors import HandModelError
-from handfit_core.files import read_file, shown, why
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.files import read_file, shown, why
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, SIDES, Side
 from handfit_core.retarget.bones import Bones
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, SIDES, Side
 
 PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""

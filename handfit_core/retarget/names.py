@@ -15,11 +15,11 @@ import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, USUAL_THUMB_ROLL, Found, HandMap
 from handfit_core.retarget.transfer import leaning
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 _WORDS = re.compile(
     "(?i:left|right)|[左右]|[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|[0-9]+|(?:(?![左右])[^\\W\\d_a-zA-Z])+"

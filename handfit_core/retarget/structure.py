@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, Found, HandMap
 from handfit_core.retarget.names import parsed
 from handfit_core.retarget.transfer import leaning, unit
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 LABEL = "By its structure"
 _TIP = re.compile(r"(tip|end|nub|leaf|先)[._\s]?(l|r|left|right)?$", re.IGNORECASE)

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.errors import HandModelError
-from handfit_core.files import shown
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side, other_side
 from handfit_core.geometry.rotations import (
     quat_to_rotmat,
     rotmat_to_quat,
@@ -29,7 +30,6 @@ from handfit_core.hand_model.data import ShapedHand
 from handfit_core.hand_model.files import OPEN_HAND
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import PALM_FINGERS, HandMap
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side, other_side
 
 _FOLD_SHARES = {"ring": 0.15, "little": 0.25}
 """Largest share of the first joint's bend that a metacarpal takes over: a fist cups the palm by 10 to 20

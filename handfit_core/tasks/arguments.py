@@ -7,9 +7,9 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final, NoReturn
 
-from handfit_core.files import path_of
-from handfit_core.machine import usable_cores
-from handfit_core.options import add_options
+from handfit_core.capturing.options import add_options
+from handfit_core.common.files import path_of
+from handfit_core.common.machine import usable_cores
 from handfit_core.tasks.inputs import PAIRS
 
 _MOST_A_CORE: Final = 4

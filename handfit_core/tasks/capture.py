@@ -13,11 +13,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from handfit_core.errors import HandfitError, InputError, OptionError, OutputError
-from handfit_core.options import VIEW_OPTIONS, CaptureOptions
-from handfit_core.pipeline import capture
-from handfit_core.sheet import write_sheet
+from handfit_core.capturing.options import VIEW_OPTIONS, CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import HandfitError, InputError, OptionError, OutputError
+from handfit_core.common.version import __version__
 from handfit_core.take import Take
+from handfit_core.take.sheet import write_sheet
 from handfit_core.tasks.inputs import PAIRS
 from handfit_core.tasks.record import (
     Result,
@@ -29,7 +30,6 @@ from handfit_core.tasks.record import (
 )
 from handfit_core.tasks.report import result_of
 from handfit_core.tasks.task import Task, fingerprint
-from handfit_core.version import __version__
 
 _log = logging.getLogger("handfit")
 

@@ -12,11 +12,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.files import check_writable
-from handfit_core.machine import usable_cores, usable_jobs
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import check_options
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import check_options
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.files import check_writable
+from handfit_core.common.machine import usable_cores, usable_jobs
 from handfit_core.tasks.arguments import WITH_PARENT, add_batch_arguments
 from handfit_core.tasks.capture import Settings
 from handfit_core.tasks.inputs import PAIRS

@@ -7,8 +7,8 @@ from typing import Any
 
 from distributed import WorkerPlugin
 
-from handfit_core.errors import OptionError
-from handfit_core.version import __version__
+from handfit_core.common.errors import OptionError
+from handfit_core.common.version import __version__
 
 
 class SameVersions(WorkerPlugin):

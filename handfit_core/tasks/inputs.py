@@ -17,8 +17,8 @@ from handfit_core.media.opening import (
     pictures_in,
     sequence_numbers,
 )
-from handfit_core.sheet import SUFFIX
 from handfit_core.take import is_take
+from handfit_core.take.sheet import SUFFIX
 from handfit_core.tasks.record import read_record
 
 PREVIEW_SUFFIX: Final = ".preview.png"

@@ -14,9 +14,9 @@ from datetime import UTC, datetime
 from typing import Any, Final
 from urllib.parse import quote
 
-from handfit_core.files import storable, written_whole
-from handfit_core.fit_quality import IN_PICTURE, NOT_KNOWN, Scale, expected_scale
-from handfit_core.sheet import SUFFIX
+from handfit_core.common.files import storable, written_whole
+from handfit_core.take.fit_quality import IN_PICTURE, NOT_KNOWN, Scale, expected_scale
+from handfit_core.take.sheet import SUFFIX
 from handfit_core.tasks.record import Result
 
 _SEEN: Final = 0.8

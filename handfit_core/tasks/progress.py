@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, TextIO
 
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 from handfit_core.tasks.record import Result
 from handfit_core.tasks.report import line, read_results, write_report
 from handfit_core.tasks.task import Task

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, Self
 
-from handfit_core.errors import OutputError
-from handfit_core.files import part_of, read_file, shown, why, written_whole
-from handfit_core.fit_quality import error_is_known, mean_expected_error, mean_relative_error
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import part_of, read_file, shown, why, written_whole
 from handfit_core.take import Take
+from handfit_core.take.fit_quality import error_is_known, mean_expected_error, mean_relative_error
 
 _LARGEST: Final = 16 << 20
 FINAL: Final = ("InputError", "NoHandFoundError", "TakeError")

@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from handfit_core.files import written_whole
-from handfit_core.fit_quality import NOT_KNOWN
+from handfit_core.common.files import written_whole
+from handfit_core.take.fit_quality import NOT_KNOWN
 from handfit_core.tasks.overview import scale_and_error, write_overview
 from handfit_core.tasks.record import (
     Result,

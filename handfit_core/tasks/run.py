@@ -10,7 +10,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.tasks.capture import Settings, note_failure
 from handfit_core.tasks.record import Result, attempt, read_record, remove_abandoned
 from handfit_core.tasks.report import result_of

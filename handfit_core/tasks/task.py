@@ -12,16 +12,16 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Final
 
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.files import is_file, is_folder, read_file, samples
+from handfit_core.common.version import __version__
 from handfit_core.detect.landmark_model import TASK
-from handfit_core.files import is_file, is_folder, read_file, samples
 from handfit_core.hand_model.files import files_of_model
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import PHOTO_SUFFIXES, is_pattern, matching
-from handfit_core.options import CaptureOptions
-from handfit_core.sheet import SUFFIX
+from handfit_core.take.sheet import SUFFIX
 from handfit_core.tasks.inputs import PAIRS, Input, expand, paired
 from handfit_core.tasks.record import read_record
-from handfit_core.version import __version__
 
 TAKE_SUFFIX: Final = ".take.npz"
 _READ_WHOLE: Final = 4 << 20

@@ -14,12 +14,12 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Final
 
-from handfit_core.errors import HandfitError, OptionError
-from handfit_core.machine import usable_cores
+from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.machine import usable_cores
+from handfit_core.common.version import __version__
 from handfit_core.tasks.capture import Settings, run_task
 from handfit_core.tasks.record import Result
 from handfit_core.tasks.task import Task
-from handfit_core.version import __version__
 from handfit_core.worker.events import THREAD_VARIABLES
 
 _CONNECT: Final = 10.0

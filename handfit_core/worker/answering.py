@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from handfit_core import edit
-from handfit_core.arrays import pack
-from handfit_core.detection import find_in_frame
-from handfit_core.errors import PictureSizeError
-from handfit_core.files import written_whole
+from handfit_core.capturing.detection import find_in_frame
+from handfit_core.capturing.options import OPTIONS, CaptureOptions
+from handfit_core.capturing.pipeline import add_arms_to_file, capture_to_file
+from handfit_core.capturing.retiming import check_rate, is_other_rate
+from handfit_core.common.arrays import pack
+from handfit_core.common.errors import PictureSizeError
+from handfit_core.common.files import written_whole
 from handfit_core.interchange.opening import RELATIVE, open_input
 from handfit_core.media.chessboard import measure_lens
 from handfit_core.media.lenses import checked_name, save_lens
 from handfit_core.media.videos import Video
-from handfit_core.options import OPTIONS, CaptureOptions
-from handfit_core.pipeline import add_arms_to_file, capture_to_file
-from handfit_core.retiming import check_rate, is_other_rate
-from handfit_core.sheet import write_sheet
 from handfit_core.take import Take
+from handfit_core.take.sheet import write_sheet
 from handfit_core.worker.events import OnProgress
 
 if TYPE_CHECKING:
-    from handfit_core.pipeline import Progress
+    from handfit_core.capturing.pipeline import Progress
 
 MAX_PICTURE_SIDE: Final = 4096
 """pixels a side of a picture that people look at"""

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from handfit_core.errors import Cancelled
-from handfit_core.version import __version__
+from handfit_core.common.errors import Cancelled
+from handfit_core.common.version import __version__
 from handfit_core.worker.events import Event, WorkerError, as_error, encode
 from handfit_core.worker.interpreter import (
     EXIT_UNFIT,

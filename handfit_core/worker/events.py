@@ -14,8 +14,8 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
-from handfit_core import errors
-from handfit_core.errors import Cancelled, HandfitError, ProtocolError
+from handfit_core.common import errors
+from handfit_core.common.errors import Cancelled, HandfitError, ProtocolError
 
 THREAD_VARIABLES: Final = (
     "OMP_NUM_THREADS",

@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import pack
-from handfit_core.errors import HandfitError, OptionError
+from handfit_core.capturing.live.streaming import Calibration, Live, LiveHand, LiveOptions, picture
+from handfit_core.common.arrays import pack
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.media.recording import ClipWriter
-from handfit_core.streaming import Calibration, Live, LiveHand, LiveOptions, picture
 
 _PICTURE_SECONDS: Final = 0.1
 """seconds between two small pictures: a window shows them, nobody measures in them"""

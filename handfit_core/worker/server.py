@@ -21,10 +21,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, BinaryIO, Final
 
+from handfit_core.common.errors import Cancelled, OptionError, ProtocolError
+from handfit_core.common.version import __version__
 from handfit_core.detect.detector import DETECTORS
-from handfit_core.errors import Cancelled, OptionError, ProtocolError
-from handfit_core.solvers import SOLVERS
-from handfit_core.version import __version__
+from handfit_core.fit.solvers import SOLVERS
 from handfit_core.worker.answering import answer
 from handfit_core.worker.events import THREAD_VARIABLES, OnProgress, encode, error_fields, log_warnings_to
 from handfit_core.worker.process import own_streams

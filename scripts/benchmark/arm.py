@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import ShapedHand
 from handfit_core.hand_model.forearm import wrist_ring
-from handfit_core.skeleton import Side
 
 from .kinematics import model_of
 from .meshes import Mesh, tube

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from handfit_core.common.skeleton import SIDES
 from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.skeleton import SIDES
 
 SKIN, CLOTH, EYE = 0, 1, 2
 CLOTHED: Final = ("spine", "clavicle", "shoulder", "upperarm", "breast", "pelvis", "leg", "root")

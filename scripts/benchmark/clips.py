@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, other_side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.skeleton import SIDES, other_side
 
 from .contact import clearance, penetration
 from .kinematics import RightHand, hand_pose_from_angles, model_of

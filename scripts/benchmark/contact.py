@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS
 
 from .kinematics import RightHand, model_of
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from handfit_core.errors import OutputError
-from handfit_core.files import written_whole
+from handfit_core.common.errors import OutputError
+from handfit_core.common.files import written_whole
 
 from .shots import Shot
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS
 
 from .contact import PALM_RADIUS, capsules, penetration, segment_distance
 from .kinematics import RightHand, within_limits

@@ -10,10 +10,10 @@ import functools
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, Side, keypoints_from_joints
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import HandModel, forward_kinematics, load_model
 from handfit_core.hand_model.anatomy import JointLimits, anatomical_axes, joint_limits, rotmats_from_angles
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, Side, keypoints_from_joints
 
 MIRROR_ROTVEC = np.array([1.0, -1.0, -1.0])
 """Mirroring in x turns a rotation vector (a, b, c) into (a, -b, -c)"""

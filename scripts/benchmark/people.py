@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side, other_side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import ShapedHand
-from handfit_core.skeleton import Side, other_side
 
 from .arm import Arm, build_arm, forearm_direction
 from .contact import Capsules, capsules, clearance, gap

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS
 
 from .contact import penetration
 from .kinematics import RightHand, within_limits

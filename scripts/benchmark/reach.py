@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, TIP_KEYPOINTS
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, TIP_KEYPOINTS
 
 from .contact import overlaps
 from .kinematics import RightHand, first_limits

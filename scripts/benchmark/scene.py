@@ -10,7 +10,7 @@ from mathutils import Matrix, Vector
 
 from blender_manient.common.blender_versions import use_nodes
 from blender_manient.scene.build import BuiltTake, build_take
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.hand_model import axes
 
 from .materials import TINT, skin, surface

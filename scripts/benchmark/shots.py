@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.source import Source
-from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack, Take
 
 from .arm import Arm

@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, other_side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
-from handfit_core.skeleton import SIDES, other_side
 
 from .contact import Capsules, capsules
 from .meshes import Mesh, ball, box, cylinder, mug, pen

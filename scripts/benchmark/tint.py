@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS
 from handfit_core.hand_model.anatomy import anatomical_axes
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS
 
 from .kinematics import model_of
 from .meshes import vertex_normals

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.skeleton import Side
 
 from .contact import segment_distance
 

@@ -15,7 +15,7 @@ from scripts.fetch_landmark_model import assemble, assemble_2020, has_sum
 
 BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 """Files that the core's build reads."""
-NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/interchange/send.py")
+NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/capturing/live/send.py")
 """What only a checkout has."""
 
 LANDMARK_MODEL = f"handfit_core/detect/data/{landmark_model.TASK.name}"

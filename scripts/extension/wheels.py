@@ -20,8 +20,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from handfit_core.errors import HandfitError
-from handfit_core.files import cache_dir
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.files import cache_dir
 
 LOCKS = Path(__file__).parent / "locks"
 BUILD_LOCK = LOCKS / "build.txt"

@@ -9,11 +9,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import axes
 from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side
 
 
 @dataclass(frozen=True)

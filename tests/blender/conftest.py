@@ -19,14 +19,14 @@ from blender_manient.common import preferences  # noqa: E402
 from blender_manient.common.blender_versions import channels, first_slot  # noqa: E402
 from blender_manient.rigs.captured_hand import bone_names  # noqa: E402
 from blender_manient.scene.build import build_take  # noqa: E402
+from handfit_core.common.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
+from handfit_core.common.version import __version__  # noqa: E402
 from handfit_core.geometry.camera import Intrinsics  # noqa: E402
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat  # noqa: E402
 from handfit_core.hand_model import HandModel, load_model, save_model_npz  # noqa: E402
 from handfit_core.hand_model.forearm import with_wrist  # noqa: E402
 from handfit_core.media.source import Source  # noqa: E402
-from handfit_core.skeleton import FINGER_JOINTS, SIDES, Side  # noqa: E402
 from handfit_core.take import HandTrack, Take  # noqa: E402
-from handfit_core.version import __version__  # noqa: E402
 from tests.imitation_mano import imitation_model  # noqa: E402
 
 FRAMES = np.array([3, 4, 5, 6, 7, 8, 12, 13, 14, 16, 17, 18])

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS
 from handfit_core.geometry.rotations import quat_to_rotmat
-from handfit_core.skeleton import FINGER_JOINTS
 
 from .conftest import action_curves
 

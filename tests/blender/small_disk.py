@@ -23,7 +23,7 @@ from blender_manient.exporters.export_hands import Stage, export_hands, export_t
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import CharacterObjects
 from blender_manient.scene.preview import write_png
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 from handfit_core.take import Take
 
 PAGE = 4096

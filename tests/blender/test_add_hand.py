@@ -16,7 +16,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs
 from blender_manient.session.refiner import Refiner, why_not_refinable
-from handfit_core.skeleton import SIDES
+from handfit_core.common.skeleton import SIDES
 from handfit_core.take import Take
 from tests.capturing import needs_capture
 

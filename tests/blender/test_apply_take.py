@@ -12,7 +12,7 @@ from blender_manient.rigs import rig_of
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.media.source import Source
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world

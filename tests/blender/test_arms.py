@@ -19,8 +19,8 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.onto_character import is_keyframed
 from blender_manient.scene.store import captured_take, hand_of, kept_take
-from handfit_core.errors import OptionError
-from handfit_core.skeleton import other_side
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import other_side
 from tests.capturing import needs_capture
 from tests.takes import with_arms
 

@@ -7,7 +7,7 @@ import pytest
 
 from blender_manient.scene.build import build_take, building
 from blender_manient.scene.keys import CURVES
-from handfit_core.errors import BuildInterrupted
+from handfit_core.common.errors import BuildInterrupted
 
 from .conftest import action_curves, blocks
 

@@ -14,8 +14,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from blender_manient.operators.capture import new_job
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, shared_worker
-from handfit_core.errors import HandfitError
-from handfit_core.skeleton import FINGERS
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import FINGERS
 from tests.capturing import needs_capture
 
 pytestmark = pytest.mark.usefixtures("registered")

@@ -14,9 +14,9 @@ from blender_manient.panels.character import MANIENT_PT_character, MANIENT_PT_ch
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import active_character, hand_map_of, keep_map, kept_map
 from blender_manient.scene.store import hand_of
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.skeleton import SIDES, Side
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, map_of, mixamo_names

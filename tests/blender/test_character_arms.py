@@ -17,9 +17,9 @@ from blender_manient.scene.characters import hand_map_of
 from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
 from blender_manient.session import live_link
+from handfit_core.common.skeleton import SIDES
+from handfit_core.common.slices import run_to_completion
 from handfit_core.hand_model.arm import ArmMotion
-from handfit_core.skeleton import SIDES
-from handfit_core.slices import run_to_completion
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, mixamo_names, placed

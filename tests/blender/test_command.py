@@ -19,9 +19,9 @@ from blender_manient.common import preferences
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.onto_character import MAX_TOUCH_ERROR, motion_of
 from blender_manient.scene.store import captured_hands, hand_of
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, Side, other_side
 from handfit_core.hand_model.poses import ready_poses
 from handfit_core.retarget.hand_map import to_preset
-from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, Side, other_side
 from handfit_core.take import Take
 from tests.conftest import ROOT
 

@@ -23,8 +23,8 @@ from blender_manient.scene.confidence import (
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.store import hand_of
 from blender_manient.session import error_graph
-from handfit_core.fit_quality import EXPECTED, IN_PICTURE
-from handfit_core.skeleton import FINGERS
+from handfit_core.common.skeleton import FINGERS
+from handfit_core.take.fit_quality import EXPECTED, IN_PICTURE
 
 from .conftest import FRAMES, UNSEEN
 

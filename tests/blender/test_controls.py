@@ -14,8 +14,8 @@ from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES, other_side
 from handfit_core.hand_model.anatomy import joint_limits
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, other_side
 
 from .conftest import FRAMES, action_curves, blocks, joint_heads, shown_bones
 from .fbx_file import read_fbx

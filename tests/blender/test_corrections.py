@@ -18,8 +18,8 @@ from blender_manient.scene.editable import why_not_editable, why_not_keyable
 from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, write_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session.refiner import why_not
+from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.edit.corrections import changed_quats, correction_between
-from handfit_core.errors import HandModelError, OptionError
 
 from .conftest import FRAMES, UNSEEN
 

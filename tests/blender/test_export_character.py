@@ -13,7 +13,7 @@ import pytest
 from blender_manient.exporters.clean_rig import deforming_tree
 from blender_manient.panels.export import MANIENT_PT_export
 from blender_manient.scene.build import build_take
-from handfit_core.skeleton import SIDES
+from handfit_core.common.skeleton import SIDES
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, mixamo_names, placed

@@ -19,13 +19,13 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.skeleton import FINGER_JOINTS, SIDES
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.formats.bvh import WRITER
 from handfit_core.interchange.opening import read_recording
 from handfit_core.media.source import Source
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import FINGER_JOINTS, SIDES
 from handfit_core.take import Take
 from tests.drawn import drawn
 

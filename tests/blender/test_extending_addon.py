@@ -100,8 +100,8 @@ np.testing.assert_array_equal(after.locations, before.locations)
 """
 
 CHARACTER = """
-from handfit_core.errors import OptionError
-from handfit_core.slices import run_to_completion
+from handfit_core.common.errors import OptionError
+from handfit_core.common.slices import run_to_completion
 from blender_manient.rigs import found_hand
 from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of

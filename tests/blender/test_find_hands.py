@@ -16,11 +16,11 @@ from blender_manient.operators.modes.view import MAX_ZOOM, PictureView
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.scene.store import captured_hands
 from blender_manient.session import jobs, shared_worker
-from handfit_core.arrays import pack
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.arrays import pack
+from handfit_core.common.errors import OptionError
 from handfit_core.detect.detector import Region
-from handfit_core.errors import OptionError
 from handfit_core.geometry.picture_map import mapped
-from handfit_core.options import CaptureOptions
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 

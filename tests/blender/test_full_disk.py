@@ -12,7 +12,7 @@ from blender_manient.exporters import EXPORTERS
 from blender_manient.exporters.export_hands import export_take
 from blender_manient.scene.build import build_take
 from blender_manient.scene.proof import prove_whole
-from handfit_core.errors import OutputError
+from handfit_core.common.errors import OutputError
 from tests.conftest import ROOT
 
 

@@ -16,7 +16,7 @@ import pytest
 from blender_manient.common import installation, preferences
 from blender_manient.operators import check_installation
 from blender_manient.session import details
-from handfit_core.version import __version__
+from handfit_core.common.version import __version__
 from tests.capturing import needs_capture
 
 from .small_zip import FOREIGN, PLATFORM, PYTHON, cut_short, gone, small_zip

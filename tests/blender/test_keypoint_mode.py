@@ -19,7 +19,7 @@ from blender_manient.operators.modes.keypoints import REACH, KeypointMode, forge
 from blender_manient.scene.build import build_take
 from blender_manient.scene.camera import lens_of_camera
 from blender_manient.session.refiner import Refiner
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.geometry.picture_map import mapped
 from tests.takes import correctable
 

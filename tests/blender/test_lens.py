@@ -11,7 +11,7 @@ from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import properties
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.lenses import MeasuredLens, lenses_path, save_lens

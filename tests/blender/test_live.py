@@ -16,7 +16,7 @@ from blender_manient.scene.characters import keep_map
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, live
 from blender_manient.session.live_takes import takes
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.lenses import MeasuredLens, save_lens

@@ -11,7 +11,7 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, read_pose_keys, remove_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
-from handfit_core.skeleton import other_side
+from handfit_core.common.skeleton import other_side
 
 from .conftest import action_curves, evaluated_vertices, joint_heads
 

@@ -13,13 +13,13 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.onto_character import TransferOptions, applying, putting, reading_motion
 from blender_manient.scene.store import hand_of
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import FINGER_JOINTS
+from handfit_core.common.slices import run_to_completion
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS
-from handfit_core.slices import run_to_completion
 from tests.core.retarget.pinches import bends
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed

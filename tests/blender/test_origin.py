@@ -15,7 +15,7 @@ from blender_manient.scene.corrections import clear_corrections, displaced
 from blender_manient.scene.keys import pose_at, read_pose_keys
 from blender_manient.scene.layer import add_layer, end_layer
 from blender_manient.scene.store import hand_of
-from handfit_core.skeleton import SIDES
+from handfit_core.common.skeleton import SIDES
 
 from .conftest import FRAMES, evaluated_vertices, joint_heads
 from .test_corrections import correct

@@ -16,9 +16,9 @@ from blender_manient.scene.keys import PoseKeys, pose_at, write_pose_keys
 from blender_manient.scene.own_keys import keyed_by_hand, note_fitted
 from blender_manient.scene.store import hand_of
 from blender_manient.scene.timing import timing_in
+from handfit_core.common.skeleton import NUM_JOINTS
 from handfit_core.edit.corrections import changed_quats
 from handfit_core.media.source import Source
-from handfit_core.skeleton import NUM_JOINTS
 from tests.drawn import drawn
 
 from .conftest import FRAMES, UNSEEN

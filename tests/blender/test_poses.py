@@ -14,11 +14,11 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import PoseKeys, displayed_pose, pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.poses import PROPERTY, kept_pose, posable_hands, pose_items
+from handfit_core.common.skeleton import FINGER_JOINTS, SIDES, other_side
 from handfit_core.edit.corrections import correction_between
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import axes, load_model
 from handfit_core.hand_model.poses import Pose, ready_poses
-from handfit_core.skeleton import FINGER_JOINTS, SIDES, other_side
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, map_of, placed

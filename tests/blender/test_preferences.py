@@ -19,8 +19,8 @@ from blender_manient.panels.capture import MANIENT_PT_capture_advanced
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.scene.build import build_take
 from blender_manient.session import cache, shared_worker
-from handfit_core.errors import OutputError
-from handfit_core.options import OPTIONS, CaptureOptions
+from handfit_core.capturing.options import OPTIONS, CaptureOptions
+from handfit_core.common.errors import OutputError
 from tests.conftest import ROOT
 from tests.drawn import drawn
 from tests.takes import correctable

@@ -29,8 +29,8 @@ from blender_manient.scene.own_keys import keyed_by_hand
 from blender_manient.scene.store import hand_of
 from blender_manient.session import shared_worker
 from blender_manient.session.refiner import BonePoses, Refiner, why_not_smoothable
+from handfit_core.common.skeleton import FINGER_JOINTS
 from handfit_core.edit.corrections import changed_quats, correction_between
-from handfit_core.skeleton import FINGER_JOINTS
 from handfit_core.take import Take
 from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture

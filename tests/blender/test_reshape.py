@@ -16,7 +16,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import pose_at, read_pose_keys, remove_pose_keys
 from blender_manient.scene.mirror import mirror_hand
 from blender_manient.scene.store import hand_of
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
 from handfit_core.geometry.rotations import quat_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL

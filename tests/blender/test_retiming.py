@@ -22,9 +22,9 @@ from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene
 from blender_manient.session import source_info
 from blender_manient.session.refiner import Refiner
-from handfit_core.errors import OptionError
+from handfit_core.capturing.retiming import shown_numbers
+from handfit_core.common.errors import OptionError
 from handfit_core.media.source import Source
-from handfit_core.retiming import shown_numbers
 from tests.takes import with_arms
 
 from .conftest import HEIGHT, WIDTH

@@ -18,10 +18,10 @@ from blender_manient.rigs.vrm import VrmCharacter
 from blender_manient.scene.build import build_take
 from blender_manient.scene.onto_character import TransferOptions, putting
 from blender_manient.scene.store import hand_of
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES
+from handfit_core.common.slices import run_to_completion
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES
-from handfit_core.slices import run_to_completion
 from tests.core.retarget.rigs import Built, add_hand, body
 from tests.drawn import drawn
 

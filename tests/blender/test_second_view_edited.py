@@ -17,8 +17,8 @@ from blender_manient.scene import corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import hand_of
 from blender_manient.session.refiner import Refiner
-from handfit_core.fit_quality import view_errors
 from handfit_core.take import Take
+from handfit_core.take.fit_quality import view_errors
 from tests.drawn import drawn
 from tests.takes import of_two_views
 

@@ -34,11 +34,11 @@ from blender_manient.scene.simplify import (
 )
 from blender_manient.scene.store import hand_of
 from blender_manient.session import key_preview
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import NUM_JOINTS
+from handfit_core.common.slices import run_to_completion
 from handfit_core.geometry.rotations import quat_multiply, rotvec_to_quat
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.skeleton import NUM_JOINTS
-from handfit_core.slices import run_to_completion
 
 from .characters import build_armature, hand_specs, joint_name
 from .looking import apart, bones_at, chosen, curves_of

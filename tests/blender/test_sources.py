@@ -12,7 +12,7 @@ from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.panels.source import MANIENT_PT_source  # noqa: E402
 from blender_manient.session import shared_worker, source_info  # noqa: E402
-from handfit_core.errors import InputError, OptionError  # noqa: E402
+from handfit_core.common.errors import InputError, OptionError  # noqa: E402
 from tests.drawn import drawn  # noqa: E402
 
 

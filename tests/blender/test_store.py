@@ -15,10 +15,10 @@ from blender_manient.exporters.take import retaken
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.session.refiner import Refiner
+from handfit_core.common.errors import HandModelError, TakeError
+from handfit_core.common.slices import run_to_completion
 from handfit_core.edit.messages import from_message
-from handfit_core.errors import HandModelError, TakeError
 from handfit_core.media.source import Source
-from handfit_core.slices import run_to_completion
 from handfit_core.take import Take
 
 from .conftest import FRAMES, UNSEEN

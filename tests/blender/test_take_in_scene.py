@@ -14,11 +14,11 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import CURVES, read_pose_keys
+from handfit_core.common.skeleton import FINGER_JOINTS, JOINT_NAMES, NUM_JOINTS, PARENTS, other_side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import points_to_rest
 from handfit_core.media.source import Source
-from handfit_core.skeleton import FINGER_JOINTS, JOINT_NAMES, NUM_JOINTS, PARENTS, other_side
 
 from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, built_model, evaluated_vertices, joint_heads, world
 from .looking import curves_of, keyed_bones

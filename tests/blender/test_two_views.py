@@ -17,12 +17,12 @@ from blender_manient.scene import captures
 from blender_manient.scene.build import build_take
 from blender_manient.scene.retime import retime
 from blender_manient.session import shared_worker, source_info
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.media.source import Source
 from handfit_core.take import Take
-from handfit_core.views import Cameras, Verdict, View
+from handfit_core.take.views import Cameras, Verdict, View
 from tests.drawn import drawn
 
 from .conftest import FRAMES, HEIGHT, OFF_CENTRE, WIDTH, blocks, joint_heads

@@ -13,9 +13,9 @@ from blender_manient.exporters.export_hands import Stage, export_hands, export_t
 from blender_manient.scene.build import build_take
 from blender_manient.scene.characters import CharacterObjects, keep_map
 from blender_manient.scene.onto_character import TransferOptions, applying, motion_of
-from handfit_core.errors import OptionError
-from handfit_core.skeleton import SIDES
-from handfit_core.slices import run_to_completion
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import SIDES
+from handfit_core.common.slices import run_to_completion
 from tests.core.interchange.humanoids import Played, apart, directions, named, wanted
 
 from .characters import BoneSpec, build_armature, hand_specs, map_of, placed

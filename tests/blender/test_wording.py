@@ -28,9 +28,9 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
 from blender_manient.session import jobs, refiner
 from blender_manient.session.jobs import Building, Job
-from handfit_core.fit_quality import EXPECTED, mean_relative_error, relative_errors
+from handfit_core.capturing.options import CaptureOptions
 from handfit_core.media.source import Source
-from handfit_core.options import CaptureOptions
+from handfit_core.take.fit_quality import EXPECTED, mean_relative_error, relative_errors
 from tests.drawn import drawn
 
 LONG = "entrevista con la señora Muñoz en el taller, segunda toma, cámara B, mano izquierda"

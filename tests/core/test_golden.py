@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from handfit_core.__main__ import _parser
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.detector import Quality
 from handfit_core.hand_model import save_model_npz
-from handfit_core.pipeline import capture
-from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from tests.conftest import ROOT
 from tests.core.detect.clips import write_two_hands

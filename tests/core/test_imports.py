@@ -102,12 +102,9 @@ def test_modules_that_name_no_blender_need_none():
 
 
 ARROWS = {
-    "geometry": ("errors", "geometry"),
-    "media": ("errors", "files", "geometry", "media", "npz"),
-    "detect": (
-        *("detect", "errors", "files", "geometry", "hand_model", "media"),
-        *("arrays", "batch", "machine", "options", "registry", "skeleton"),
-    ),
+    "geometry": ("common", "geometry"),
+    "media": ("common", "geometry", "media"),
+    "detect": ("capturing", "common", "detect", "geometry", "hand_model", "media"),
 }
 """What the rooms at the beginning of the path may know of the core"""
 
@@ -161,7 +158,7 @@ def test_bones_and_formats_are_known_in_one_place(word, room):
         "sys.modules['bpy'] = sys.modules['mathutils'] = None; import "
         + ", ".join(f"blender_manient.{name}" for name in PURE),
         "import handfit_core.take, handfit_core.hand_model, handfit_core.media.opening, "
-        "handfit_core.solvers, handfit_core.pipeline, handfit_core.__main__; "
+        "handfit_core.fit.solvers, handfit_core.capturing.pipeline, handfit_core.__main__; "
         f"assert not set({HEAVY!r}) & set(sys.modules)",
         # Or the worker could not tell NumPy's OpenBLAS how many threads it may have.
         "import handfit_core; assert 'numpy' not in sys.modules; handfit_core.Take",
@@ -190,7 +187,7 @@ corrected = RefineHand(hand.side, hand.betas, *hand.pose, *rest)
 warm_up()
 for found in (refit_each(corrected), refit_range(corrected)):
     assert found.present.all()
-for name in ("torch", "handfit_core.arms", "handfit_core.detect.bodies", "handfit_core.fit.arms"):
+for name in ("torch", "handfit_core.capturing.arms", "handfit_core.detect.bodies", "handfit_core.fit.arms"):
     assert name not in sys.modules, name
 """
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

@@ -37,7 +37,7 @@ def test_reasons_are_as_blender_wants_them():
 def test_nothing_in_the_zip_talks_to_the_network():
     """Only `send` does, which a checkout has: see test_core_wheel for what is in the zip. Blender and the
     worker hold a pair of sockets that were connected when they were made."""
-    send, worker = "handfit_core.interchange.send", "handfit_core.worker.process"
+    send, worker = "handfit_core.capturing.live.send", "handfit_core.worker.process"
     assert importers(NETWORK) == {send, worker}
     text = MODULES[worker].read_text(encoding="utf-8")
     assert not re.search(r"\b(bind|listen|connect|create_connection|create_server)\(", text)
@@ -52,7 +52,7 @@ def test_nothing_listens_and_only_live_runs_look():
     """OpenCV takes a number for a camera, a path for a file."""
     assert importers(SOUND) == set()
     live = {name for name, path in MODULES.items() if "handfit_core.media.camera" in imported_modules(path)}
-    assert live == {"handfit_core.streaming"}
+    assert live == {"handfit_core.capturing.live.streaming"}
     calls = [node for node in NODES if isinstance(node, ast.Call)]
     videos = [call for call in calls if ast.unparse(call.func).endswith("VideoCapture")]
     assert videos

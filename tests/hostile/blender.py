@@ -21,7 +21,7 @@ import blender_manient
 from blender_manient import modules
 from blender_manient.scene import corrections, store
 from blender_manient.scene.build import build_take
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 from handfit_core.media.source import Source
 from scripts import batch_fit
 from tests.drawn import drawn

@@ -13,7 +13,7 @@ import sys
 import traceback
 from pathlib import Path
 
-from handfit_core.errors import HandfitError
+from handfit_core.common.errors import HandfitError
 
 MOST_ADDRESSES = 12 << 30
 """Bytes of address space, which end what would take all of the machine's memory"""

@@ -23,18 +23,19 @@ from typing import Any
 import cv2  # noqa: F401  (loaded before the first case: its memory is no case's)
 import numpy as np
 
-from handfit_core import errors, pipeline
 from handfit_core.__main__ import main
+from handfit_core.capturing import pipeline
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import hand_summaries
+from handfit_core.common import errors
+from handfit_core.common.skeleton import SIDES
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.opening import RELATIVE, open_input, read_recording
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import hand_summaries
-from handfit_core.sheet import write_sheet
-from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
+from handfit_core.take.sheet import write_sheet
 from handfit_core.tasks.report import line, read_results, write_report
 from handfit_core.tasks.task import Task
 from handfit_core.worker import answering, events

@@ -43,7 +43,7 @@ def _payloads() -> Iterator[tuple[str, bytes]]:
         ("__builtin__", "eval"), ("builtins", "getattr"), ("numpy", "load"), ("numpy.f2py", "compile"),
         ("numpy.testing._private.utils", "runstring"), ("chumpy.ch", "os.system"), ("chumpy", "__import__"),
         ("scipy.sparse.csc", "csc_matrix.__init__"), ("numpy.core.multiarray", "os.system"), ("_codecs", "decode"),
-        ("handfit_core.safe_pickle", "load"), ("copyreg", "__newobj__"), ("operator", "attrgetter"),
+        ("handfit_core.common.safe_pickle", "load"), ("copyreg", "__newobj__"), ("operator", "attrgetter"),
     ):  # fmt: skip
         found = f"c{module}\n{name}\n".encode()
         stacked = _text(module.encode()) + _text(name.encode()) + pickle.STACK_GLOBAL

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import SIDES
 from handfit_core.take import Take
 from tests.hostile.engine import Case
 from tests.hostile.mutations import mutants

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from tests.hostile import engine
 from tests.hostile.engine import Case, Doorkeeper
 

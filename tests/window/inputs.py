@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES
 from handfit_core.edit import landmark_points
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
-from handfit_core.skeleton import KEYPOINT_PARENTS, SIDES
 from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose

@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import unpack
+from handfit_core.capturing.options import CROWD, region_of
+from handfit_core.common.arrays import unpack
+from handfit_core.common.skeleton import SIDES, HandChoice, Side, other_side
 from handfit_core.detect.detector import Region
-from handfit_core.options import CROWD, region_of
-from handfit_core.skeleton import SIDES, HandChoice, Side, other_side
 
 SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""

@@ -11,7 +11,7 @@ import blf
 import gpu
 import numpy as np
 
-from handfit_core.skeleton import FINGERS, KEYPOINT_PARENTS, NUM_KEYPOINTS, PALM_KEYPOINTS
+from handfit_core.common.skeleton import FINGERS, KEYPOINT_PARENTS, NUM_KEYPOINTS, PALM_KEYPOINTS
 
 from ...common.screen import Box, draw_shape, ui_scale
 

@@ -15,12 +15,12 @@ import bpy
 import gpu
 import numpy as np
 
+from handfit_core.capturing.options import CaptureOptions, region_of
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import other_side
 from handfit_core.detect.detector import Region
-from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import CaptureOptions, region_of
-from handfit_core.skeleton import other_side
 
 from ...common import screen
 from ...common.screen import Box, draw_shape, ui_scale

@@ -15,10 +15,10 @@ from typing import Final, NamedTuple
 import bpy
 import numpy as np
 
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.edit.corrections import Pins
-from handfit_core.errors import HandfitError
 from handfit_core.geometry.picture_map import mapped
-from handfit_core.skeleton import NUM_KEYPOINTS
 
 from ...common import preferences, screen
 from ...common.wording import capitalised, counted

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, WRIST_KEYPOINT
 from handfit_core.detect.keypoints import Detections
 from handfit_core.geometry.similarity import laid_over
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES, WRIST_KEYPOINT
 
 KNUCKLES = (5, 9, 13, 17)
 WORLD_SCALE = 10.0

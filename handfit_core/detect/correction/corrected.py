@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.batch import slices
+from handfit_core.common.batch import slices
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.network import landmark_network
 from handfit_core.detect.keypoints import Detections, Landmarked
 from handfit_core.geometry.crossing import Crossing
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES, Side
 
 _THUMB: Final = [2, 3, 4]
 BATCH: Final = 512

@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.detect.correction.canonical import Canonical
-from handfit_core.skeleton import NUM_KEYPOINTS
 
 FILE: Final = Path(__file__).parent / "data" / "landmark_network.npz"
 MAX_FEATURE: Final = 4.0

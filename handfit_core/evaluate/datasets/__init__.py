@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 from typing import Final
 
-from handfit_core.errors import DatasetError, HandfitError, OptionError
+from handfit_core.common.errors import DatasetError, HandfitError, OptionError
+from handfit_core.common.registry import Registry
 from handfit_core.evaluate.labels import Dataset, Reader, said
-from handfit_core.registry import Registry
 
 __all__ = ["READERS", "open_dataset"]
 

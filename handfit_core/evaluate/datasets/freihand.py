@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from handfit_core.errors import DatasetError
+from handfit_core.common.errors import DatasetError
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Labels, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import NUM_KEYPOINTS
 
 PLACES = {split: f"{split}_xyz.json" for split in ("evaluation", "training")}
 COPIES = 4

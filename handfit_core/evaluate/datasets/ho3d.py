@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.errors import DatasetError
+from handfit_core.common.errors import DatasetError
+from handfit_core.common.skeleton import KEYPOINT_SOURCE, NUM_KEYPOINTS
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import KEYPOINT_SOURCE, NUM_KEYPOINTS
 
 PLACES = {"evaluation": "evaluation_xyz.json", "train": "train"}
 """The evaluation's meta files hold the wrist only: the authors kept the rest back for their contest"""

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.errors import DatasetError
+from handfit_core.common.errors import DatasetError
+from handfit_core.common.files import is_file, written_whole
+from handfit_core.common.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Entry, HandLabel, Labels, MeshLabel, Problem, Reader
-from handfit_core.files import is_file, written_whole
 from handfit_core.hand_model import OPEN_HAND, load_model
-from handfit_core.skeleton import NUM_BETAS, NUM_KEYPOINTS, SIDES
 
 INDEX = "index.json"
 DEFAULT_FPS = 25.0

@@ -13,12 +13,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from handfit_core import safe_pickle
-from handfit_core.errors import DatasetError, OptionError
+from handfit_core.common import safe_pickle
+from handfit_core.common.errors import DatasetError, OptionError
+from handfit_core.common.files import read_file
+from handfit_core.common.skeleton import NUM_KEYPOINTS, Side
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels, MeshLabel, Problem
-from handfit_core.files import read_file
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.skeleton import NUM_KEYPOINTS, Side
 
 Label = TypeVar("Label", bound=Hashable)
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS, Side
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Labels, Reader
 from handfit_core.media.opening import pictures_in
-from handfit_core.skeleton import NUM_KEYPOINTS, Side
 
 PLACES = {split: f"{split}/anno_{split}.pickle" for split in ("evaluation", "training")}
 

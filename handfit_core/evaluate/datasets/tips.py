@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 from handfit_core.evaluate.datasets import reading
 from handfit_core.evaluate.labels import Dataset, Entry, Labels, Problem, Reader
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.opening import pictures_in, sequence_numbers
-from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
 LABELS = ("cleaned", "original")
 

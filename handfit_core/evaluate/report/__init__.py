@@ -10,6 +10,7 @@ from pathlib import Path
 import pandas as pd
 from jinja2 import Environment, StrictUndefined
 
+from handfit_core.common.files import written_whole
 from handfit_core.evaluate.report import tables
 from handfit_core.evaluate.report.plots import write_plots
 from handfit_core.evaluate.report.sheets import Sheet, write_sheets
@@ -26,7 +27,6 @@ from handfit_core.evaluate.report.tables import (
 )
 from handfit_core.evaluate.scores import Evaluation
 from handfit_core.evaluate.summary import hands_table
-from handfit_core.files import written_whole
 
 REPORT_FILES = (
     *("index.html", "table.md", "table.csv", "per_hand.csv", "comparisons.csv", "by_tag.md", "problems.csv"),

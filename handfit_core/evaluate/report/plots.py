@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from handfit_core.common.files import written_whole
+from handfit_core.common.skeleton import FINGERS, KEYPOINT_NAMES
 from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, auc, labelled_points, mean_of_labelled, pck_curve
 from handfit_core.evaluate.report.tables import (
     error_metric,
@@ -19,8 +21,6 @@ from handfit_core.evaluate.report.tables import (
 )
 from handfit_core.evaluate.scores import Evaluation, Scores
 from handfit_core.evaluate.summary import pck
-from handfit_core.files import written_whole
-from handfit_core.skeleton import FINGERS, KEYPOINT_NAMES
 
 PA_THRESHOLDS_MM: Final = np.linspace(0.0, 50.0, 101)
 """The range of the PA-PCK plot"""

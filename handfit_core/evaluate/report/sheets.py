@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import written_whole
+from handfit_core.common.skeleton import KEYPOINT_PARENTS
 from handfit_core.evaluate.report.tables import error_metric, focus_of, text_of
 from handfit_core.evaluate.scores import Evaluation, Scores
 from handfit_core.evaluate.summary import hand_means
-from handfit_core.files import written_whole
 from handfit_core.media.pictures import read_picture
-from handfit_core.skeleton import KEYPOINT_PARENTS
 
 CELLS: Final = 12
 """Hands on a sheet at most"""

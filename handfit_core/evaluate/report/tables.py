@@ -11,10 +11,10 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from handfit_core.common.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 from handfit_core.evaluate.metrics import labelled_points
 from handfit_core.evaluate.scores import Comparison, Evaluation, Scores
 from handfit_core.evaluate.summary import METRICS, Metric, hand_means, tags_of
-from handfit_core.skeleton import NUM_KEYPOINTS, TIP_KEYPOINTS
 
 MISSING = "–"
 """What stands where there is no number"""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import TERMS, VIEWS
 from handfit_core.fit.terms.rows import HAND, POINTS, Rows

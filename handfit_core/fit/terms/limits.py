@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, Side
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import FINGERS, Rows
 from handfit_core.hand_model.anatomy import BEND, LAST_BEND, MIDDLE_BEND, SPREAD, joint_limits
 from handfit_core.hand_model.chain import Posed
 from handfit_core.hand_model.files import OPEN_HAND
-from handfit_core.skeleton import JOINTS_BY_FINGER, Side
 
 CLOSED_HAND_MARGIN = np.zeros((5, 9))
 CLOSED_HAND_MARGIN[1:, [MIDDLE_BEND, LAST_BEND]] = np.radians([10.0, 15.0])

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import FINGERS, Rows
 from handfit_core.hand_model.chain import Posed
-from handfit_core.skeleton import Side
 
 
 class PosePrior:

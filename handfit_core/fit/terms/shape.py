@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.skeleton import NUM_BETAS
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms.rows import HAND, Rows
 from handfit_core.hand_model.chain import BETAS, Posed
-from handfit_core.skeleton import NUM_BETAS
 
 
 class Shape:

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from handfit_core.batch import Batch
+from handfit_core.common.batch import Batch
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.fit.fast import FastFitter
@@ -15,7 +16,6 @@ from handfit_core.fit.observation import Observation, SecondView, observation_of
 from handfit_core.fit.settings import VIEWS
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import Side
 from handfit_core.take import HandTrack
 
 

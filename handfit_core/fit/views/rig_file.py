@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.errors import InputError, OptionError
-from handfit_core.files import read_file, shown, written_whole
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.files import read_file, shown, written_whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat

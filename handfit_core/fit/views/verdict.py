@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handfit_core.fit.settings import VIEWS
-from handfit_core.views import Verdict
+from handfit_core.take.views import Verdict
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,10 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST
-from handfit_core.errors import HandModelError, InputError, OptionError
-from handfit_core.files import shown
+from handfit_core.common.arrays import LARGEST
+from handfit_core.common.errors import HandModelError, InputError, OptionError
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL
@@ -39,7 +40,6 @@ from handfit_core.interchange.writers import Writer
 from handfit_core.media.source import DEFAULT_FPS
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 from handfit_core.take import TAKE_LIMITS, Take
 
 _MOTION: Final = re.compile(r"^[ \t]*MOTION[ \t]*\r?$", re.MULTILINE | re.IGNORECASE)

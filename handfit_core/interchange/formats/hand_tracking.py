@@ -14,10 +14,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST
-from handfit_core.batch import scatter
-from handfit_core.errors import InputError
-from handfit_core.files import shown
+from handfit_core.common.arrays import LARGEST
+from handfit_core.common.batch import scatter
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, SIDES, Side
+from handfit_core.common.values import number, shortly
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL, bone_frames
@@ -29,8 +31,6 @@ from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.retarget.transfer import palm_frame
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, NUM_JOINTS, PARENTS, SIDES, Side
-from handfit_core.values import number, shortly
 
 _FINGER: Final = ("metacarpal", "proximal", "intermediate", "distal", "tip")
 JOINTS: Final = (

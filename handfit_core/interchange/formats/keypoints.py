@@ -10,7 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.files import shown
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.common.values import number, one_of, whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import JsonFrames, hands_in, keyed, objects_in, some_contents
@@ -19,8 +21,6 @@ from handfit_core.interchange.point_names import is_apple
 from handfit_core.interchange.point_reader import PointLayout, is_hand_table
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.table_points import columns_of
-from handfit_core.skeleton import NUM_KEYPOINTS, SIDES
-from handfit_core.values import number, one_of, whole
 
 # OpenPose
 

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.motion import POSE_ARRAYS
 from handfit_core.interchange.every_frame import EveryFrame
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import Writer
-from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
 
 _HANDS: Final[dict[Side, slice]] = {"left": slice(75, 120), "right": slice(120, 165)}

@@ -15,16 +15,16 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.arrays import LARGEST
-from handfit_core.errors import InputError, OptionError
-from handfit_core.files import shown
+from handfit_core.common.arrays import LARGEST
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.files import shown
+from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import Asked, PointsHand, Recording
 from handfit_core.interchange.settings import LIMITS
-from handfit_core.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
 
 _OURS: Final = np.array([20, *(4 * f + 3 - k for f in range(len(FINGERS)) for k in range(4))])
 """Our 21 keypoints among a hand's, the wrist last"""

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.common.version import __version__
 from handfit_core.interchange.humanoid import HumanoidHand, hands_of, humanoid_bones
 from handfit_core.interchange.writers import Writer
 from handfit_core.take import Take
-from handfit_core.version import __version__
 
 _EXTENSION: Final = "VRMC_vrm_animation"
 

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.common.skeleton import KEYPOINT_NAMES
 from handfit_core.interchange.recording import known
 from handfit_core.interchange.writers import Writer
-from handfit_core.skeleton import KEYPOINT_NAMES
 from handfit_core.take import HandTrack, Take
 
 COLUMNS: Final = "frame time hand side point x_px y_px confidence x_m y_m z_m width height".split()

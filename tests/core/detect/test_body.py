@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from handfit_core import capture
-from handfit_core.arrays import arrays_of
+from handfit_core.capturing.detection import find_in_frame
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import add_arms
+from handfit_core.common.arrays import arrays_of
+from handfit_core.common.errors import LandmarkModelError
 from handfit_core.detect.bodies import FOLLOWING, find_bodies
 from handfit_core.detect.body import WRISTS, BodyNetworks, crop_about
 from handfit_core.detect.landmark_model import BODY, body_model_path
 from handfit_core.detect.tflite import with_image_metadata
-from handfit_core.detection import find_in_frame
-from handfit_core.errors import LandmarkModelError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.rotations import turn_from_axis
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import add_arms
 from handfit_core.take import Take
 from tests.conftest import ROOT
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.body import NUM_BODY_POINTS, WRISTS, BodyTrack
 from handfit_core.detect.body_sides import with_body_sides
 from handfit_core.detect.keypoints import Detections, HandDetection, Track
-from handfit_core.skeleton import SIDES, Side
 
 COUNT, SIZE = 40, 60.0
 PLACES = {"left": np.array([400.0, 300.0]), "right": np.array([200.0, 300.0])}

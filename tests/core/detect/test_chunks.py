@@ -9,16 +9,16 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.arrays import arrays_of
+from handfit_core.capturing.detection import detect_frames
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.arrays import arrays_of
+from handfit_core.common.errors import InputError
 from handfit_core.detect import chunks, sharing
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.shot_boundary import Thumbnail
-from handfit_core.detection import detect_frames
-from handfit_core.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
-from handfit_core.options import CaptureOptions
 from tests.core.detect.clips import SAMPLE, picture, write_two_hands
 
 pytestmark = pytest.mark.usefixtures("landmark_model")

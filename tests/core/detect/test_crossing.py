@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from handfit_core import Take, capture
-from handfit_core.skeleton import SIDES
+from handfit_core.common.skeleton import SIDES
 from tests.core.detect.clips import SAMPLE, picture
 
 WIDTH = 640

@@ -10,7 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core import capture, sources
+from handfit_core import capture
+from handfit_core.capturing import sources
+from handfit_core.capturing.detection import find_in_frame
+from handfit_core.capturing.options import CaptureOptions, region_of
+from handfit_core.common.errors import NoHandFoundError, OptionError
+from handfit_core.common.skeleton import other_side
 from handfit_core.detect import clips, search
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.crops import Crop
@@ -20,11 +25,7 @@ from handfit_core.detect.matching import distance
 from handfit_core.detect.networks import Networks, crop_around
 from handfit_core.detect.opening import open_detector
 from handfit_core.detect.stills import StillFinder
-from handfit_core.detection import find_in_frame
-from handfit_core.errors import NoHandFoundError, OptionError
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.options import CaptureOptions, region_of
-from handfit_core.skeleton import other_side
 from tests.child import peak_megabytes
 from tests.core.detect import clips as sample
 from tests.core.detect.clips import SAMPLE

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side, other_side
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.tracks import link_tracks
-from handfit_core.skeleton import SIDES, Side, other_side
 
 SIZE = 60.0
 """pixels"""

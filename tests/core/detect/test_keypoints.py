@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from handfit_core.arrays import check_arrays
+from handfit_core.common.arrays import check_arrays
+from handfit_core.common.skeleton import SIDES, Side, other_side
 from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
-from handfit_core.skeleton import SIDES, Side, other_side
 
 POINTS = np.arange(63.0).reshape(21, 3)
 TABLE = np.arange(126.0).reshape(21, 6)

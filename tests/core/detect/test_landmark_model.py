@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import pytest
 
+from handfit_core.common.errors import LandmarkModelError
 from handfit_core.detect import landmark_model as module
 from handfit_core.detect.detector import DetectorSettings
 from handfit_core.detect.landmark_model import NETWORK_2020, TASK
 from handfit_core.detect.mediapipe_tasks import MediaPipeHands
 from handfit_core.detect.networks import Networks
-from handfit_core.errors import LandmarkModelError
 
 
 @pytest.fixture

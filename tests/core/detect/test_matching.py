@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import covers, distance, is_part_of, is_same_hand, mean_detection
-from handfit_core.skeleton import Side
 
 SHAPE = np.random.default_rng(5).uniform(0, 1, (21, 3))
 SHAPE = 100.0 * (SHAPE - SHAPE.min(axis=0)) / np.ptp(SHAPE, axis=0)  # 100 pixels a side

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.common.errors import NoHandFoundError
+from handfit_core.common.skeleton import HandChoice, Side, other_side
 from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
 from handfit_core.detect.matching import covers, distance
 from handfit_core.detect.tracks import LINKING, link_and_count, without_duplicates
-from handfit_core.errors import NoHandFoundError
-from handfit_core.skeleton import HandChoice, Side, other_side
 
 SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineHand
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
-from handfit_core.skeleton import Side
 from tests.core.fit.detections import (
     CAMERA,
     columns,

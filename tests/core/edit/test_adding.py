@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.edit import RefineHand, landmark_points, refit_each, refit_range
 from handfit_core.edit.adding import KNUCKLE, WRIST, Seen, laid, with_added
-from handfit_core.errors import OptionError
 from handfit_core.evaluate.metrics import similarity_aligned_distances
 from handfit_core.fit.settings import TERMS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, relaxed_pose
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import SIDES, Side
 from handfit_core.take import Take
 from scripts.benchmark.kinematics import MIRROR_ROTVEC, RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handfit_core.common.errors import TakeError
 from handfit_core.edit.corrections import (
     Correction,
     CorrectionField,
@@ -12,7 +13,6 @@ from handfit_core.edit.corrections import (
     changed_segments,
     correction_between,
 )
-from handfit_core.errors import TakeError
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from tests.corrections import correction, random_field
 

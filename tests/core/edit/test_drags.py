@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, PALM_KEYPOINTS, SIDES
 from handfit_core.edit import RefineHand, refit_each
 from handfit_core.edit.settings import PINS
 from handfit_core.fit.settings import TERMS
@@ -16,7 +17,6 @@ from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits, rotma
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import FINGER_OF_BONE, PAIRS, surface_of
 from handfit_core.hand_model.surface import PALM as PALM_BONES
-from handfit_core.skeleton import JOINTS_BY_FINGER, PALM_KEYPOINTS, SIDES
 from tests.core.edit.hands import distance, drag, locked, missed, moved, photo, shown
 from tests.core.fit.detections import model_of
 

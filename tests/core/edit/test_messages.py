@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.arrays import pack
+from handfit_core.common.arrays import pack
+from handfit_core.common.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.common.skeleton import can_touch
 from handfit_core.edit import (
     RefineHand,
     answer,
@@ -20,10 +22,8 @@ from handfit_core.edit import (
     to_message,
     touching_pair,
 )
-from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
+from handfit_core.fit.solvers import never
 from handfit_core.hand_model.motion import POSE_ARRAYS
-from handfit_core.skeleton import can_touch
-from handfit_core.solvers import never
 from tests.core.edit.hands import drag, locked, missed, photo, rows_of, to_refine, true_hands
 from tests.core.fit.detections import detections_of
 

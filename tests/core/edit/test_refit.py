@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.common.errors import Cancelled, HandModelError
+from handfit_core.common.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.edit import (
     RefineHand,
     answer,
@@ -23,13 +25,11 @@ from handfit_core.edit import (
     to_message,
     warm_up,
 )
-from handfit_core.errors import Cancelled, HandModelError
 from handfit_core.fit.fast import fit_track
+from handfit_core.fit.solvers import never
 from handfit_core.hand_model import save_model_npz
 from handfit_core.hand_model.files import kept_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
-from handfit_core.solvers import never
 from tests.core.edit.hands import (
     FPS,
     captured,

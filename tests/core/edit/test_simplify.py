@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import NUM_JOINTS, TIP_KEYPOINTS
+from handfit_core.common.slices import run_to_completion
 from handfit_core.edit.simplify import LOCATION, Channels, Sight, Simplified, Spline, simplifying
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import channels_to_quat, quat_multiply, rotvec_to_quat, unflip_quats
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import RestPose, bone_frames, points_to_rest
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import NUM_JOINTS, TIP_KEYPOINTS
-from handfit_core.slices import run_to_completion
 
 
 def turning(count: int, noise: float, seed: int = 0) -> np.ndarray:

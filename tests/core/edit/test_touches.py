@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import FINGER_JOINTS, JOINTS_BY_FINGER, SIDES, Side
 from handfit_core.edit import RefineHand, gaps_between, refit_each, refit_range, touching_pair
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import surface_of
-from handfit_core.skeleton import FINGER_JOINTS, JOINTS_BY_FINGER, SIDES, Side
 from tests.core.edit.hands import drag, locked, missed, posed, rows_of, to_refine, true_hands, turned
 from tests.core.fit.detections import detections_of, model_of
 

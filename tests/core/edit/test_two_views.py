@@ -8,6 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
+from handfit_core.capturing.joining import joined
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import OptionError, ProtocolError
 from handfit_core.edit import (
     RefineHand,
     answer,
@@ -19,11 +22,8 @@ from handfit_core.edit import (
     second_sight,
     to_message,
 )
-from handfit_core.errors import OptionError, ProtocolError
+from handfit_core.fit.solvers import never
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.joining import joined
-from handfit_core.options import CaptureOptions
-from handfit_core.solvers import never
 from handfit_core.take import Take
 from tests.core.edit.hands import locked
 from tests.core.fit.detections import model_of

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
-from handfit_core.skeleton import Side
 
 WIDTH, HEIGHT = 640, 480
 CAMERA = Intrinsics(600.0, 600.0, 320.0, 240.0)

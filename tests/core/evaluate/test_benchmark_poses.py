@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, TIP_KEYPOINTS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
-from handfit_core.skeleton import SIDES, TIP_KEYPOINTS
 from scripts.benchmark.clips import clip_shot
 from scripts.benchmark.contact import penetration
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.arrays import arrays_of
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.arrays import arrays_of
+from handfit_core.common.skeleton import SIDES
 from handfit_core.evaluate.detections import UnitDetections, UnitDetector
 from handfit_core.evaluate.labels import Entry, Labels, Unit
 from handfit_core.media.pictures import read_picture
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES
 
 SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rendered_hand"
 

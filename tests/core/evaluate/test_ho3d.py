@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import DatasetError
+from handfit_core.common.errors import DatasetError
 from handfit_core.evaluate.datasets import open_dataset
 from tests.core.evaluate.dataset_files import (
     K,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import procrustes
 
+from handfit_core.common.skeleton import KEYPOINT_PARENTS
 from handfit_core.evaluate import metrics
 from handfit_core.evaluate.metrics import (
     PCK_THRESHOLDS_MM,
@@ -16,7 +17,6 @@ from handfit_core.evaluate.metrics import (
     jitter_spectrum,
 )
 from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.skeleton import KEYPOINT_PARENTS
 from tests.core.evaluate.made import make_hands
 
 RNG = np.random.default_rng(11)

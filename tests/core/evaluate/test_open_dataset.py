@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.errors import DatasetError, OptionError, PlugInError
+from handfit_core.common.errors import DatasetError, OptionError, PlugInError
 from handfit_core.evaluate.datasets import READERS, open_dataset
 from handfit_core.evaluate.labels import Reader
 from tests.core.evaluate.dataset_files import touch, write_json

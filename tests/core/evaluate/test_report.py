@@ -16,6 +16,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from handfit_core.common.skeleton import TIP_KEYPOINTS
 from handfit_core.evaluate.report import REPORT_FILES, plots, sheets, write_report
 from handfit_core.evaluate.report.tables import (
     comparison_tables,
@@ -29,7 +30,6 @@ from handfit_core.evaluate.report.tables import (
 from handfit_core.evaluate.scores import Comparison, Evaluation
 from handfit_core.evaluate.summary import pck
 from handfit_core.evaluate.views import views_table
-from handfit_core.skeleton import TIP_KEYPOINTS
 from tests.core.evaluate.made import (
     COUNT,
     make_evaluation,

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handfit_core.common.errors import DatasetError
 from handfit_core.detect.keypoints import Detections
-from handfit_core.errors import DatasetError
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, Labels, units_of
 from handfit_core.evaluate.methods import TrackResult

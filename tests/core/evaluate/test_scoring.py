@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from handfit_core.errors import DatasetError
+from handfit_core.common.errors import DatasetError
+from handfit_core.common.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, HandLabel, MeshLabel, Problem, units_of
@@ -24,7 +25,6 @@ from handfit_core.evaluate.scoring import (
 from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
-from handfit_core.skeleton import SIDES, TIP_KEYPOINTS, Side
 from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, seen
 from tests.core.evaluate.made import make_hands
 

@@ -8,7 +8,7 @@ from itertools import chain, pairwise
 import numpy as np
 import pytest
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.evaluate.metrics import (
     PCK_THRESHOLDS_MM,
     acceleration_error,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.errors import DatasetError, OptionError
+from handfit_core.common.errors import DatasetError, OptionError
 from handfit_core.evaluate.datasets import open_dataset
 from tests.core.evaluate.dataset_files import labels_of, reason, touch, write_tips
 

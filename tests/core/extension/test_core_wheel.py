@@ -46,7 +46,7 @@ def test_ignores_caches(checkout):
     (checkout / "handfit_core" / "__pycache__").mkdir(exist_ok=True)
     (checkout / "handfit_core" / "__pycache__" / "x.cpython-311.pyc").touch()
     assert source_files(checkout) == before
-    assert {"handfit_core/take.py", "handfit_core/py.typed"} <= set(before)
+    assert {"handfit_core/take/take.py", "handfit_core/py.typed"} <= set(before)
     assert "handfit_core/hand_model/data/open_hand_right.npz" in before
     assert not [name for name in before if "/evaluate/" in name or name.endswith("/send.py")]
 

@@ -11,8 +11,8 @@ from unittest.mock import Mock
 
 import pytest
 
+from handfit_core.common.errors import LandmarkModelError
 from handfit_core.detect import landmark_model
-from handfit_core.errors import LandmarkModelError
 from scripts import fetch_landmark_model
 from scripts.extension.wheels import BuildError
 

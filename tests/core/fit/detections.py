@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, Side, other_side
 from handfit_core.detect.keypoints import Detections, HandDetection, Track
 from handfit_core.fit import doubt
 from handfit_core.fit.fast import fitter_of
@@ -20,7 +21,6 @@ from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits
 from handfit_core.hand_model.landmarks import Landmarks, detector_landmarks
 from handfit_core.paper.placement import turn_to_ray
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, Side, other_side
 from scripts.benchmark.kinematics import MIRROR_ROTVEC
 
 CAMERA = Intrinsics(640.0, 640.0, 320.0, 240.0)

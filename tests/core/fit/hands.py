@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from handfit_core.common.skeleton import Side
 from handfit_core.fit.observation import Kept, Observation
 from handfit_core.fit.problem import Problem, SharedShape
 from handfit_core.fit.settings import TERMS
@@ -14,7 +15,6 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import Chain, State
 from handfit_core.hand_model.landmarks import NO_OFFSETS, Landmarks
-from handfit_core.skeleton import Side
 from tests.core.fit.differences import random, unit
 
 FOCAL, CENTRE = 600.0, (320.0, 240.0)

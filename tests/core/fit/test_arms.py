@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core import arms as takes
-from handfit_core.arms import _seen, arms_of
+from handfit_core.capturing import arms as takes
+from handfit_core.capturing.arms import _seen, arms_of
 from handfit_core.detect.body import ELBOWS, SHOULDERS, WRISTS, BodyTrack
 from handfit_core.fit.arms import (
     ARMS,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import JOINTS_BY_FINGER, SIDES, TIP_KEYPOINTS, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.chain import FIXED_SHAPE, HAND_SIZE, Chain, State
 from handfit_core.hand_model.landmarks import NO_OFFSETS
-from handfit_core.skeleton import JOINTS_BY_FINGER, SIDES, TIP_KEYPOINTS, Side
 from tests.core.fit.detections import Pose, landmarks_of
 from tests.core.fit.differences import close, of_increments, random
 from tests.core.fit.hands import OFFSETS, chain_of, make_state, repeated

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit import doubt
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.fit.fast import fit_track, fitter_of
 from handfit_core.fit.gaps import Times
-from handfit_core.skeleton import SIDES, Side
 from tests.core.fit.detections import CAMERA, columns, detections_of, fit_frames, model_of, poses
 
 COUNT = 16

@@ -8,6 +8,7 @@ from itertools import chain
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import PARENTS, SIDES, Side
 from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit import fast
 from handfit_core.fit.fast import fit_track
@@ -16,7 +17,6 @@ from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, warn_of_odd_shapes
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.skeleton import PARENTS, SIDES, Side
 from tests.core.fit.detections import (
     CAMERA,
     FrameFits,

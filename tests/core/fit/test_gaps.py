@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import PALM_KEYPOINTS
 from handfit_core.fit.gaps import detect_cuts, interpolate_gaps, missing_between, segments
 from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_rotvec
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import PALM_KEYPOINTS
 from tests.core.fit.differences import close
 from tests.core.fit.hands import chain_of, make_state
 

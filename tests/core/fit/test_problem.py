@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.problem import Held, Problem
 from handfit_core.fit.terms import Limits, Shape, coupling, depth, distance, near_pose, reprojection
 from handfit_core.hand_model.chain import HAND_SIZE, State
 from handfit_core.hand_model.length import betas_of_length, length_rates
-from handfit_core.skeleton import SIDES, Side
 from tests.core.fit.differences import of_increments
 from tests.core.fit.hands import (
     OFFSETS,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times
 from handfit_core.fit.observation import Observation, SelfContact
@@ -20,7 +21,6 @@ from handfit_core.fit.terms import Contact, Interpenetration, OrdinalDepth
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.surface import PAIRS, Surface
-from handfit_core.skeleton import SIDES, Side
 from tests.core.fit.differences import close, of_increments, random
 from tests.core.fit.hands import MIRROR, make_state, observe, repeated
 

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import Side
 from handfit_core.fit import levenberg
 from handfit_core.fit.clips import smooth_clip
 from handfit_core.fit.levenberg import solve
@@ -17,7 +18,6 @@ from handfit_core.fit.solution import Solution, Status
 from handfit_core.fit.start import relaxed_start
 from handfit_core.fit.terms import Limits
 from handfit_core.hand_model.chain import State
-from handfit_core.skeleton import Side
 from tests.core.fit.differences import close, random
 from tests.core.fit.hands import (
     MIRROR,

@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.capturing.fitting import hand_track
+from handfit_core.capturing.joining import Clip, joined
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Landmarked
-from handfit_core.errors import InputError, OptionError
 from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.terms.free_cameras import CAMERA_SIZE, CameraPrior, Filmed, FilmedState, projected
 from handfit_core.fit.views.cameras import HandPair, Known, adjust
@@ -16,17 +20,13 @@ from handfit_core.fit.views.courses import offset_scores
 from handfit_core.fit.views.hands import ViewedHand
 from handfit_core.fit.views.rig_file import read_rig, write_rig
 from handfit_core.fit.views.verdict import Evidence, degrees_apart, rotation_between, verdict_of
-from handfit_core.fitting import hand_track
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import HAND_SIZE, State
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.taking import seen_of
-from handfit_core.joining import Clip, joined
 from handfit_core.media.source import Source
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import Side
 from handfit_core.take import Take, chosen
 from tests.core.fit.differences import close, of_increments
 from tests.core.fit.hands import RELAXED, make_state, observe

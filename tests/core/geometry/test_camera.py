@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 
 CAMERA = Intrinsics(fx=500.0, fy=520.0, cx=310.0, cy=255.0)

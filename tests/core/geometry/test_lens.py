@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 

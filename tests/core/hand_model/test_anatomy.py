@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import (
@@ -16,7 +17,6 @@ from handfit_core.hand_model.anatomy import (
     rotmats_from_angles,
 )
 from handfit_core.paper.terms import AnatomicalPenalty
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 
 MIRROR = np.array([1.0, -1.0, -1.0])
 """Mirroring in x turns a rotation vector (a, b, c) into (a, -b, -c)."""

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, other_side
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import OPEN_HAND, axes, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes
-from handfit_core.skeleton import SIDES, other_side
 
 
 def random_pose(count=20):

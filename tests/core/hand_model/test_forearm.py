@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.forearm import with_wrist, wrist_ring
-from handfit_core.skeleton import SIDES
 
 
 @pytest.fixture(params=["quads", "triangles"])

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import JOINT_NAMES, KEYPOINT_NAMES, SIDES
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, bone_axes, hand_length
 from handfit_core.hand_model.length import betas_of_length, flat_hand_length, length_rates
-from handfit_core.skeleton import JOINT_NAMES, KEYPOINT_NAMES, SIDES
 from tests.imitation_mano import imitation_model
 
 STEP = 1e-6

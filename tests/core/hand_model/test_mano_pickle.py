@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import LIMITS
 from handfit_core.hand_model.mano_pickle import load_mano_pickle
@@ -202,7 +202,7 @@ def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any, which: str) -> N
     smplx = pytest.importorskip("smplx", reason="smplx is not installed (its licence is non-commercial)")
     import torch  # slow to load
 
-    from handfit_core.layer import HandLayer
+    from handfit_core.paper.layer import HandLayer
 
     model = imitation_model(side) if which == "imitation" else load_model(None, side)
     path = save_mano_pickle(model, tmp_path / f"MANO_{side.upper()}.pkl")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import HandModelError, OptionError, OutputError
+from handfit_core.common.errors import HandModelError, OptionError, OutputError
 from handfit_core.hand_model import load_model, load_model_npz, save_model_npz
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.hand_model.mano_pickle import load_mano_pickle

@@ -13,12 +13,12 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, MANO_TIP_VERTICES, SIDES, Side
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import load_model
 from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.hand_model.nails import nail_polygons
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, MANO_TIP_VERTICES, SIDES, Side
 from tests.conftest import ROOT
 from tests.imitation_mano import imitation_model
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits, relaxed_pose
@@ -13,7 +14,6 @@ from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.hand_model.drawing import _lit, colored, drawn_pose
 from handfit_core.hand_model.poses import FILE, Pose, ready_poses
 from handfit_core.hand_model.surface import surface_of
-from handfit_core.skeleton import SIDES, Side
 
 READY = ready_poses()
 SLACK = np.radians(0.01)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, Side
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.shape_names import effect_shares, shape_names
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_BETAS, Side
 from tests.imitation_mano import imitation_model
 
 OPEN_HAND_NAMES = (

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.hand_model.surface import PAIRS, Capsules, Surface, gaps_along, surface_of
-from handfit_core.skeleton import SIDES, Side
 
 
 @pytest.fixture(scope="module")

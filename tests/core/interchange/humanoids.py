@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, KEYPOINT_SOURCE, SIDES, Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model.poses import ready_poses
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, KEYPOINT_SOURCE, SIDES, Side
 from handfit_core.take import HandTrack, Take
 from tests.takes import take_of, track_of
 

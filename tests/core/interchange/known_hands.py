@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
-from handfit_core.options import CaptureOptions
-from handfit_core.skeleton import SIDES, Side
 from tests.imitation_mano import imitation_arrays, write_mano_pickle
 
 EXACT = 1e-5

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.axes import MIRROR_X
 from handfit_core.interchange.skeletons import UP_AXES
-from handfit_core.skeleton import SIDES, Side
 from tests.core.interchange.known_hands import FRAMES, HANDS, TURN, matrices, wrist_of
 
 FOCAL = 5000.0 / 256.0 * 1280.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from handfit_core.skeleton import SIDES, Side, other_side
+from handfit_core.common.skeleton import SIDES, Side, other_side
 from tests.told import FRAMES, HEIGHT, WIDTH, told
 
 TOLD = told()

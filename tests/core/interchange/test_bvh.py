@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from handfit_core.errors import HandfitError, InputError
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import HandfitError, InputError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES, Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
@@ -16,12 +19,9 @@ from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.interchange.formats.bvh import WRITER
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import palm_frame
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES, Side
 from handfit_core.take import Take
 from tests.core.interchange.known_hands import HANDS
 from tests.core.retarget.rigs import Built, add_hand, body, names_of

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from handfit_core.__main__ import main
+from handfit_core.common.skeleton import other_side
 from handfit_core.interchange import commands
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.skeleton import other_side
 from handfit_core.take import Take, chosen, is_take
 from tests.conftest import ROOT
 

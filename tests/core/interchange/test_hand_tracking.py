@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import InputError
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.data import forward_kinematics
-from handfit_core.pipeline import capture
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, SIDES, Side
 from tests.core.interchange.known_hands import FRAMES, HANDS, assert_same_hand, hand_of, read, says
 from tests.core.interchange.point_files import saved
 

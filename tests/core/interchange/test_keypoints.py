@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError, OptionError, PictureSizeError
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import InputError, OptionError, PictureSizeError
+from handfit_core.common.skeleton import KEYPOINT_NAMES, SIDES, other_side
 from handfit_core.interchange.opening import RELATIVE, is_recording
 from handfit_core.interchange.point_hands import share_left
 from handfit_core.interchange.recording import Recording, SeenHands
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.writers import writer_for
-from handfit_core.pipeline import capture
-from handfit_core.skeleton import KEYPOINT_NAMES, SIDES, other_side
 from tests.core.interchange import point_files as files
 from tests.core.interchange.known_hands import read, says
 from tests.core.interchange.point_files import (

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.skeleton import NUM_BETAS, SIDES, other_side
+from handfit_core.common.values import Unfit
 from handfit_core.detect.keypoints import MOST_IN_FRAME
-from handfit_core.errors import InputError, OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
@@ -20,10 +23,7 @@ from handfit_core.interchange.opening import is_recording
 from handfit_core.interchange.recording import Asked, usual_place
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
-from handfit_core.pipeline import capture
-from handfit_core.skeleton import NUM_BETAS, SIDES, other_side
 from handfit_core.take import TAKE_LIMITS, Take
-from handfit_core.values import Unfit
 from tests.conftest import ROOT
 from tests.core.interchange import mano_files as files
 from tests.core.interchange.known_hands import (

@@ -12,16 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
+from handfit_core.common.skeleton import other_side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
-from handfit_core.options import CaptureOptions
-from handfit_core.pipeline import capture
-from handfit_core.skeleton import other_side
 from handfit_core.take import Take
 from handfit_core.tasks.inputs import expand
 from handfit_core.worker.answering import probe

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
 from tests.core.interchange.every_format import keypoint_files, other_files

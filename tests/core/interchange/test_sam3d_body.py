@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.errors import HandfitError
+from handfit_core.capturing.pipeline import capture
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import Chain
 from handfit_core.interchange.formats.sam3d_body import MHR_LANDMARKS
-from handfit_core.pipeline import capture
-from handfit_core.skeleton import SIDES, Side
 from tests.core.interchange.known_hands import read
 
 FOCAL, CENTRE = 1500.0, np.array([960.0, 540.0])

@@ -9,12 +9,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handfit_core.arrays import check_arrays
+from handfit_core.capturing.fitting import hand_track
+from handfit_core.common.arrays import check_arrays
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
 from handfit_core.detect.correction.corrected import TRUST, landmarked
 from handfit_core.detect.keypoints import Track
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.refit import refit_range
-from handfit_core.fitting import hand_track
+from handfit_core.fit.solvers import get_solver
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.geometry.similarity import align
@@ -23,8 +25,6 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import PointsHand, Recording, SeenHands
 from handfit_core.interchange.taking import before_camera, detected_in, tracks_of
-from handfit_core.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
-from handfit_core.solvers import get_solver
 from tests.core.fit.detections import CAMERA as DETECTOR
 from tests.core.fit.detections import columns, landmarks_of, mirrored, model_of, poses, seen
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import Cancelled, InputError, OptionError
+from handfit_core.common.errors import Cancelled, InputError, OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.chessboard import CORNERS, board_png, measure_lens

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media.opening import open_media
 from tests.bombs import clip
 from tests.listener import listening

@@ -2,7 +2,7 @@ import sys
 
 import pytest
 
-from handfit_core.errors import OptionError
+from handfit_core.common.errors import OptionError
 from handfit_core.media.frame_range import FrameRange
 
 

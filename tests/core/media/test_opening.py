@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media, sequence_numbers
 from handfit_core.media.pictures import read_picture

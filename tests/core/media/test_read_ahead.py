@@ -8,7 +8,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.source import Frame
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
 from handfit_core.media.size_limit import (
@@ -35,7 +35,7 @@ def jpeg(path: Path, width: int, height: int, size: int = 0) -> Path:
 
 REFUSED = """
     import sys
-    from handfit_core.errors import InputError
+    from handfit_core.common.errors import InputError
     from handfit_core.media.opening import open_media
     for name in sys.argv[2:]:
         try:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.media import videos
 from handfit_core.media.source import Wanted
 from handfit_core.media.videos import Video

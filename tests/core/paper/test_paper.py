@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import PALM_KEYPOINTS, SIDES, Side
 from handfit_core.detect.keypoints import HandDetection
+from handfit_core.fit.solvers import get_solver
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.paper import EXPERIMENTS
 from handfit_core.paper.fitter import PaperFitter, normalise
-from handfit_core.skeleton import PALM_KEYPOINTS, SIDES, Side
-from handfit_core.solvers import get_solver
 from tests.core.fit.detections import track_of
 
 RNG = np.random.default_rng(11)

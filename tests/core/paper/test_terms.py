@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
+from handfit_core.common.skeleton import TIP_KEYPOINTS
 from handfit_core.paper import terms
-from handfit_core.skeleton import TIP_KEYPOINTS
 
 RESIDUAL = np.random.default_rng(0).normal(scale=20.0, size=(1, 21, 3))
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.axes import REST_FROM_MODEL
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, Side
 
 PINCHES = {
     "index": (4, 26, 16, 20, 51, 55, 25),

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, PARENTS, SIDES, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import axes, load_model
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.names import Rig
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS, NUM_JOINTS, PARENTS, SIDES, Side
 
 CURLED = {"left": -0.25, "right": 0.25}
 """radians about Z by which a relaxed hand's fingers bend towards the palm"""

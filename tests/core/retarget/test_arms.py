@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.retarget.arms import (
@@ -20,7 +21,6 @@ from handfit_core.retarget.arms import (
 )
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.names import named_arm
-from handfit_core.skeleton import SIDES, Side
 from tests.takes import take_of, track_of, with_arms
 
 DOWN = {"T": 0.0, "A": 45.0, "bent": 30.0}

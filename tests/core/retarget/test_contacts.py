@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
+from handfit_core.common.slices import run_to_completion
 from handfit_core.geometry.rotations import rotmat_to_rotvec
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
@@ -26,8 +28,6 @@ from handfit_core.retarget.contacts import (
 )
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import TargetHand, mirrored_turns, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
-from handfit_core.slices import run_to_completion
 from tests.core.fit.differences import by_each
 from tests.core.retarget.pinches import HELD, PINCHES, pinching, turns_of
 from tests.core.retarget.rigs import Built, add_hand, source

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import JOINT_NAMES, NUM_JOINTS, SIDES
 from handfit_core.retarget.hand_map import HandMap, empty_map, from_preset, read_preset, to_preset
-from handfit_core.skeleton import JOINT_NAMES, NUM_JOINTS, SIDES
 
 PLAIN = HandMap("left", tuple(f"b{j}" for j in range(NUM_JOINTS)))
 ODD = HandMap(

@@ -7,10 +7,10 @@ from collections.abc import Collection
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import NUM_JOINTS, SIDES, Side
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import Found, SeveralHands, the_surest
 from handfit_core.retarget.names import RIGS, Rig, named_hands, parsed
-from handfit_core.skeleton import NUM_JOINTS, SIDES, Side
 
 from .rigs import Built, add_hand, body, character, names_of
 

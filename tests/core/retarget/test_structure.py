@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import HandMap, SeveralHands, the_surest
 from handfit_core.retarget.structure import structured_hands
-from handfit_core.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 
 from .rigs import Built, add_hand, body
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import FINGER_JOINTS, JOINT_NAMES, PARENTS, SIDES, Side
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import bone_frames
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import TargetHand, target_hand
-from handfit_core.skeleton import FINGER_JOINTS, JOINT_NAMES, PARENTS, SIDES, Side
 
 from .rigs import source
 

@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.errors import HandModelError
+from handfit_core.common.errors import HandModelError
+from handfit_core.common.skeleton import (
+    FINGER_JOINTS,
+    FINGERS,
+    JOINT_NAMES,
+    NUM_JOINTS,
+    PARENTS,
+    SIDES,
+    Side,
+    other_side,
+)
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import axes, load_model
 from handfit_core.retarget.bones import Bones
@@ -21,16 +31,6 @@ from handfit_core.retarget.transfer import (
     smoothed_travel,
     swing,
     target_hand,
-)
-from handfit_core.skeleton import (
-    FINGER_JOINTS,
-    FINGERS,
-    JOINT_NAMES,
-    NUM_JOINTS,
-    PARENTS,
-    SIDES,
-    Side,
-    other_side,
 )
 from tests.core.retarget.rigs import Built, add_hand, source
 

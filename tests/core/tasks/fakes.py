@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from handfit_core.__main__ import main
-from handfit_core.errors import NoHandFoundError
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.errors import NoHandFoundError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.source import Source
-from handfit_core.options import CaptureOptions
 from handfit_core.take import Take
 from handfit_core.tasks import capture, workers
 from handfit_core.tasks.record import Result

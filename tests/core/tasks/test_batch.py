@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from handfit_core.files import PART
+from handfit_core.common.files import PART
 from handfit_core.take import Take
 from tests.conftest import ROOT
 from tests.core.tasks.fakes import CALLS

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from handfit_core.errors import Cancelled, InputError, NoHandFoundError
-from handfit_core.version import __version__
+from handfit_core.common.errors import Cancelled, InputError, NoHandFoundError
+from handfit_core.common.version import __version__
 from handfit_core.worker import client, process
 from handfit_core.worker.client import Advice, Worker
 from handfit_core.worker.events import WorkerError, as_error

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import handfit_core
-from handfit_core.errors import InputError
+from handfit_core.common.errors import InputError
 from handfit_core.worker import interpreter
 from handfit_core.worker.client import Worker
 from handfit_core.worker.events import WorkerError

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from handfit_core import Intrinsics, Take
+from handfit_core.common.errors import Cancelled, HandfitError, OptionError, ProtocolError
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineHand, to_message
 from handfit_core.edit.messages import answer, from_message
-from handfit_core.errors import Cancelled, HandfitError, OptionError, ProtocolError
 from handfit_core.fit import clips
-from handfit_core.solvers import never
+from handfit_core.fit.solvers import never
 from tests.conftest import ROOT
 from tests.core.fit.detections import columns
 

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from handfit_core import Take
-from handfit_core.arrays import unpack
-from handfit_core.errors import Cancelled, HandfitError, ProtocolError
-from handfit_core.fit_quality import mean_expected_error, mean_relative_error
+from handfit_core.common.arrays import unpack
+from handfit_core.common.errors import Cancelled, HandfitError, ProtocolError
+from handfit_core.common.version import __version__
 from handfit_core.media.pictures import read_picture
-from handfit_core.version import __version__
+from handfit_core.take.fit_quality import mean_expected_error, mean_relative_error
 from handfit_core.worker import client
 from handfit_core.worker.client import Worker
 from handfit_core.worker.events import THREAD_VARIABLES, Event, WorkerError

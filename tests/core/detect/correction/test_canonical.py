@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import SIDES, Side, other_side
 from handfit_core.detect.correction.canonical import FEATURES, KNUCKLES, WORLD_SCALE, Canonical, canonical
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.geometry.similarity import align
-from handfit_core.skeleton import SIDES, Side, other_side
 from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 RIGHT: Side = "right"

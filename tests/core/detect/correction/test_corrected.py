@@ -4,11 +4,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.correction import corrected as corrected_module
 from handfit_core.detect.correction.canonical import Canonical
 from handfit_core.detect.correction.corrected import TRUST, corrected, landmarked, with_side_judged
 from handfit_core.detect.correction.network import Correction
-from handfit_core.skeleton import SIDES, Side
 from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 POINTS = landmarks_of("right", *poses(12, seed=3))

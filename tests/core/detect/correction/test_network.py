@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
 from handfit_core.detect.correction.corrected import corrected
 from handfit_core.detect.correction.network import (
@@ -15,7 +16,6 @@ from handfit_core.detect.correction.network import (
     landmark_network,
 )
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.skeleton import Side
 from tests.core.fit.detections import columns, landmarks_of, mirror_image, poses, seen
 
 RIGHT: Side = "right"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from handfit_core.common.skeleton import FINGER_JOINTS, PARENTS, SIDES
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.formats.vrma import GlbContent
 from handfit_core.interchange.humanoid import BODY, bone_names, t_pose
 from handfit_core.retarget.transfer import SourceHand
-from handfit_core.skeleton import FINGER_JOINTS, PARENTS, SIDES
 
 _META = {
     "name": "Nobody",

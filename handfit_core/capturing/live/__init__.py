@@ -1,0 +1,1 @@
+"""Hands that are followed as they move, shown, sent and recorded."""

@@ -1,0 +1,566 @@
+"""Every option of a capture, once: its name, kind, range, unit, default and help.
+
+`pipeline.capture`, the command line, batches, the worker's protocol and Blender's properties read them from
+here. An option is added as a field of `CaptureOptions`, and as an argument of `pipeline.capture`.
+"""
+# ruff: noqa: RUF009 (what a dataclass's default calls here makes a field)
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from numbers import Real
+from typing import Any, Final, Literal, get_args
+
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import SIDES, HandChoice, Side
+from handfit_core.common.values import shortly
+from handfit_core.detect.detector import DETECTORS, Quality, Region
+from handfit_core.fit.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.lenses import NUMBERS, lens_numbers, lens_of_numbers, saved_lens
+from handfit_core.media.size_limit import PICTURE, VIDEO
+from handfit_core.media.source import DEFAULT_FPS
+from handfit_core.take import TAKE_LIMITS
+
+HandMean = Literal["auto", "flat", "mean"]
+
+VIEW_OPTIONS: Final = ("view", "view_lens", "cameras", "offset", "baseline")
+"""What is told of a second view"""
+
+FARTHEST: Final = 1e6
+"""pixels; no region lies farther out, or is larger"""
+
+CLIP_HANDS: Final = 2
+"""How many hands of a clip are kept where nobody says how many; further ones are not even searched"""
+
+NEAREST_FOCAL: Final = 0.05
+FARTHEST_FOCAL: Final = 1000.0
+"""Times the picture's longer side: a view of 169 degrees, and one of three minutes of arc, as a crop of a
+telescope's picture may have"""
+
+CROWD: Final = 10
+"""More hands than this are not built without asking: each is a rig"""
+
+
+def region_of(given: Any) -> Region:
+    """A region from four or five numbers and perhaps a side, or a text in which commas separate them. Raises
+    ValueError."""
+    what = "regions X,Y,WIDTH,HEIGHT in pixels, and perhaps FRAME and left or right, as in 120,80,60,70"
+    try:
+        parts = given.split(",") if isinstance(given, str) else list(given)
+        side: Side | None = parts.pop() if parts and parts[-1] in SIDES else None  # type: ignore
+        *box, frame = _numbers(parts if len(parts) == 5 else [*parts, -1], what, count=5)
+    except TypeError:
+        raise ValueError(what) from None
+    if min(box[2:]) < 1.0 or max(map(abs, box)) > FARTHEST or not float(frame).is_integer():
+        raise ValueError(what)
+    return Region(*box, frame=None if len(parts) == 4 else int(frame), side=side)
+
+
+@dataclass(frozen=True)
+class Option:
+    """What one option may be, and what is said of it."""
+
+    kind: Callable[[Any], Any]
+    """Makes the option's value of what somebody gave, or raises ValueError with what it must be"""
+    help: str
+    """A phrase that begins with a small letter and has no full stop"""
+    metavar: str | None = None
+    least: float = -math.inf
+    most: float = math.inf
+    choices: Callable[[], Iterable[str]] | None = None
+    """The values that help can list; asked when help is wanted, since plug-ins are looked up for it"""
+    closed: bool = False
+    """Whether only the `choices` may be given"""
+    unit: str = ""
+    """The command line's unit, where it is not the library's"""
+    units: float = 1.0
+    """How many of the command line's units one of the library's has"""
+    by_default: str = ""
+    """What help says of a default that explains nothing by itself"""
+    repeated: bool = False
+    """Whether the command line's may be given several times, each with one of its values"""
+    called: str = ""
+    """What messages call it; empty: by its name"""
+    advice: str = ""
+    """What messages about a number that is out of range end with"""
+    name: str = ""
+    default: Any = None
+
+    @property
+    def flag(self) -> str:
+        """Its spelling on the command line."""
+        return "--" + self.name.replace("_", "-").removesuffix("s" if self.repeated else "")
+
+    def read(self, given: Any) -> Any:
+        """What was given, by a program, a message or the command line, as the option's value; None is as good
+        as nothing and gives the default. Raises OptionError."""
+        if given is None:
+            return self.default
+        try:
+            value = self.kind(given)
+        except ValueError as error:
+            raise OptionError(f"the option '{self.name}' must be {error}; got {shortly(given)}") from None
+        if self.closed and self.choices is not None and value not in self.choices():
+            raise OptionError(f"{self.name} must be one of {', '.join(self.choices())}; got {shortly(given)}")
+        if isinstance(value, int | float) and not self.least <= value <= self.most:
+            raise OptionError(
+                f"{self.called or self.name} must {self._range()}, not {value * self.units:g}"
+                f"{self._unit}{self.advice}"
+            )
+        return value
+
+    @property
+    def _unit(self) -> str:
+        return f" {self.unit}" if self.unit else ""
+
+    def _range(self) -> str:
+        least, most = self.least * self.units, self.most * self.units
+        if math.isinf(most):
+            return f"be a number of at least {least:g}"
+        return f"lie between {least:g} and {most:g}{self._unit}"
+
+    def add_to(self, parser: argparse._ActionsContainer) -> None:
+        """Add it to a command line; what is not given is None there."""
+        if self.kind is _flag:
+            parser.add_argument(self.flag, action="store_true", default=None, help=self.help)
+            return
+        text, named = self.help, {}
+        if self.choices is not None:
+            text, named = f"{text}: %(listed)s", {"action": _Listing, "listed": self.choices}
+        if self.repeated:
+            named |= {"action": "append", "dest": self.name}
+        default = self.by_default or f"{self.default * self.units if self.unit else self.default}"
+        number = {_number: float, _positive: float, _whole: int}
+        parser.add_argument(
+            self.flag,
+            metavar=self.metavar,
+            type=number.get(self.kind, str),
+            help=f"{text}{f', in {self.unit}' if self.unit else ''} (default: {default})",
+            **named,
+        )
+
+
+class _Listing(argparse._StoreAction):
+    """Has %(listed)s in its help: choices that are looked up when the help is shown, and not before."""
+
+    def __init__(self, *arguments: Any, listed: Callable[[], Iterable[str]], **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._choices, self.listed = listed, self
+
+    def __str__(self) -> str:
+        return ", ".join(self._choices())
+
+
+def _text(given: Any) -> str:
+    if not isinstance(given, str) or not given:
+        raise ValueError("a text")
+    return given
+
+
+def _path(given: Any) -> str:
+    return _text(os.fspath(given) if isinstance(given, os.PathLike) else given)
+
+
+def _number(given: Any) -> float:
+    if not isinstance(given, Real) or isinstance(given, bool):
+        raise ValueError("a number")
+    try:
+        return float(given)
+    except OverflowError:  # JSON's whole numbers have no limit
+        raise ValueError("a finite number") from None
+
+
+def _positive(given: Any) -> float:
+    number = _number(given)
+    if not 0.0 < number < math.inf:
+        raise ValueError("a number above 0")
+    return number
+
+
+def _whole(given: Any) -> int:
+    number = _number(given)
+    if not number.is_integer():  # nor are NaN and infinity
+        raise ValueError("a whole number")
+    return int(number)
+
+
+def _flag(given: Any) -> bool:
+    if not isinstance(given, bool):
+        raise ValueError("true or false")
+    return given
+
+
+def _frames(given: Any) -> FrameRange:
+    return given if isinstance(given, FrameRange) else FrameRange.parse(_text(given))
+
+
+def _numbers(given: Any, what: str, count: int) -> tuple[float, ...]:
+    """Numbers out of a list, or out of a text in which commas separate them."""
+    try:
+        parts = given.split(",") if isinstance(given, str) else list(given)
+        numbers = tuple(_number(float(part) if isinstance(part, str) else part) for part in parts)
+    except (TypeError, ValueError):
+        numbers = ()
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError(what)
+    return numbers
+
+
+def _camera(given: Any) -> Intrinsics:
+    if isinstance(given, Intrinsics):
+        return given
+    return Intrinsics(
+        *_numbers(given, "four numbers, FX,FY,CX,CY in pixels, as in 1200,1200,960,540", count=4)
+    )
+
+
+def _lens(given: Any) -> Lens | tuple[float, ...]:
+    if isinstance(given, Lens):
+        return given
+    if isinstance(given, Mapping):
+        return lens_of_numbers(given)
+    if isinstance(given, str) and not NUMBERS.fullmatch(given):
+        return saved_lens(given).lens
+    what = (
+        "three numbers, F,X,Y: the focal length in picture widths, the principal point in widths and "
+        "heights; or the name of a measured lens"
+    )
+    return _numbers(given, what, count=3)
+
+
+def _size(given: Any) -> tuple[int, int]:
+    what = "a width and a height in pixels, as in 1920x1080"
+    parts = given.lower().split("x") if isinstance(given, str) else given
+    width, height = _numbers(parts, what, count=2)
+    if not all(side.is_integer() and 0 < side < 1 << 24 for side in (width, height)):
+        raise ValueError(what)
+    return int(width), int(height)
+
+
+def _regions(given: Any) -> tuple[Region, ...]:
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        raise ValueError("a list of regions")
+    return tuple(each if isinstance(each, Region) else region_of(each) for each in given)
+
+
+def _readers() -> Iterable[str]:
+    from handfit_core.interchange.readers import READERS  # which Blender does not need to start
+
+    return READERS.names()
+
+
+def _option(default: Any, kind: Callable[[Any], Any], help: str, metavar: str | None = None, **more: Any):
+    """A field of `CaptureOptions`, and what belongs to it."""
+    return dataclasses.field(
+        default=default, metadata={"option": Option(kind, help, metavar, default=default, **more)}
+    )
+
+
+@dataclass(frozen=True)
+class CaptureOptions:
+    """What a capture can be told. Whatever is given is checked and brought into the form of its field, and
+    None is as good as nothing. Raises OptionError."""
+
+    frames: FrameRange | None = _option(
+        None, _frames, "source frames, as in 10-200:2", "A-B:S", by_default="all"
+    )
+    hands: HandChoice = _option(
+        "auto",
+        _text,
+        "which hands to keep",
+        "CHOICE",
+        choices=lambda: ("auto", "left", "right", "both"),
+        closed=True,
+    )
+    max_hands: int | None = _option(
+        None,
+        _whole,
+        "how many hands to keep at most, the surest first",
+        "N",
+        least=1,
+        most=TAKE_LIMITS.max_hands,
+        by_default=f"all of a photo, {CLIP_HANDS} of a clip",
+    )
+    regions: tuple[Region, ...] = _option(
+        (),
+        _regions,
+        "a box in which there is a hand that was not found, in pixels, the frame that shows it there, and "
+        "which hand it is",
+        "X,Y,W,H[,FRAME][,SIDE]",
+        repeated=True,
+        by_default="none; the first frame; as it looks",
+    )
+    only_regions: bool = _option(False, _flag, "keep the hands of the regions, and no others")
+    detector: str = _option("direct", _text, "what finds the hands", "NAME", choices=DETECTORS.names)
+    threshold: float = _option(
+        0.5,
+        _number,
+        "detection threshold, 0 to 1: lower finds more hands, and more that are none",
+        "T",
+        least=0.0,
+        most=1.0,
+        called="the detection threshold",
+    )
+    plain_detection: bool = _option(
+        False, _flag, "look once at the whole picture: faster for photos, misses more hands"
+    )
+    quality: Quality = _option(
+        "standard",
+        _text,
+        "how closely hands are looked at: draft takes 0.4 of the standard's time, and is rougher; best takes "
+        "4 times as long for clips, and is a little more exact",
+        "CHOICE",
+        choices=lambda: get_args(Quality),
+        closed=True,
+    )
+    landmark_model: str | None = _option(
+        None, _path, "MediaPipe's hand_landmarker.task", "PATH", by_default="the one that was fetched"
+    )
+    processes: int | None = _option(
+        None,
+        _whole,
+        "how many threads find the hands of a clip; its result is the same",
+        "N",
+        least=1,
+        most=64,
+        by_default="one a core, at most 8",
+    )
+    solver: str = _option("fast", _text, "what fits the hand model", "NAME", choices=solver_names)
+    arms: bool = _option(
+        False,
+        _flag,
+        "find the arms of the hands, too, where shoulder and elbow are in the picture: takes a third longer",
+    )
+    model: str | None = _option(
+        None, _path, "a MANO file, or a folder with both sides", "PATH", by_default="the open hand"
+    )
+    smoothing: float = _option(
+        USUAL_SMOOTHING,
+        _number,
+        "how smooth motion is, for solvers that smooth: 0 takes every frame by itself, at most 10",
+        "S",
+        least=0.0,
+        most=MOST_SMOOTHING,
+    )
+    hand_length: float | None = _option(
+        None,
+        _number,
+        "length of the hand from the wrist to the tip of the middle finger",
+        "MM",
+        least=0.05,
+        most=0.30,
+        unit="mm",
+        units=1000.0,
+        by_default="an average adult's",
+        called="a hand's length",
+        advice="; measure from the wrist to the tip of the middle finger",
+    )
+    intrinsics: Intrinsics | None = _option(
+        None,
+        _camera,
+        "the camera in pixels",
+        "FX,FY,CX,CY",
+        by_default="what the file tells, or one with a 53 degree view",
+    )
+    lens: Lens | tuple[float, float, float] | None = _option(
+        None,
+        _lens,
+        "the name of a lens that was measured with the command lens; or the camera where the picture's size "
+        "is not known: focal length in picture widths, principal point in widths and heights",
+        "NAME|F,X,Y",
+        by_default="as --intrinsics",
+    )
+    view: str | None = _option(
+        None,
+        _path,
+        "a second clip of the same hands, filmed at the same time from another place by a camera that stood "
+        "still",
+        "PATH",
+        by_default="none",
+    )
+    view_lens: Lens | tuple[float, float, float] | None = _option(
+        None, _lens, "the second clip's lens, as --lens", "NAME|F,X,Y", by_default="what the file tells"
+    )
+    cameras: str | None = _option(
+        None,
+        _path,
+        "where both cameras stood, and their lenses: a calibration in aniposelib's TOML layout",
+        "RIG.toml",
+        by_default="found from the hands",
+    )
+    offset: float | None = _option(
+        None,
+        _number,
+        "seconds from the start of the first view to that of the second one, below 0 where that came first",
+        "SECONDS",
+        least=-86400.0,
+        most=86400.0,
+        by_default="found from the fingers",
+    )
+    baseline: float | None = _option(
+        None,
+        _number,
+        "distance between both cameras in metres, which tells the hand's size",
+        "M",
+        least=0.05,
+        most=20.0,
+        by_default="told by the hand's size",
+    )
+    max_megapixels: float | None = _option(
+        None,
+        _positive,
+        "largest picture or frame that is read, in megapixels",
+        "M",
+        by_default=f"{PICTURE}; for videos {VIDEO}",
+    )
+
+    keypoints: str | None = _option(
+        None,
+        _path,
+        "a file or folder with the hands or keypoints that another program has found in the input",
+        "PATH",
+        by_default="hands are looked for",
+    )
+    reader: str | None = _option(
+        None,
+        _text,
+        "the format of hands or keypoints of another program",
+        "NAME",
+        choices=_readers,
+        by_default="recognised",
+    )
+    person: int | None = _option(
+        None,
+        _whole,
+        "which person's hands to read from another program's file, counted from 1 as they are in it",
+        "N",
+        least=1,
+        by_default="all",
+    )
+    fps: float | None = _option(
+        None,
+        _positive,
+        "frames per second of another program's file",
+        "RATE",
+        by_default=f"what it tells, else {DEFAULT_FPS:g}",
+    )
+    picture_size: tuple[int, int] | None = _option(
+        None,
+        _size,
+        "the pictures' size, where another program's file does not tell it",
+        "WIDTHxHEIGHT",
+        by_default="what it tells",
+    )
+    hand_mean: HandMean = _option(
+        "auto",
+        _text,
+        "what MANO poses of another program's file count from: the flat hand, or the mean pose of the model",
+        "CHOICE",
+        choices=lambda: ("auto", "flat", "mean"),
+        closed=True,
+    )
+    refit: bool = _option(
+        False, _flag, "fit and smooth poses of another program anew, instead of taking them as they are"
+    )
+
+    def __post_init__(self) -> None:
+        for name, option in OPTIONS.items():
+            object.__setattr__(self, name, option.read(getattr(self, name)))
+        if self.lens is not None and self.intrinsics is not None:
+            raise OptionError("give the camera either as intrinsics or as a lens, not both")
+        told = [name for name in VIEW_OPTIONS if name != "view" and getattr(self, name) is not None]
+        if told and self.view is None:
+            raise OptionError(f"{told[0]} tells of a second view, and there is none: give it with --view")
+        if self.cameras is not None and self.baseline is not None:
+            raise OptionError("a calibration tells the distance between the cameras: leave the baseline out")
+        if self.keypoints is not None and self.regions:
+            raise OptionError(
+                "give either regions, in which a hand is looked for, or keypoints that another program has "
+                "found, not both"
+            )
+
+    @classmethod
+    def of_message(cls, options: object) -> CaptureOptions:
+        """The options of a request to the worker. Raises OptionError also for one that does not exist."""
+        if not isinstance(options, Mapping):
+            raise OptionError(f"a capture's options must be an object, not {shortly(options)}")
+        for name in options:
+            if name not in OPTIONS:
+                raise OptionError(
+                    f"there is no option {shortly(name)} of a capture; choose from {', '.join(OPTIONS)}"
+                )
+        return cls(**options)
+
+    def measured_lens(self, width: int, height: int) -> Lens | None:
+        """The measured lens in pictures of that size; None where none is chosen. Raises OptionError for
+        pictures of another shape."""
+        return self.lens.scaled(width, height) if isinstance(self.lens, Lens) else None
+
+    def camera(self, width: int, height: int) -> Intrinsics | None:
+        """The camera that was given, for pictures of that size; None where none was. Raises OptionError for
+        one that cannot have taken such pictures."""
+        camera = self.intrinsics
+        if isinstance(self.lens, tuple):
+            focal, x, y = self.lens
+            camera = Intrinsics(focal * width, focal * width, x * width, y * height)
+        elif (lens := self.measured_lens(width, height)) is not None:
+            camera = lens.intrinsics
+        low, high = (times * max(width, height) for times in (NEAREST_FOCAL, FARTHEST_FOCAL))
+        if camera is not None and not all(low <= focal <= high for focal in (camera.fx, camera.fy)):
+            raise OptionError(
+                f"the camera's focal length must lie between {low:g} and {high:g} pixels for a picture of "
+                f"{width}x{height}; got fx={camera.fx:g}, fy={camera.fy:g}"
+            )
+        return camera
+
+    def most_hands(self, *, clip: bool) -> int | None:
+        """How many hands of one picture are wanted, be it of a clip or a photo; None: all."""
+        return CLIP_HANDS if clip and self.max_hands is None else self.max_hands
+
+    def to_message(self) -> dict[str, Any]:
+        """The `options` of a request to the worker: those that are not the defaults."""
+        given = {name: getattr(self, name) for name in OPTIONS}
+        return {name: _plain(value) for name, value in given.items() if value != OPTIONS[name].default}
+
+    @classmethod
+    def of_arguments(cls, arguments: argparse.Namespace) -> CaptureOptions:
+        """What a command line with `add_options` was told; options that it does not have are not given."""
+        given: dict[str, Any] = {name: getattr(arguments, name, None) for name in OPTIONS}
+        for name, option in OPTIONS.items():
+            if option.unit and given[name] is not None:
+                given[name] /= option.units
+        return cls(**given)
+
+
+def _plain(value: Any) -> Any:
+    """An option's value as JSON can hold it."""
+    if isinstance(value, FrameRange):
+        return str(value)
+    if isinstance(value, Intrinsics):
+        return list(vars(value).values())
+    if isinstance(value, Lens):
+        return lens_numbers(value)
+    if isinstance(value, Region):
+        return [part for part in vars(value).values() if part is not None]
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value
+
+
+OPTIONS: Final[dict[str, Option]] = {
+    field.name: dataclasses.replace(field.metadata["option"], name=field.name)
+    for field in fields(CaptureOptions)
+}
+"""Every option by its name"""
+
+
+def add_options(parser: argparse._ActionsContainer, names: Iterable[str] = OPTIONS) -> None:
+    """Add options to a command line; `CaptureOptions.of_arguments` reads what it was told."""
+    for name in names:
+        OPTIONS[name].add_to(parser)

@@ -1,0 +1,567 @@
+"""The take: everything that one capture found, and its file format.
+
+A take is what passes from the core to Blender, to disk and to other tools. The file is a plain
+NumPy `.npz` without pickles; docs/take-format.md describes it for readers of other languages.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from handfit_core.common.arrays import (
+    array,
+    array_dataclass,
+    arrays_of,
+    check_arrays,
+    kept_arrays,
+    reading_arrays,
+)
+from handfit_core.common.batch import scatter
+from handfit_core.common.errors import NoHandFoundError, OptionError, TakeError
+from handfit_core.common.files import opened_file, output_path, read_file, shown, why, written_whole
+from handfit_core.common.npz import NotNpz, NpzArchive, names_of
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, can_touch
+from handfit_core.common.slices import run_to_completion
+from handfit_core.common.values import LARGEST_WHOLE, number, one_of, path, shortly, text, whole
+from handfit_core.detect.keypoints import Detections
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.geometry.lens import Lens
+from handfit_core.hand_model.arm import ArmMotion
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.motion import HandMotion
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.source import SOURCE_KINDS, Source
+from handfit_core.take.views import AGREEMENTS, Cameras, SeenHand, Verdict, View
+
+FORMAT_NAME = "handfit-take"
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class TakeLimits:
+    """What a take may hold, so that reading a file can fill neither the memory nor a scene."""
+
+    max_file_bytes: int = 1 << 31
+    """of a take; 10 000 frames of two hands have 20 MB"""
+    max_memory_bytes: int = 400_000_000
+    """bytes that the arrays of a small take may have: 200 000 frames of a hand that is hardly ever seen"""
+    max_packed: int = 50
+    """times the size of a larger file that its arrays may have"""
+    max_error: float = 1e30
+    """pixels: a fit that failed close to the camera may project anywhere that 32 bits can hold"""
+    min_fps: float = 1e-3
+    max_fps: float = 1e6
+    max_side: int = 1 << 24
+    """pixels of a picture"""
+    max_hands: int = 200
+    """of a take"""
+
+
+TAKE_LIMITS: Final = TakeLimits()
+
+
+@array_dataclass
+class HandTrack(HandMotion):
+    """One hand over a take's T frames: its motion, and what was detected.
+
+    Float arrays but `placed`, `placed_second` and `touches` hold NaN in the frames where neither `detected`
+    nor `filled` is True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`,
+    `keypoints_depth`, `world_landmarks`, `right_side`), and `expected_error`, also where only `filled` is.
+    """
+
+    joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, finite="present")
+    """metres, the fitted model's keypoints in MediaPipe's order"""
+    keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected")
+    """pixels, as detected"""
+    reprojection_error: np.ndarray = array("T", finite="detected", most=TAKE_LIMITS.max_error)
+    """pixels: mean distance from the projected joints_3d to keypoints_2d"""
+    detected: np.ndarray = array("T", kind="b")
+    score: np.ndarray = array("T", finite="detected")
+    """The detector's confidence in this hand, 0..1"""
+    filled: np.ndarray | None = array("T", kind="b", default=None)
+    """Frames of short gaps, bridged from their neighbours; None: there are none"""
+    keypoints_depth: np.ndarray | None = array("T", NUM_KEYPOINTS, finite="detected", default=None)
+    """pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not kept"""
+    world_landmarks: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, finite="detected", default=None)
+    """metres about the hand's centre, axes as the camera frame's, as detected; None: not kept"""
+    keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, default=None)
+    """What the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN where it was
+    not asked; None: nowhere"""
+    right_side: np.ndarray | None = array("T", default=None)
+    """Probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
+    other_side: np.ndarray | None = array("T", kind="b", default=None)
+    """Frames in which the detector named the other side; None: in none"""
+    overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
+    """Keypoints that lie where another hand is, or that another program did not find (they are guessed) or
+    doubts, and are believed less; None: none do"""
+    placed: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
+    """pixels: where a person has put points; NaN: not a person's; None: none is"""
+    placed_second: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
+    """pixels of the second view at the frame's moment: where a person has put points there, as in `placed`"""
+    touches: np.ndarray | None = array("T", NUM_KEYPOINTS, default=None)
+    """The keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands for the
+    palm; NaN: none; None: none does"""
+    arm: ArmMotion | None = None
+    """The arm that it hangs on; None: there is none, or nobody looked"""
+    no_arm: str = ""
+    """Why no arm was found, a sentence; empty: there is one, or nobody looked"""
+    seen_by: tuple[SeenHand | None, ...] = ()
+    """What each further view of the take saw of it; None: nothing"""
+
+    def check(self, count: int) -> None:
+        """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
+        finite where there is a hand."""
+        check_arrays(self, TakeError, f"the {self.side} hand's ", T=count)
+        if self.arm is not None:
+            check_arrays(self.arm, TakeError, f"the {self.side} arm's ", T=count)
+        for seen in filter(None, self.seen_by):
+            check_arrays(seen, TakeError, f"the {self.side} hand in a further view: ")
+        judged = self.right_side
+        if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
+            raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
+        if self.touches is not None:
+            for row, point in np.argwhere(~np.isnan(self.touches)).tolist():
+                other = float(self.touches[row, point])
+                if not (other.is_integer() and can_touch(point, int(other))):
+                    raise TakeError(
+                        f"the {self.side} hand's touches must name smaller points of other fingers"
+                    )
+
+    @classmethod
+    def undetected(cls, motion: HandMotion, model: HandModel) -> HandTrack:
+        """A hand of which nothing was detected, such as one that a person has added: its frames count as
+        filled."""
+        present = motion.present
+        count = len(present)
+        joints = model.keypoints(motion.betas, *(rows[present] for rows in motion.pose))
+        nothing = np.full((count, NUM_KEYPOINTS, 2), np.nan)
+        return cls(
+            **vars(motion),
+            joints_3d=scatter(joints, present, count),
+            keypoints_2d=nothing,
+            reprojection_error=nothing[:, 0, 0],
+            detected=np.zeros(count, dtype=bool),
+            score=nothing[:, 0, 0],
+            filled=present,
+        )
+
+    @property
+    def added(self) -> bool:
+        """Whether a person laid it into the picture: nothing of it was ever detected."""
+        return self.placed is not None and not self.detected.any()
+
+    @property
+    def refinable(self) -> bool:
+        """Whether the take holds what fitting again needs."""
+        return self.keypoints_depth is not None and self.world_landmarks is not None
+
+    def detections(self, rows: np.ndarray | None = None) -> Detections:
+        """What the detector found in the frames `rows` of the T (None: in all), in which their `frame`
+        counts. Without its `spread`, which a take does not hold. Raises TakeError unless `refinable`."""
+        if self.keypoints_depth is None or self.world_landmarks is None:
+            raise TakeError(
+                f"the {self.side} hand's take was made before takes held what the detector found; capture it "
+                "again"
+            )
+        rows = np.arange(len(self.detected)) if rows is None else rows
+        frame = np.flatnonzero(np.asarray(self.detected)[rows])
+        found = rows[frame]
+        side = np.full(len(found), SIDES.index(self.side))
+        return Detections(
+            frame=frame,
+            side=side if self.other_side is None else np.where(self.other_side[found], 1 - side, side),
+            score=self.score[found],
+            keypoints=np.concatenate(
+                [self.keypoints_2d[found], self.keypoints_depth[found][..., None]], axis=2
+            ),
+            world=self.world_landmarks[found],
+            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[found],
+            right_side=np.full(len(found), np.nan) if self.right_side is None else self.right_side[found],
+            overlapped=None if self.overlapped is None else self.overlapped[found],
+        )
+
+    @property
+    def present(self) -> np.ndarray:
+        """(T,) bool: frames with a hand, detected or filled."""
+        seen = np.asarray(self.detected, dtype=bool)
+        return seen if self.filled is None else seen | np.asarray(self.filled, dtype=bool)
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """What one capture found: T frames and the hands in them."""
+
+    source: Source
+    fps: float
+    """Frames per second of the source; 24 for photos and sequences, which have none of their own"""
+    frame_numbers: np.ndarray
+    """(T,) int, increasing. Videos and photos count from 1; sequences use the numbers in their names"""
+    width: int
+    """pixels, of the upright picture"""
+    height: int
+    intrinsics: Intrinsics
+    solver: str
+    model: str
+    """`open-hand`, or the absolute path of the user's model file or folder"""
+    model_digests: Mapping[str, str]
+    """side -> HandModel.digest of the model that was fitted"""
+    hands: tuple[HandTrack, ...]
+    program: str = ""
+    """The program that found the hands, as people call it; empty: a detector of this one"""
+    cameras: Cameras | None = None
+    """Where several views of the hands were filmed from; None: there is one view"""
+    verdict: Verdict | None = None
+    """Whether the views that were given belong together; None: one was given"""
+    distortion: tuple[float, float, float, float, float] | None = None
+    """Of the measured lens, as `Lens` has it: what is in the pictures, and taken out of all that was found in
+    them; None: none is known"""
+
+    def __post_init__(self) -> None:
+        numbers = np.asarray(self.frame_numbers)
+        if numbers.ndim != 1 or numbers.dtype.kind not in "iu":
+            raise TakeError("frame_numbers must be a list of whole numbers")
+        count = len(numbers)
+        if count == 0 or np.any(numbers[1:] <= numbers[:-1]):
+            raise TakeError("a take needs at least one frame, and its frame numbers must increase")
+        if not -LARGEST_WHOLE < int(numbers[0]) <= int(numbers[-1]) < LARGEST_WHOLE:
+            raise TakeError("frame_numbers lie beyond what any frame is counted by")
+        if not self.source.files:
+            raise TakeError("a take must name the pictures that it was made from")
+        sizes = (self.width, self.height)
+        if not (
+            TAKE_LIMITS.min_fps <= self.fps <= TAKE_LIMITS.max_fps
+            and all(0 < side <= TAKE_LIMITS.max_side for side in sizes)
+        ):
+            raise TakeError(
+                f"frame rate and size must be positive and not absurd; got {self.fps:g} fps, "
+                f"{self.width}x{self.height} pixels"
+            )
+        if len(self.hands) > TAKE_LIMITS.max_hands:
+            raise TakeError(f"a take holds at most {TAKE_LIMITS.max_hands} hands, not {len(self.hands)}")
+        for track in self.hands:
+            track.check(count)
+        if self.cameras is not None:
+            check_arrays(self.cameras, TakeError, "cameras: ", V=1 + len(self.cameras.views))
+
+    @property
+    def lens(self) -> Lens | None:
+        """The measured lens of the pictures; None where they count as free of distortion."""
+        if self.distortion is None:
+            return None
+        return Lens(self.intrinsics, self.distortion, self.width, self.height)
+
+    def view(self, number: int) -> Take:
+        """The clip of a further view, counted from 1, and its camera, as a take without hands. Its first
+        frame lies `cameras.time_offset[number]` seconds after this one's. Raises TakeError where it cannot be
+        a clip."""
+        assert self.cameras is not None
+        view = self.cameras.views[number - 1]
+        return replace(
+            self,
+            source=view.source,
+            fps=view.fps,
+            frame_numbers=view.frame_numbers,
+            width=view.width,
+            height=view.height,
+            intrinsics=Intrinsics(*self.cameras.intrinsics[number].tolist()),
+            hands=(),
+            cameras=None,
+            verdict=None,
+            distortion=None,
+        )
+
+    def save(self, path: str | os.PathLike[str], *, compact: bool = False) -> Path:
+        """Write the take as `.npz`, whole or not at all, and never over what it was made from; `compact` as
+        in `to_bytes`. Raises OutputError."""
+        path = output_path(path, self.source.files)
+        with written_whole(path, Take.load) as beside, beside.open("wb") as stream:
+            self._write(stream, compact)
+        return path
+
+    def to_bytes(self, compact: bool = True) -> bytes:
+        """The take as the bytes of its file. `compact`: numbers of 32 bits, half the size: pixels and
+        metres are then rounded in their seventh digit."""
+        stream = io.BytesIO()
+        self._write(stream, compact)
+        return stream.getvalue()
+
+    def _write(self, stream: BinaryIO, compact: bool) -> None:
+        header = {
+            "format": FORMAT_NAME,
+            "version": FORMAT_VERSION,
+            "source": _plain_source(self.source),
+            "fps": self.fps,
+            "width": self.width,
+            "height": self.height,
+            "intrinsics": vars(self.intrinsics),
+            "solver": self.solver,
+            "model": self.model,
+            "model_digests": dict(self.model_digests),
+            "sides": [track.side for track in self.hands],
+        }
+        if self.distortion is not None:
+            header["distortion"] = list(self.distortion)
+        if self.program:
+            header["program"] = self.program
+        if self.verdict is not None:
+            header["verdict"] = vars(self.verdict)
+        if self.cameras is not None:
+            header["views"] = [
+                {
+                    "source": _plain_source(view.source),
+                    **{name: getattr(view, name) for name in ("fps", "width", "height", "mirrored")},
+                }
+                for view in self.cameras.views
+            ]
+        asked = [i for i, track in enumerate(self.hands) if track.arm is not None or track.no_arm]
+        if asked:
+            header["arms"] = {str(i): self.hands[i].no_arm for i in asked}
+        arrays: dict[str, Any] = {
+            "header": np.array(json.dumps(header, ensure_ascii=False)),
+            "frame_numbers": np.asarray(self.frame_numbers, dtype=np.int64),
+        }
+        floats = np.float32 if compact else np.float64
+        if self.cameras is not None:
+            arrays |= kept_arrays(self.cameras, "cameras/", floats)
+            for v, view in enumerate(self.cameras.views, start=1):
+                arrays[f"cameras/view{v}_frame_numbers"] = np.asarray(view.frame_numbers, dtype=np.int64)
+                if view.times is not None:
+                    arrays[f"cameras/view{v}_times"] = np.asarray(view.times, dtype=np.float64)
+        for i, track in enumerate(self.hands):
+            arrays |= kept_arrays(track, f"hand{i}_", floats)
+            if track.arm is not None:
+                arrays |= kept_arrays(track.arm, f"arms/hand{i}_", floats)
+            for v, seen in enumerate(track.seen_by, start=1):
+                if seen is not None:
+                    arrays |= kept_arrays(seen, f"cameras/view{v}_hand{i}_", floats)
+        np.savez_compressed(stream, **arrays)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Take:
+        """Read a take. Raises TakeError for anything that is not a take this version understands."""
+        path = Path(path)
+        try:
+            data = read_file(path, TAKE_LIMITS.max_file_bytes)
+        except FileNotFoundError as error:
+            raise TakeError(f"{shown(path)}: there is no such take file") from error
+        except (OSError, ValueError) as error:
+            raise TakeError(f"{shown(path)}: the take file cannot be read ({why(error)})") from error
+        return cls.from_bytes(data, where=str(path))
+
+    @classmethod
+    def from_bytes(cls, data: bytes, where: str = "the take") -> Take:
+        """The inverse of `to_bytes`, compact or not: numbers come back with 64 bits. `where` begins the
+        messages. Raises TakeError for anything that is not a take this version understands."""
+        return run_to_completion(cls.reading(data, where))
+
+    @classmethod
+    def reading(cls, data: bytes, where: str = "the take") -> Generator[None, None, Take]:
+        """`from_bytes` array by array, for programs that must not stand still: each step takes some
+        milliseconds, even in takes of ten thousand frames. Returns the take."""
+        try:
+            archive = NpzArchive(data, max(TAKE_LIMITS.max_memory_bytes, TAKE_LIMITS.max_packed * len(data)))
+            header = archive.header()
+            if header.get("format") != FORMAT_NAME:
+                raise NotNpz("is of another format")
+            version = whole("version", header.get("version"), 1)
+        except (NotNpz, KeyError, ValueError) as error:
+            raise TakeError(
+                f"{where}: not a take file, or a damaged one; capture it again, or pick the .npz that a "
+                "capture wrote"
+            ) from error
+        if version > FORMAT_VERSION:
+            raise TakeError(
+                f"{where}: this take has format version {version}, this program reads up to "
+                f"{FORMAT_VERSION}; update the add-on"
+            )
+        yield
+        try:
+            fields = _of_header(header)
+            hands = []
+            no_arms, views = fields.pop("arms"), fields.pop("views")
+            fields["cameras"] = yield from _reading_cameras(archive, views)
+            for i, side in enumerate(fields.pop("sides")):
+                arrays = yield from reading_arrays(HandTrack, archive, f"hand{i}_")
+                arm, why = None, no_arms.get(str(i))
+                if why == "":
+                    of_arm = yield from reading_arrays(ArmMotion, archive, f"arms/hand{i}_")
+                    arm = ArmMotion(**of_arm)
+                seen_by = yield from _reading_seen(archive, i, len(views))
+                hands.append(HandTrack(side=side, **arrays, arm=arm, no_arm=why or "", seen_by=seen_by))
+            return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
+        except KeyError as error:
+            raise TakeError(
+                f"{where}: the take file is incomplete (it lacks {error}); capture it again"
+            ) from error
+        except (NotNpz, ValueError, OptionError, TakeError) as error:
+            reason = f"it {error}" if isinstance(error, NotNpz) else error
+            raise TakeError(f"{where}: the take file is damaged ({reason}); capture it again") from error
+
+
+def _reading_cameras(
+    archive: NpzArchive, views: list[dict[str, Any]]
+) -> Generator[None, None, Cameras | None]:
+    if not views:
+        return None
+    arrays = yield from reading_arrays(Cameras, archive, "cameras/")
+    further = []
+    for v, view in enumerate(views, start=1):
+        numbers, times = archive.array(f"cameras/view{v}_frame_numbers", "iu"), f"cameras/view{v}_times"
+        told = archive.array(times, "f") if times in archive else None
+        if told is not None and (told.shape != numbers.shape or not np.all(np.diff(told) > 0.0)):
+            raise TakeError(f"{times} must have a time for each frame of the view, and increase")
+        further.append(View(frame_numbers=numbers, times=told, **view))
+    return Cameras(**arrays, views=tuple(further))
+
+
+def _reading_seen(
+    archive: NpzArchive, hand: int, views: int
+) -> Generator[None, None, tuple[SeenHand | None, ...]]:
+    found: list[SeenHand | None] = []
+    for v in range(1, 1 + views):
+        prefix = f"cameras/view{v}_hand{hand}_"
+        if f"{prefix}detected" not in archive:
+            found.append(None)
+            continue
+        arrays = yield from reading_arrays(SeenHand, archive, prefix)
+        found.append(SeenHand(**arrays))
+    return tuple(found)
+
+
+def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | None) -> Take:
+    """The take's hands of a side ('left' or 'right'; else of both) in frames of those numbers, as many as are
+    wanted, the surest first: those that were seen in most frames, and there with most certainty. Raises
+    OptionError where it has no such frame, NoHandFoundError where no hand is left of those that it has."""
+    numbers = np.asarray(take.frame_numbers)
+    rows = np.flatnonzero([frames is None or int(number) in frames for number in numbers])
+    if not len(rows):
+        raise OptionError(f"none of the take's frames lies in {frames}; it has {numbers[0]} to {numbers[-1]}")
+    kept = [at_rows(hand, rows) for hand in take.hands if hands not in SIDES or hand.side == hands]
+    kept = [hand for hand in kept if hand.present.any()]
+    if take.hands and not kept:
+        raise NoHandFoundError(
+            f"the take has no {f'{hands} ' if hands in SIDES else ''}hand in these frames; it has a "
+            f"{', a '.join(hand.side for hand in take.hands)} one in frames {numbers[0]} to {numbers[-1]}"
+        )
+    surest = sorted(kept, key=lambda hand: -float(np.nansum(hand.score)))[:max_hands]
+    source = take.source
+    if source.kind == "sequence" and len(source.files) == len(numbers):
+        source = replace(source, files=tuple(source.files[row] for row in rows))
+    kept = [hand for hand in kept if any(hand is each for each in surest)]
+    cameras = take.cameras
+    if cameras is not None:
+        # Offsets count from the first frame, which may be another one now.
+        later = np.where(
+            np.arange(len(cameras.time_offset)) > 0, (numbers[rows[0]] - numbers[0]) / take.fps, 0.0
+        )
+        cameras = replace(cameras, time_offset=cameras.time_offset - later)
+    return replace(take, source=source, frame_numbers=numbers[rows], hands=tuple(kept), cameras=cameras)
+
+
+def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
+    """A hand over some of its frames, in any order."""
+    arm = None if hand.arm is None else replace(hand.arm, **_at_rows(hand.arm, rows))
+    return replace(hand, arm=arm, **_at_rows(hand, rows))
+
+
+def _at_rows(of: HandTrack | ArmMotion, rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.asarray(array)[rows] for name, array in arrays_of(of, "T").items()}
+
+
+def _plain_source(source: Source) -> dict[str, Any]:
+    return {"kind": source.kind, "files": list(source.files), "orientation": source.orientation}
+
+
+def _source_of(source: Mapping[str, Any]) -> Source:
+    if source.get("kind") not in SOURCE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
+    return Source(
+        kind=source["kind"],
+        files=tuple(path("files", file) for file in _list("files", source.get("files"))),
+        orientation=whole("orientation", source.get("orientation", 1), 1, 8),
+    )
+
+
+def _view_of(view: Any) -> dict[str, Any]:
+    """A `View` without its frame numbers."""
+    if not isinstance(view, dict):
+        raise ValueError(f"views must be objects, not {shortly(view)}")
+    return {
+        "source": _source_of(_object(view, "source")),
+        "fps": number("fps", view.get("fps")),
+        "width": whole("width", view.get("width"), 1, TAKE_LIMITS.max_side),
+        "height": whole("height", view.get("height"), 1, TAKE_LIMITS.max_side),
+        "mirrored": view.get("mirrored") is True,
+    }
+
+
+def _verdict_of(verdict: Mapping[str, Any]) -> Verdict:
+    return Verdict(
+        one_of(*AGREEMENTS)("agreement", verdict.get("agreement")), text("text", verdict.get("text"), 2000)
+    )
+
+
+def _distortion_of(header: Mapping[str, Any]) -> tuple[float, ...]:
+    terms = [number("distortion", term) for term in _list("distortion", header.get("distortion"))]
+    if len(terms) != 5:
+        raise ValueError(f"distortion must be five numbers, not {len(terms)}")
+    return tuple(terms)
+
+
+def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
+    """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
+    source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
+    arms = _object(header, "arms") if "arms" in header else {}
+    sides, views = _list("sides", header.get("sides")), _list("views", header.get("views", []))
+    if len(sides) > TAKE_LIMITS.max_hands or not all(side in SIDES for side in sides):
+        raise ValueError(f"sides must be at most {TAKE_LIMITS.max_hands}, each left or right")
+    if set(camera) != {"fx", "fy", "cx", "cy"}:
+        raise ValueError("intrinsics must be fx, fy, cx and cy")
+    return {
+        "source": _source_of(source),
+        "fps": number("fps", header.get("fps")),
+        "width": whole("width", header.get("width")),
+        "height": whole("height", header.get("height")),
+        "intrinsics": Intrinsics(**{name: number(name, value) for name, value in camera.items()}),
+        "solver": text("solver", header.get("solver"), 100),
+        "program": text("program", header.get("program", ""), 100),
+        "model": path("model", header.get("model")),
+        "model_digests": {
+            side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES
+        },
+        "sides": sides,
+        "views": [_view_of(view) for view in views],
+        "verdict": _verdict_of(_object(header, "verdict")) if "verdict" in header else None,
+        "distortion": _distortion_of(header) if "distortion" in header else None,
+        "arms": {hand: text("arms", why, 200) for hand, why in arms.items()},
+    }
+
+
+def is_take(path: str | os.PathLike[str]) -> bool:
+    """Whether a file looks like a take, and not like another program's .npz. Raises nothing."""
+    try:
+        with opened_file(path, TAKE_LIMITS.max_file_bytes) as stream:
+            return {"header", "frame_numbers"} <= names_of(stream)
+    except (OSError, ValueError, NotNpz):
+        return False
+
+
+def _object(header: Mapping[str, Any], name: str) -> dict[str, Any]:
+    value = header.get(name)
+    if not isinstance(value, dict):
+        raise ValueError(f"{name} must be an object, not {shortly(value)}")
+    return value
+
+
+def _list(name: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{name} must be a list, not {shortly(value)}")
+    return value

@@ -1,0 +1,184 @@
+"""Pairs of clips that do not go well together: a sentence names the view, and what is good becomes a take."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from handfit_core.__main__ import main
+from handfit_core.capturing.joining import Clip, joined
+from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.pipeline import Progress, capture
+from handfit_core.common.errors import HandfitError
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.take import Take, at_rows, chosen
+from tests.core.fit.test_views import FPS, FRAMES, OFFSET, from_second, moving, take_of, takes
+
+PAIR = "two_cameras/apart75"
+
+
+def rows(clip: Clip, least: int, most: int) -> Clip:
+    """Its frames with these numbers."""
+    return replace(clip, take=chosen(clip.take, "both", FrameRange.parse(f"{least}-{most}"), None))
+
+
+def bumped(degrees: float) -> tuple[Clip, Clip]:
+    """The second camera turns in mid-shot."""
+    first, second = takes()
+    times = np.arange(FRAMES) / FPS + OFFSET
+    state = from_second(moving(times))
+    turn = cv2.Rodrigues(np.radians(degrees) * np.array([0.3, 0.8, 0.5]))[0]
+    late = (np.arange(FRAMES) >= FRAMES // 2)[:, None]
+    root = np.where(late[..., None], turn @ state.root, state.root)
+    wrist = np.where(late, state.wrist @ turn.T, state.wrist)
+    return first, replace(second, take=take_of(replace(state, root=root, wrist=wrist), "/b.mp4"))
+
+
+@pytest.mark.parametrize(
+    ("views", "agreement", "said"),
+    [
+        (lambda: takes(0, 7), "failed", "do not agree"),
+        (lambda: (takes()[0],) * 2, "failed", "one clip given twice"),
+        (lambda: (rows(takes()[0], 1, 22), takes()[1]), "failed", "frames at the same time, and 20"),
+        (lambda: (rows(takes()[0], 1, 30), rows(takes()[1], 40, 70)), "failed", "view, "),
+        (lambda: bumped(25.0), "failed", "a camera was moved"),
+    ],
+    ids=["other scenes", "one clip twice", "few frames", "other moments", "moved camera"],
+)
+def test_views_that_do_not_belong_together(views, agreement, said):
+    first, second = views()
+    take = joined(first, second, CaptureOptions())
+    assert take.verdict is not None
+    assert take.verdict.agreement == agreement, take.verdict.text
+    assert said in take.verdict.text
+    assert any(f"The {nth} view, {name}, was used alone." in take.verdict.text for nth, name in NAMED)
+    assert take.cameras is None
+    assert take.hands
+
+
+NAMED = (("first", "a"), ("second", "b"), ("second", "a"))
+
+
+def test_an_offset_that_leaves_nothing_in_common():
+    take = joined(*takes(), CaptureOptions(view="b.mp4", offset=120.0))
+    assert take.verdict is not None
+    assert "with an offset of 120 seconds. The first view" in take.verdict.text
+
+
+def test_frames_of_a_rate_that_varies():
+    """Two of three of the second view's frames are missing in its first half, and its file tells when."""
+    first, second = takes()
+    kept = np.array([i for i in range(FRAMES) if i >= FRAMES // 2 or i % 3 == 0])
+    fewer = replace(
+        second.take,
+        fps=FPS * len(kept) / FRAMES,
+        frame_numbers=np.arange(1, 1 + len(kept)),
+        hands=tuple(at_rows(hand, kept) for hand in second.take.hands),
+    )
+    take = joined(first, Clip(fewer, lens_known=True, stamps=kept / FPS), CaptureOptions())
+    assert take.verdict is not None
+    assert take.verdict.agreement != "failed", take.verdict.text
+    assert take.cameras is not None
+    assert abs(take.cameras.time_offset[1] - OFFSET) * FPS < 0.5
+    again = Take.from_bytes(take.to_bytes())
+    assert again.cameras is not None
+    assert again.cameras.views[0].times is not None
+    np.testing.assert_allclose(again.cameras.views[0].times, kept / FPS, atol=1e-9)
+
+
+@pytest.mark.parametrize("millionths", [150.0, -80.0])
+def test_clocks_that_run_apart(millionths):
+    """Over three minutes, seen at ten frames a second."""
+    times = np.arange(1800) / 10.0
+    rate = 1.0 + 1e-6 * millionths
+    views = moving(times), from_second(moving(OFFSET + times * rate))
+    first, second = [
+        Clip(replace(take_of(state, f"/{name}.mp4"), fps=10.0), lens_known=True)
+        for name, state in zip("ab", views, strict=True)
+    ]
+    take = joined(first, second, CaptureOptions(smoothing=0.0))
+    assert take.cameras is not None
+    found = take.cameras.time_offset[1] + times * 10.0 / take.cameras.views[0].fps
+    assert np.abs(found - OFFSET - times * rate).max() < 0.005, "seconds"
+
+
+def test_frames_that_the_second_view_alone_has():
+    first, second = takes()
+    (hand,), missing = first.take.hands, slice(30, 56)
+    lost = np.zeros(FRAMES, dtype=bool)
+    lost[missing] = True
+    seen = {
+        name: np.where(
+            lost.reshape(-1, *[1] * (value.ndim - 1)), False if value.dtype == bool else np.nan, value
+        )
+        for name, value in vars(hand).items()
+        if isinstance(value, np.ndarray) and value.shape[:1] == (FRAMES,)
+    }
+    gap = replace(first, take=replace(first.take, hands=(replace(hand, **seen),)))
+    whole, take = (joined(each, second, CaptureOptions()).hands[0] for each in (first, gap))
+    np.testing.assert_array_equal(take.filled, lost)
+    away = np.linalg.norm(take.joints_3d[lost] - whole.joints_3d[lost], axis=2)
+    assert away.mean() < 0.012
+    alone = joined(gap, rows(second, 1, 20), CaptureOptions()).hands[0]
+    assert not alone.present[lost].any()
+
+
+@pytest.mark.usefixtures("landmark_model")
+class TestFiles:
+    """Captures of real files."""
+
+    def test_a_view_without_hands(self, samples, tmp_path):
+        clip, empty = samples / PAIR / "clip1_a.mp4", tmp_path / "wall.mp4"
+        film = cv2.VideoWriter(str(empty), cv2.VideoWriter_fourcc(*"mp4v"), 30.0, (320, 240))
+        for _ in range(12):
+            film.write(np.full((240, 320, 3), 90, np.uint8))
+        film.release()
+        said = "No hand was found in the {} view. The {} view, {}, was used alone."
+        for views, nth in (((clip, empty), ("second", "first")), ((empty, clip), ("first", "second"))):
+            take = capture(views[0], view=str(views[1]), quality="draft", hands="auto")
+            assert take.verdict is not None
+            assert take.verdict.text == said.format(*nth, clip.stem)
+            assert take.hands
+
+    def test_stopped_while_views_are_joined(self, samples):
+        stages: list[str] = []
+
+        def progress(each: Progress) -> None:
+            stages.append(each.stage)
+
+        view = str(samples / PAIR / "clip1_b.mp4")
+        take = capture(
+            samples / PAIR / "clip1_a.mp4",
+            CaptureOptions(view=view, quality="draft"),
+            progress,
+            lambda: "join" in stages,
+        )
+        assert take.verdict is not None
+        assert take.verdict.text.startswith(
+            "The capture was stopped before both views were joined. The first"
+        )
+        assert take.hands
+
+    def test_a_batch_of_pairs(self, samples, tmp_path):
+        folder = tmp_path / "in"
+        folder.mkdir()
+        for view in "ab":
+            (folder / f"shot_{view}.mp4").symlink_to(samples / PAIR / f"clip1_{view}.mp4")
+        words = ["batch", str(folder), "-o", str(tmp_path / "out"), "--jobs", "1", "--progress", "none"]
+        assert main([*words, "--views", "--baseline", "0.6", "--quality", "draft"]) == 0
+        (entry,) = json.loads((tmp_path / "out" / "report.json").read_text())["inputs"]
+        assert (entry["name"], entry["views"]["agreement"]) == ("shot", "good")
+        assert Take.load(tmp_path / "out" / "shot" / "shot.take.npz").cameras is not None
+
+    @pytest.mark.parametrize("text", ["", "[cam_0]\nname = 'x'\n"], ids=["empty", "one camera"])
+    def test_a_calibration_that_is_none(self, samples, tmp_path, text):
+        """A calibration file that is none is refused before hands are looked for."""
+        rig = tmp_path / "rig.toml"
+        rig.write_text(text)
+        views = [str(samples / PAIR / f"clip1_{view}.mp4") for view in "ab"]
+        with pytest.raises(HandfitError, match=r"rig\.toml: not a calibration of two cameras"):
+            capture(views[0], None, lambda _: pytest.fail("began"), view=views[1], cameras=str(rig))
