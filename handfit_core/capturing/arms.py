@@ -125,7 +125,7 @@ def with_bodies(
         for track in found.tracks
     ]
     camera = options.measured_lens(media.width, media.height) or found.intrinsics
-    bodies = find_bodies(media, found.numbers, points, camera, options, on_frame, should_stop)
+    bodies = find_bodies(media, found.numbers, points, camera, options.processes, on_frame, should_stop)
     if found.fits is None and not should_stop():
         found = replace(found, tracks=with_body_sides(found.tracks, bodies, options.hands))
     return found, bodies

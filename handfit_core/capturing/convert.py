@@ -17,6 +17,7 @@ from handfit_core.common.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.common.files import check_writable, output_path, path_of, printable, shown, written_whole
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.readers import READERS, UNSEEN, unseen
+from handfit_core.interchange.recording import ReadOptions
 from handfit_core.interchange.writers import WRITERS, Writer, writer_for
 from handfit_core.take import HandTrack, Take, chosen, is_take
 from handfit_core.take.fit_quality import error_is_known
@@ -131,7 +132,7 @@ def _check_readable(writer: Writer, take: Take, path: Path) -> None:
     taken = path.suffix.lower() in {ending[ending.rindex(".") :] for ending in writer.endings}
     if name in READERS.built_in() and take.hands and taken:
         with contextlib.suppress(OptionError):  # it wants to know more
-            read_recording(path, CaptureOptions(reader=name))
+            read_recording(path, ReadOptions(reader=name))
 
 
 def _info(args: argparse.Namespace) -> int:
@@ -148,7 +149,7 @@ def _info(args: argparse.Namespace) -> int:
             *([("program", take.program)] if take.program else _networks(take)),
         ]
     elif is_recording(args.input):
-        recording = read_recording(args.input, CaptureOptions.of_arguments(args))
+        recording = read_recording(args.input, CaptureOptions.of_arguments(args).read_options())
         size = "not known" if recording.size is None else f"{recording.size[0]}x{recording.size[1]} pixels"
         lines = [
             ("format", recording.format),

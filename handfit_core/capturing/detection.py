@@ -15,10 +15,9 @@ from handfit_core.common.arrays import check_arrays
 from handfit_core.common.errors import Cancelled, InputError
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.chunks import Chunk
-from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected
+from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected, Detector
 from handfit_core.detect.keypoints import Detections, HandDetection
 from handfit_core.detect.matching import is_same_hand
-from handfit_core.detect.opening import open_detector
 from handfit_core.detect.regions import detect_frame, detect_region
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.fit.solvers import ShouldStop, never
@@ -48,9 +47,10 @@ def detect_frames(
     if clip is None:
         seen = _one_by_one(media, options, on_frame, should_stop, blamed)
     else:
-        with blamed(), clip(media, options) as detector:
+        told = options.detector_settings(video=True), options.regions
+        with blamed(), clip(media, *told) as detector:
             chunks = detect_chunks(
-                detector, lambda m: clip(m, options), options.processes, on_frame, should_stop
+                detector, lambda m: clip(m, *told), options.processes, on_frame, should_stop
             )
             seen = _in_chunks(detector, chunks)
     if not seen.numbers:
@@ -63,6 +63,14 @@ def detect_frames(
     with blamed():
         finite = _finite(seen.hands, options.detector)
     return seen if finite.all() else replace(seen, hands=seen.hands.select(finite))
+
+
+def open_detector(options: CaptureOptions, *, video: bool = False) -> Detector:
+    """The detector that a capture's options name, for the frames of one clip (`video`) or for stills.
+
+    Raises OptionError where there is no such detector, LandmarkModelError.
+    """
+    return DETECTORS.get(options.detector).open(options.detector_settings(video=video))
 
 
 def at_least_two(options: CaptureOptions) -> CaptureOptions:

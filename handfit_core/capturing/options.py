@@ -19,10 +19,11 @@ from typing import Any, Final, Literal, get_args
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import SIDES, HandChoice, Side
 from handfit_core.common.values import shortly
-from handfit_core.detect.detector import DETECTORS, Quality, Region
+from handfit_core.detect.detector import DETECTORS, DetectorSettings, Quality, Region
 from handfit_core.fit.solvers import MOST_SMOOTHING, USUAL_SMOOTHING, solver_names
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
+from handfit_core.interchange.recording import ReadOptions
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.lenses import NUMBERS, lens_numbers, lens_of_numbers, saved_lens
 from handfit_core.media.size_limit import PICTURE, VIDEO
@@ -524,6 +525,21 @@ class CaptureOptions:
     def most_hands(self, *, clip: bool) -> int | None:
         """How many hands of one picture are wanted, be it of a clip or a photo; None: all."""
         return CLIP_HANDS if clip and self.max_hands is None else self.max_hands
+
+    def detector_settings(self, *, video: bool = False) -> DetectorSettings:
+        """What a detector is told; `video`: for the frames of one clip."""
+        return DetectorSettings(
+            self.most_hands(clip=video),
+            video,
+            self.threshold,
+            self.landmark_model,
+            self.quality,
+            plain=self.plain_detection,
+        )
+
+    def read_options(self) -> ReadOptions:
+        """What a reader of another program's files is told."""
+        return ReadOptions(**{field.name: getattr(self, field.name) for field in fields(ReadOptions)})
 
     def to_message(self) -> dict[str, Any]:
         """The `options` of a request to the worker: those that are not the defaults."""

@@ -235,7 +235,7 @@ def add_arms(
         take.frame_numbers.tolist(),
         [hand.keypoints_2d for hand in take.hands],
         take.lens or take.intrinsics,
-        CaptureOptions(),
+        None,
         lambda done: report(Progress("detect", done, total)),
         stop,
     )

@@ -15,17 +15,30 @@ import numpy as np
 
 from handfit_core.capturing.detection import detect_frames
 from handfit_core.capturing.options import CROWD, CaptureOptions
-from handfit_core.common.errors import Cancelled, HandModelError, NoHandFoundError, OptionError
+from handfit_core.common.errors import (
+    Cancelled,
+    HandModelError,
+    NoHandFoundError,
+    OptionError,
+    PictureSizeError,
+)
+from handfit_core.common.files import shown
 from handfit_core.common.skeleton import SIDES, HandChoice
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.keypoints import Track, largest_extent
-from handfit_core.detect.opening import settings_of
 from handfit_core.detect.tracks import link_and_count
 from handfit_core.fit.solvers import ShouldStop
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
+from handfit_core.interchange.opening import (
+    RELATIVE,
+    RecordedMedia,
+    beside,
+    is_recording,
+    read_recording,
+    scaled,
+)
 from handfit_core.interchange.recording import LEAST_POINTS, Recording
 from handfit_core.interchange.taking import (
     before_camera,
@@ -35,7 +48,8 @@ from handfit_core.interchange.taking import (
     tracks_of,
 )
 from handfit_core.media.exif import known_intrinsics
-from handfit_core.media.opening import MediaInput
+from handfit_core.media.opening import MediaInput, open_media
+from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 from handfit_core.take import TAKE_LIMITS
 
@@ -106,7 +120,7 @@ class Pictures:
         """Detect hands in the pictures, and track them."""
         media, options = self.media, self.options
         with DETECTORS.blamed(options.detector):
-            calibrated = DETECTORS.get(options.detector).calibrated(settings_of(options))
+            calibrated = DETECTORS.get(options.detector).calibrated(options.detector_settings())
         seen = detect_frames(media, options, on_frame, should_stop)
         return _tracked(media, self.known, options, seen, should_stop, calibrated=calibrated)
 
@@ -172,6 +186,34 @@ def opened(source: MediaInput, options: CaptureOptions) -> tuple[Media, Intrinsi
     return media, intrinsics or known
 
 
+def open_input(source: MediaInput, options: CaptureOptions) -> Media:
+    """Pictures, as `open_media` opens them, or a recording. Raises InputError, and PictureSizeError for a
+    recording that needs to be told the size of its pictures: with another one, the camera would be wrong."""
+    if not is_recording(source):
+        return open_media(source, options.frames, max_megapixels=options.max_megapixels)
+    path = source if isinstance(source, str | os.PathLike) else source[0]
+    recording = _countable(read_recording(path, options.read_options()))
+    if recording.size == RELATIVE and options.picture_size is not None:
+        recording = scaled(recording, *options.picture_size)
+    elif recording.size == RELATIVE or (recording.seen is not None and recording.size is None):
+        raise PictureSizeError(
+            f"{shown(path)}: it does not tell the size of its pictures; give --picture-size WIDTHxHEIGHT "
+            "(Width and Height of the source in Blender), or the pictures as the input and this file as "
+            "--keypoints"
+        )
+    return RecordedMedia(recording, os.fspath(path), options.frames)
+
+
+def _countable(recording: Recording) -> Recording:
+    """A recording whose frames have numbers that Blender's can have, as `open_media` has it of pictures."""
+    numbers = recording.frame_numbers
+    if 0 <= numbers[0] <= numbers[-1] <= MEDIA.max_frame_number:
+        return recording
+    said = f"its frames' numbers, up to {numbers[-1]}, are none of Blender's: they are counted from 1"
+    counted = np.arange(1, len(numbers) + 1)
+    return replace(recording, frame_numbers=counted, assumed=(*recording.assumed, said))
+
+
 def _check_some_side(model: str | os.PathLike[str]) -> None:
     """Raise HandModelError if `model` is good for neither side. One side alone is fine as long as no
     hand of the other turns up."""
@@ -196,7 +238,7 @@ def _recording(media: Media, options: CaptureOptions) -> Recording | None:
                 "pictures as the input, or leave --keypoints out"
             )
         told = replace(options, picture_size=options.picture_size or (media.width, media.height))
-        recording = beside(media, read_recording(options.keypoints, told))
+        recording = beside(media, read_recording(options.keypoints, told.read_options()))
     elif isinstance(media, RecordedMedia):
         if options.regions:
             raise OptionError(

@@ -13,7 +13,6 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.body import (
     ELBOWS,
@@ -79,7 +78,7 @@ def find_bodies(
     numbers: Sequence[int],
     hands: Sequence[np.ndarray],
     camera: Intrinsics | Lens,
-    options: CaptureOptions,
+    processes: int | None = None,
     on_frame: Callable[[int], None] = lambda _: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> tuple[BodyTrack, ...]:
@@ -88,8 +87,8 @@ def find_bodies(
     `numbers` are the source's numbers of these frames. `hands` has the keypoints (T, 21, 2) of each, pixels,
     NaN in frames without: frames without any are not looked at. A person is followed whose wrist, of either
     side, is nearest a hand's; two hands share one where they share it in most frames. A lens' distortion is
-    taken out of the bodies, as it has been of the hands. Of the options, the number of threads counts, and
-    changes no result.
+    taken out of the bodies, as it has been of the hands. `processes` is the number of threads, None for as
+    many as there are cores; it changes no result.
 
     `on_frame` is called with the count of frames that are done, `should_stop` asked before each; frames after
     that have no body. Raises LandmarkModelError where the body networks are missing or damaged.
@@ -102,7 +101,7 @@ def find_bodies(
         return ()
     with _BodyDetector(media, clip) as detector:
         chunks = detect_chunks(
-            detector, lambda again: _BodyDetector(again, clip), options.processes, on_frame, should_stop
+            detector, lambda again: _BodyDetector(again, clip), processes, on_frame, should_stop
         )
     return _joined(clip, chunks)
 

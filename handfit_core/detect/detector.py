@@ -165,9 +165,10 @@ class Backend:
     fingerprint: Callable[[DetectorSettings], str]
     """Versions and models on which the detections depend, as a string by which an evaluation knows which ones
     it may use again"""
-    clip: Callable[[Media, Any], ChunkedDetector] | None = None
-    """Makes what finds the hands of a clip, of its `Media` and the `CaptureOptions`. None: the detector that
-    `open` makes gets it frame after frame, in one thread, and no cut to another shot is noticed"""
+    clip: Callable[[Media, DetectorSettings, Sequence[Region]], ChunkedDetector] | None = None
+    """Makes what finds the hands of a clip, and those in the regions that somebody has drawn. None: the
+    detector that `open` makes gets it frame after frame, in one thread, and no cut to another shot is
+    noticed"""
     calibrated: Callable[[DetectorSettings], bool] = lambda _settings: False
     """Whether `fit.doubt` can tell how far off the hands are likely to be that it finds with these settings.
     That was measured with MediaPipe's networks, and is not known for other keypoints"""

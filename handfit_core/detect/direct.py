@@ -5,12 +5,11 @@ from __future__ import annotations
 from handfit_core.detect.chunks import ClipDetector
 from handfit_core.detect.detector import Backend
 from handfit_core.detect.landmark_model import fingerprint, is_calibrated
-from handfit_core.detect.opening import settings_of
 from handfit_core.detect.stills import StillFinder
 
 DIRECT = Backend(
     open=StillFinder,
     fingerprint=lambda settings: fingerprint(settings.landmark_model),
-    clip=lambda media, options: ClipDetector(media, settings_of(options, video=True), options.regions),
+    clip=ClipDetector,
     calibrated=lambda settings: is_calibrated(settings.landmark_model),
 )

@@ -17,13 +17,12 @@ import joblib
 import numpy as np
 
 from handfit_core import detect, media
-from handfit_core.capturing.detection import detect_frames
+from handfit_core.capturing.detection import detect_frames, open_detector
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.errors import InputError
 from handfit_core.detect.correction.network import FILE as NETWORK_FILE
 from handfit_core.detect.detector import DETECTORS, Detector
 from handfit_core.detect.keypoints import Detections
-from handfit_core.detect.opening import open_detector, settings_of
 from handfit_core.evaluate.kept import code_digest, kept, versions
 from handfit_core.evaluate.labels import Entry, Unit
 from handfit_core.media.pictures import read_picture
@@ -54,7 +53,7 @@ class UnitDetector:
 
     def __init__(self, options: CaptureOptions) -> None:
         self._options = options
-        self.fingerprint = DETECTORS.get(options.detector).fingerprint(settings_of(options))
+        self.fingerprint = DETECTORS.get(options.detector).fingerprint(options.detector_settings())
         self._made_with = (
             *(options.detector, self.fingerprint, options.max_hands, options.threshold),
             *(options.plain_detection, options.quality, versions("opencv-python-headless")),

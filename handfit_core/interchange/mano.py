@@ -26,7 +26,7 @@ from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import OPEN_HAND, load_model
 from handfit_core.hand_model.motion import HandMotion
-from handfit_core.interchange.recording import Asked, known, usual_place
+from handfit_core.interchange.recording import ReadOptions, known, usual_place
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.take import TAKE_LIMITS
 
@@ -89,7 +89,7 @@ def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
     return matrices
 
 
-def own_model(asked: Asked, side: Side, needed: str) -> HandModel:
+def own_model(asked: ReadOptions, side: Side, needed: str) -> HandModel:
     """The user's MANO model. Raises OptionError, with what is `needed` of it, where there is none, and
     HandModelError."""
     if asked.model is None or asked.model == OPEN_HAND:
@@ -100,7 +100,7 @@ def own_model(asked: Asked, side: Side, needed: str) -> HandModel:
     return load_model(asked.model, side)
 
 
-def from_flat(pose: np.ndarray, side: Side, asked: Asked, counted: Counted) -> np.ndarray:
+def from_flat(pose: np.ndarray, side: Side, asked: ReadOptions, counted: Counted) -> np.ndarray:
     """Poses (N, 45), which count from the flat hand or from the mean as the format has it, or as the user
     says, relative to the flat hand. Raises OptionError where MANO's mean is needed and not there."""
     if (counted if asked.hand_mean == "auto" else asked.hand_mean) == "flat":
@@ -111,7 +111,7 @@ def from_flat(pose: np.ndarray, side: Side, asked: Asked, counted: Counted) -> n
     return pose + own_model(asked, side, needed).hands_mean
 
 
-def from_directions(coefficients: np.ndarray, side: Side, asked: Asked) -> np.ndarray:
+def from_directions(coefficients: np.ndarray, side: Side, asked: ReadOptions) -> np.ndarray:
     """(N, 45) axis-angle of coefficients (N, C) of MANO's first C principal directions, without the mean.
     Raises OptionError where these are not there."""
     model = own_model(asked, side, "these hand poses are coefficients of MANO's principal directions")
@@ -202,7 +202,7 @@ class FoundHands(Batch):
         orient = rotmat_to_rotvec(rotation @ rotvec_to_rotmat(self.global_orient))
         return replace(self, global_orient=orient)
 
-    def from_flat(self, asked: Asked, counted: Counted) -> FoundHands:
+    def from_flat(self, asked: ReadOptions, counted: Counted) -> FoundHands:
         """The hands with poses that count from the flat hand. Raises what `from_flat` raises."""
         pose = self.hand_pose.copy()
         for index, side in enumerate(SIDES):
@@ -216,7 +216,7 @@ class FoundHands(Batch):
         return bool(np.isinf(self.transl).any())
 
 
-def shape_of(betas: np.ndarray, asked: Asked, assumed: list[str]) -> np.ndarray:
+def shape_of(betas: np.ndarray, asked: ReadOptions, assumed: list[str]) -> np.ndarray:
     """(10,) coefficients of MANO's shape, the median of (N, 10); zeros, the mean shape, where none are known,
     and with the open hand, which has other shapes: `assumed` then says so."""
     rows = betas[known(betas)]
@@ -229,7 +229,7 @@ def shape_of(betas: np.ndarray, asked: Asked, assumed: list[str]) -> np.ndarray:
 
 
 def followed(
-    hands: FoundHands, frames: np.ndarray, asked: Asked, assumed: list[str]
+    hands: FoundHands, frames: np.ndarray, asked: ReadOptions, assumed: list[str]
 ) -> tuple[HandMotion, ...]:
     """Hands of single frames as hands over all of them, (T,) increasing; those of one person, where one is
     asked for. Hands without a place get the usual one.
@@ -333,7 +333,7 @@ def beyond_range(poses: np.ndarray, side: Side) -> float:
     return float(np.median(off.mean(axis=1)))
 
 
-def doubts(hands: Sequence[HandMotion], asked: Asked, mirrored_by: str = "") -> list[str]:
+def doubts(hands: Sequence[HandMotion], asked: ReadOptions, mirrored_by: str = "") -> list[str]:
     """Phrases for hands whose fingers bend as no finger can, and would not if they were read another way:
     with the mean pose, without it, or, where `mirrored_by` says what to do then, a left hand in a mirror."""
     phrases: list[str] = []

@@ -19,7 +19,7 @@ from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.mano import FoundHands, tell
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.recording import ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
 
 _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
@@ -294,7 +294,7 @@ def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
     return np.ones(count, dtype=int)
 
 
-def _tracks(part: _Part, asked: Asked, path: Path, assumed: list[str]) -> Iterator[FoundHands]:
+def _tracks(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> Iterator[FoundHands]:
     """The hands of tracks: (tracks, frames, ...), in a world whose camera `cam_R` and `cam_t` tell."""
     of = "right" if "right" in part else "present"
     name, value = part.values[of]
@@ -334,7 +334,7 @@ def _tracks(part: _Part, asked: Asked, path: Path, assumed: list[str]) -> Iterat
 
 
 def _before_camera(
-    part: _Part, hands: FoundHands, asked: Asked, track: int, shape: tuple[int, ...], assumed: list[str]
+    part: _Part, hands: FoundHands, asked: ReadOptions, track: int, shape: tuple[int, ...], assumed: list[str]
 ) -> FoundHands:
     """A track's hands of a world in their camera's frame: x_camera = R x + t.
 
@@ -358,7 +358,7 @@ def _before_camera(
     return replace(hands.turned(rotation), transl=place)
 
 
-def _sides(part: _Part, asked: Asked, path: Path, assumed: list[str]) -> Iterator[FoundHands]:
+def _sides(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> Iterator[FoundHands]:
     """The frames of a left and a right hand, or of a body with both."""
     part = _unpacked(part)
     body, pelvis, turn = None, np.empty((0, 3)), None
@@ -432,7 +432,7 @@ def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
     )
 
 
-def _read(name: str, layout: ManoLayout, document: Document, asked: Asked) -> Recording:
+def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions) -> Recording:
     assumed = list(layout.assumed)
     found: list[FoundHands] = []
     named: dict[str, list[FoundHands]] = {}
@@ -484,7 +484,7 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: Asked) -> Re
 
 
 def _camera(
-    layout: ManoLayout, parts: Iterable[_Part], asked: Asked, assumed: list[str], *, nowhere: bool
+    layout: ManoLayout, parts: Iterable[_Part], asked: ReadOptions, assumed: list[str], *, nowhere: bool
 ) -> tuple[tuple[int, int] | None, Intrinsics | None]:
     """The pictures' size and the camera, as the parts tell them."""
 
@@ -524,7 +524,7 @@ def mano_reader(name: str, title: str, layout: str, *layouts: ManoLayout) -> Rea
     """A reader of files in one of the layouts, the more particular ones first; `name`: the reader's own,
     `title` and `layout` as `Reader` has them."""
 
-    def read(document: Document, asked: Asked) -> Recording:
+    def read(document: Document, asked: ReadOptions) -> Recording:
         fits = [each for each in layouts if _recognises(each, document)]
         return _read(name, (fits or layouts)[0], document, asked)
 

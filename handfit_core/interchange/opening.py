@@ -4,30 +4,27 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.arrays import arrays_of
-from handfit_core.common.errors import InputError, PictureSizeError
+from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
-from handfit_core.interchange.recording import VIRTUAL, Asked, PointsHand, Recording
+from handfit_core.interchange.recording import VIRTUAL, PointsHand, ReadOptions, Recording
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import MediaInput, open_media, pictures_in
+from handfit_core.media.opening import MediaInput, pictures_in
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.take import is_take
 
 DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt".split(" "))
 """Endings of files that are read as recordings, whatever they are"""
-
-_ASKED: Final = tuple(field.name for field in fields(Asked))
 
 NO_RATE: Final = f"frames per second are not told: {DEFAULT_FPS:g} (--fps tells them)"
 """What is assumed of a recording alone, and told by pictures beside it"""
@@ -91,37 +88,9 @@ def _holds_data(document: Document) -> bool:
     return any(reader.recognises(document) for reader in READERS.built_in().values())
 
 
-def open_input(source: MediaInput, options: CaptureOptions) -> Media:
-    """Pictures, as `open_media` opens them, or a recording. Raises InputError, and PictureSizeError for a
-    recording that needs to be told the size of its pictures: with another one, the camera would be wrong."""
-    if not is_recording(source):
-        return open_media(source, options.frames, max_megapixels=options.max_megapixels)
-    path = source if isinstance(source, str | os.PathLike) else source[0]
-    recording = _countable(read_recording(path, options))
-    if recording.size == RELATIVE and options.picture_size is not None:
-        recording = scaled(recording, *options.picture_size)
-    elif recording.size == RELATIVE or (recording.seen is not None and recording.size is None):
-        raise PictureSizeError(
-            f"{shown(path)}: it does not tell the size of its pictures; give --picture-size WIDTHxHEIGHT "
-            "(Width and Height of the source in Blender), or the pictures as the input and this file as "
-            "--keypoints"
-        )
-    return RecordedMedia(recording, os.fspath(path), options.frames)
-
-
-def _countable(recording: Recording) -> Recording:
-    """A recording whose frames have numbers that Blender's can have, as `open_media` has it of pictures."""
-    numbers = recording.frame_numbers
-    if 0 <= numbers[0] <= numbers[-1] <= MEDIA.max_frame_number:
-        return recording
-    said = f"its frames' numbers, up to {numbers[-1]}, are none of Blender's: they are counted from 1"
-    counted = np.arange(1, len(numbers) + 1)
-    return replace(recording, frame_numbers=counted, assumed=(*recording.assumed, said))
-
-
-def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Recording:
+def read_recording(path: str | os.PathLike[str], options: ReadOptions | None = None) -> Recording:
     """What a file or folder holds. Raises InputError and OptionError."""
-    document = Document(path)
+    options, document = options or ReadOptions(), Document(path)
     if not os.path.exists(document.path):  # noqa: PTH110  (raises for no name, however long)
         raise InputError(f"{shown(path)}: there is no such file or folder")
     if document.suffix == ".npz" and is_take(document.path):
@@ -132,7 +101,7 @@ def read_recording(path: str | os.PathLike[str], options: CaptureOptions) -> Rec
     name, reader = recognised(document, options.reader)
     try:
         with READERS.blamed(name):
-            recording = reader.read(document, Asked(**{name: getattr(options, name) for name in _ASKED}))
+            recording = reader.read(document, options)
             recording = replace(recording, size=recording.size or options.picture_size)
             recording = _with_rate(recording, options.fps)
             recording.check()

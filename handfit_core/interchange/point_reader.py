@@ -39,7 +39,7 @@ from handfit_core.interchange.point_hands import (
     without_hidden,
 )
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PointsHand, Recording, known
+from handfit_core.interchange.recording import PointsHand, ReadOptions, Recording, known
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.table_points import HandTable, columns_of
@@ -113,7 +113,7 @@ class PointLayout:
             return True
         return self.recognises(document)
 
-    def _read(self, document: Document, asked: Asked) -> Recording:
+    def _read(self, document: Document, asked: ReadOptions) -> Recording:
         path = shown(document.path)
         if asked.person is not None and self.persons == "unknown":
             raise OptionError(f"{path}: {self.title}'s hands belong to no persons; leave --person out")
@@ -135,7 +135,7 @@ class PointLayout:
             return is_hand(content)
         return isinstance(content, list) and bool(content) and "keypointscores" in keyed(content[0])
 
-    def _of_json(self, document: Document, asked: Asked) -> Told:
+    def _of_json(self, document: Document, asked: ReadOptions) -> Told:
         frames = frames_of(document, self._is_one)
         columns = {len(each): each for each in self.columns.split()}
         told: list[tuple[Any, ...]] = []
@@ -192,7 +192,7 @@ class PointLayout:
             code = UNKNOWN if named is None else SIDES.index(named)
             yield code, hand.score, hand.points[first : first + NUM_KEYPOINTS], hand.world
 
-    def _recording(self, told: Told, document: Document, asked: Asked) -> Recording:
+    def _recording(self, told: Told, document: Document, asked: ReadOptions) -> Recording:
         """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""
         hands, what = told.hands, f"{shown(document.path)}: {self.title}'s hands{self.hint}"
         made = Recording(
@@ -231,7 +231,9 @@ class PointLayout:
         made = replace(made, seen=seen_hands(hands), size=size, assumed=(*said, *scale))
         return made if told.size is None else scaled(made, *told.size)
 
-    def _scaled(self, hands: ToldHands, told: Told, asked: Asked) -> tuple[ToldHands, bool, tuple[str, ...]]:
+    def _scaled(
+        self, hands: ToldHands, told: Told, asked: ReadOptions
+    ) -> tuple[ToldHands, bool, tuple[str, ...]]:
         """The hands from the upper left corner, whether they are in parts of the picture's size, and what is
         said of that."""
         points, deep = hands.points.copy(), hands.points[..., 2]

@@ -13,7 +13,7 @@ from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.files import shown
 from handfit_core.common.registry import Registry
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.recording import ReadOptions, Recording
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Reader:
     recognises: Callable[[Document], bool]
     """Whether a file or folder is of this format, by its contents rather than its name. Raises nothing for
     files of other formats, however damaged"""
-    read: Callable[[Document, Asked], Recording]
+    read: Callable[[Document, ReadOptions], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
     for an option without which it cannot be read"""
     unseen: bool = False

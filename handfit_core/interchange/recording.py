@@ -94,9 +94,10 @@ def usual_place(side: Side) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReadOptions:
     """What a file may not tell, as the options of those names have it."""
 
+    reader: str | None = None
     person: int | None = None
     fps: float | None = None
     picture_size: tuple[int, int] | None = None

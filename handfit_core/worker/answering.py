@@ -13,10 +13,11 @@ from handfit_core.capturing.detection import find_in_frame
 from handfit_core.capturing.options import OPTIONS, CaptureOptions
 from handfit_core.capturing.pipeline import add_arms_to_file, capture_to_file
 from handfit_core.capturing.retiming import check_rate, is_other_rate
+from handfit_core.capturing.sources import open_input
 from handfit_core.common.arrays import pack
 from handfit_core.common.errors import PictureSizeError
 from handfit_core.common.files import written_whole
-from handfit_core.interchange.opening import RELATIVE, open_input
+from handfit_core.interchange.opening import RELATIVE
 from handfit_core.media.chessboard import measure_lens
 from handfit_core.media.lenses import checked_name, save_lens
 from handfit_core.media.videos import Video

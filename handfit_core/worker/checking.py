@@ -18,12 +18,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from handfit_core.capturing.detection import open_detector
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.errors import Cancelled, HandfitError
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.common.version import __version__
 from handfit_core.detect.landmark_model import landmark_model_path, landmarks_2020_path
-from handfit_core.detect.opening import open_detector
 from handfit_core.edit import warm_up
 from handfit_core.edit.refit import seen_hand
 from handfit_core.fit.fast import fitter_of

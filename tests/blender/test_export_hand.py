@@ -19,7 +19,6 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.skeleton import FINGER_JOINTS, SIDES
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
@@ -429,7 +428,7 @@ def test_the_core_reads_the_bvh_that_blender_exports(make_take, tmp_path, side):
     """It finds the captured angles, places and shape of the hand, in the frames where it was seen."""
     made = make_take(sides=(side,))
     (path,) = export_take(build_take(made.take), made.take, tmp_path, "x", "bvh")
-    (hand,), track = read_recording(path, CaptureOptions()).posed, made.take.hands[0]
+    (hand,), track = read_recording(path).posed, made.take.hands[0]
     model = load_model(made.take.model, side)
     for row, frame in made.seen:
         at = frame - int(made.take.frame_numbers[0])

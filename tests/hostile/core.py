@@ -27,10 +27,11 @@ from handfit_core.__main__ import main
 from handfit_core.capturing import pipeline
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import hand_summaries
+from handfit_core.capturing.sources import open_input
 from handfit_core.common import errors
 from handfit_core.common.skeleton import SIDES
 from handfit_core.hand_model import load_model
-from handfit_core.interchange.opening import RELATIVE, open_input, read_recording
+from handfit_core.interchange.opening import RELATIVE, read_recording
 from handfit_core.media.exif import known_intrinsics
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
@@ -95,7 +96,7 @@ def recording(path: str, mano: bool = False, good: bool = False) -> None:
 
 def _recorded(path: str, mano: bool) -> None:
     options = CaptureOptions(model=_mano() if mano else None)
-    found = read_recording(path, options)
+    found = read_recording(path, options.read_options())
     found.check()
     for phrase in (found.summary, *found.assumed):
         assert "\n" not in phrase, phrase

@@ -27,7 +27,7 @@ from handfit_core.interchange.document import Document
 from handfit_core.interchange.every_frame import EveryFrame
 from handfit_core.interchange.humanoid import bone_names, humanoid_bones, t_pose
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, Recording
+from handfit_core.interchange.recording import ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import (
     UP_AXES,
@@ -65,7 +65,7 @@ def _recognises(document: Document) -> bool:
     return document.bytes[:64].lstrip(b"\xef\xbb\xbf \t\r\n").upper().startswith(b"HIERARCHY")
 
 
-def _read(document: Document, asked: Asked) -> Recording:
+def _read(document: Document, asked: ReadOptions) -> Recording:
     path = shown(document.path)
     try:
         skeleton, numbers, seconds = _parsed(document)

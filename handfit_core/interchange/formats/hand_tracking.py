@@ -28,7 +28,7 @@ from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.json_points import frames_of, several_hands
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, Recording, known
+from handfit_core.interchange.recording import ReadOptions, Recording, known
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.retarget.transfer import palm_frame
 
@@ -80,7 +80,7 @@ def _hands(frame: Any) -> Iterator[tuple[Side, dict[str, Any]]]:
                 yield SIDES[SIDES.index(str(side).lower())], named
 
 
-def _read(document: Document, asked: Asked) -> Recording:
+def _read(document: Document, asked: ReadOptions) -> Recording:
     path = shown(document.path)
     frames = frames_of(document, lambda _: False)
     count = len(frames.numbers)

@@ -23,7 +23,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.landmarks import Landmarks
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import Reader
-from handfit_core.interchange.recording import Asked, PointsHand, Recording
+from handfit_core.interchange.recording import PointsHand, ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
 
 _OURS: Final = np.array([20, *(4 * f + 3 - k for f in range(len(FINGERS)) for k in range(4))])
@@ -49,7 +49,7 @@ def _is_one(document: Document) -> bool:
     return {"pred_keypoints_3d", "pred_cam_t", "mhr_model_params"} <= set(document.names)
 
 
-def _read(document: Document, asked: Asked) -> Recording:
+def _read(document: Document, asked: ReadOptions) -> Recording:
     path = shown(document.path)
     files = document.files(".npz") or [document.path]
     found: dict[tuple[int, int], Path] = {}

@@ -104,7 +104,7 @@ def test_the_hands_of_a_photo_have_their_bodies(networks, samples, name, people,
     hands = hands_in(samples / name)
     media = open_media(str(samples / name))
     camera = Intrinsics.assumed(media.width, media.height)
-    bodies = find_bodies(media, [1], list(hands[:, None]), camera, CaptureOptions())
+    bodies = find_bodies(media, [1], list(hands[:, None]), camera)
     assert len(bodies) == people
     wrists = np.concatenate([body.keypoints[0, [*WRISTS.values()]] for body in bodies])
     off = np.linalg.norm(hands[:, None, 0] - wrists, axis=-1).min(axis=1) / np.ptp(hands, axis=1).max(axis=1)
@@ -129,8 +129,8 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
     writer.release()
     tracks = []
     for threads in (1, 3):
-        media, options = open_media(str(path)), CaptureOptions(processes=threads)
-        tracks.append(find_bodies(media, range(1, 211), list(hands), Intrinsics.assumed(*size), options))
+        media = open_media(str(path))
+        tracks.append(find_bodies(media, range(1, 211), list(hands), Intrinsics.assumed(*size), threads))
     assert [len(each) for each in tracks] == [1, 1]
     ((one,), (other,)) = tracks
     for name in ("keypoints", "visibility", "world", "score", "present", "cut"):
@@ -156,7 +156,7 @@ def test_where_no_arm_is_seen_few_frames_are_looked_at(networks, samples, monkey
     monkeypatch.setattr(BodyNetworks, "predict", lambda *given: looked.append(1) or predict(*given))
     media = open_media(str(samples / "videos" / "asl_hand.mp4"), FrameRange(1, 96))
     hand = np.tile(hands_in(samples / "photos" / "thumb_up.jpg")[0] * 0.4 + [120, 300], (96, 1, 1))
-    find_bodies(media, range(1, 97), [hand], Intrinsics.assumed(620, 1080), CaptureOptions(processes=1))
+    find_bodies(media, range(1, 97), [hand], Intrinsics.assumed(620, 1080), 1)
     assert 4 <= len(looked) <= 24
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from handfit_core import capture
 from handfit_core.capturing import sources
-from handfit_core.capturing.detection import find_in_frame
+from handfit_core.capturing.detection import find_in_frame, open_detector
 from handfit_core.capturing.options import CaptureOptions, region_of
 from handfit_core.common.errors import NoHandFoundError, OptionError
 from handfit_core.common.skeleton import other_side
@@ -23,7 +23,6 @@ from handfit_core.detect.detector import Detector, DetectorSettings, Region
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import distance
 from handfit_core.detect.networks import Networks, crop_around
-from handfit_core.detect.opening import open_detector
 from handfit_core.detect.stills import StillFinder
 from handfit_core.media.frame_range import FrameRange
 from tests.child import peak_megabytes

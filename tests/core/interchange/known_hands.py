@@ -96,7 +96,7 @@ def wrist_of(side: Side, model: Path | None = None, betas: np.ndarray | None = N
 
 def read(path: Path, **options: Any) -> Recording:
     """What a file holds, with these of a capture's options."""
-    return read_recording(path, CaptureOptions(**options))
+    return read_recording(path, CaptureOptions(**options).read_options())
 
 
 def hand_of(recording: Recording, side: Side) -> HandMotion:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
 from handfit_core.common.errors import HandfitError, InputError
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES, Side
@@ -76,7 +75,7 @@ def text_of(bones: Bones, turns: np.ndarray, order: str = "ZYX", scale: float = 
 def read(tmp_path: Path, text: str) -> Recording:
     path = tmp_path / "hand.bvh"
     path.write_text(text, encoding="utf-8")
-    return read_recording(path, CaptureOptions())
+    return read_recording(path)
 
 
 def still(bones: Bones) -> np.ndarray:

@@ -20,7 +20,7 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.interchange.mano import POSE, FoundHands, followed
 from handfit_core.interchange.opening import is_recording
-from handfit_core.interchange.recording import Asked, usual_place
+from handfit_core.interchange.recording import ReadOptions, usual_place
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
 from handfit_core.take import TAKE_LIMITS, Take
@@ -226,7 +226,7 @@ def test_each_hand_goes_to_the_nearest_that_is_free() -> None:
     """In whatever order hands come; one that is new begins a new track."""
     places = [(0.3, 0.0), (0.01, 0.31), (0.32, 0.02, 0.9)]
     found = right_hands(*((frame, x) for frame, row in enumerate(places) for x in row))
-    first, second, third = followed(found, np.arange(3), Asked(), [])
+    first, second, third = followed(found, np.arange(3), ReadOptions(), [])
     for track, xs in ((first, [0.3, 0.31, 0.32]), (second, [0.0, 0.01, 0.02]), (third, [0.9])):
         np.testing.assert_allclose(track.transl[track.present, 0], xs)
 
@@ -234,7 +234,7 @@ def test_each_hand_goes_to_the_nearest_that_is_free() -> None:
 def test_hands_and_persons_are_bounded() -> None:
     most = TAKE_LIMITS.max_hands
     crowd = [(1, float(x)) for x in range(most + 1)]
-    assert len(followed(right_hands(*crowd[1:]), np.array([1]), Asked(), [])) == most
+    assert len(followed(right_hands(*crowd[1:]), np.array([1]), ReadOptions(), [])) == most
     for hands, said in (
         (right_hands(*crowd), "more than 200 hands"),
         (right_hands(*crowd, persons=list(range(len(crowd)))), "more than 200 hands"),
@@ -242,7 +242,7 @@ def test_hands_and_persons_are_bounded() -> None:
         (right_hands((1, 0.0), (1, 1.0), persons=[0, 0]), "twice in one frame"),
     ):
         with pytest.raises((Unfit, ValueError), match=said):
-            followed(hands, np.array([1]), Asked(), [])
+            followed(hands, np.array([1]), ReadOptions(), [])
 
 
 # Cameras

@@ -14,10 +14,11 @@ import pytest
 
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
+from handfit_core.capturing.sources import open_input
 from handfit_core.common.errors import InputError, NoHandFoundError, OptionError, PictureSizeError
 from handfit_core.common.skeleton import other_side
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.interchange.opening import RecordedMedia, beside, open_input, read_recording
+from handfit_core.interchange.opening import RecordedMedia, beside, read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
@@ -70,7 +71,7 @@ def numbered(path: Path, first: int, count: int = COUNT) -> Path:
 
 def laid_beside(pictures: Path, keypoints: Path, frames: str | None = None) -> Recording:
     media = open_media(pictures, FrameRange.parse(frames) if frames else None)
-    return beside(media, read_recording(keypoints, CaptureOptions()))
+    return beside(media, read_recording(keypoints))
 
 
 def samples(recording: Recording) -> dict[int, int]:
