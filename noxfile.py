@@ -7,6 +7,7 @@ import os
 import platform
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import nox
@@ -40,6 +41,9 @@ CORE_NUMPY = "numpy==2.4.6"
 OLDEST_NUMPY = "numpy==1.24.4"
 """NumPy of some Blenders 4.2; the bpy wheel would take the newest."""
 
+EVERY_DAY = "not slow"
+"""Tests that README's command runs; those marked `slow` have their turn in `release_check`"""
+
 BPY = {"4.2": "bpy==4.2.23", "4.5": "bpy==4.5.15", "5.0": "bpy==5.0.1", "5.2": "bpy==5.2.3"}
 DEMO_BPY = BPY["4.5"]
 
@@ -58,6 +62,12 @@ OTHER_PROCESSOR = {
     "ONEDNN_MAX_CPU_ISA": "SSE41",
 }
 """The numeric libraries take the instructions of an old one, so that sums round differently"""
+
+RELEASE_CHECK = [
+    *("docs", "benchmark", "blender-4.2", "blender-4.5", "blender-5.0", "hostile", "other-machines"),
+    *("slow", "window-slow", "checkout-4.2", "checkout-5.0", "checkout-5.2"),
+]
+"""Sessions with what `.ci/run` leaves out"""
 
 NOT_IN_CI = "CUDA,anny,smplx,openssl"
 """Parts of the reasons for which tests of the core may be skipped in CI"""
@@ -130,14 +140,31 @@ def arms(session: nox.Session) -> None:
 @nox.parametrize("part", ["core", "bpy-4.5"])
 def tests(session: nox.Session, part: str) -> None:
     """The core without Blender, and the add-on and the scripts in one Blender, 4.5's wheel."""
+    run_tests(session, part, EVERY_DAY)
+
+
+@nox.session(python=PYTHON)
+@nox.parametrize("part", ["core", "bpy-4.5"])
+def slow(session: nox.Session, part: str) -> None:
+    """The tests that `tests` leaves out."""
+    run_tests(session, part, "slow")
+
+
+@nox.session(venv_backend="none")
+def release_check(session: nox.Session) -> None:
+    """All that `.ci/run` leaves out, an hour or two: before a release, and after changes of what it covers."""
+    session.run(sys.executable, "-m", "nox", "-s", *RELEASE_CHECK, "--parallel", "2", external=True)
+
+
+def run_tests(session: nox.Session, part: str, marked: str) -> None:
     if part == "core":
         tools = (*SBOM_CHECK, *FARM_TOOLS, *OSC_CHECK, *PYTEST)
         install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         fetch_landmark_model(session)
         clients = {**vrm_clients(session), **snakemake(session)}
-        run_pytest(session, "tests/core", allowed_skips=NOT_IN_CI, env=clients, workers=2)
+        run_pytest(session, "tests/core", marked=marked, allowed_skips=NOT_IN_CI, env=clients, workers=2)
     else:
-        run_blender_tests(session, "4.5")
+        run_blender_tests(session, "4.5", marked)
 
 
 @nox.session(name="other-machines", python=PYTHON)
@@ -157,10 +184,20 @@ def other_machines(session: nox.Session) -> None:
 
 @nox.session(python=PYTHON, requires=NEEDS_ZIP, allow_parallel=True)
 def window(session: nox.Session) -> None:
-    """The zip in the real Blender's own window, with simulated mouse and keys."""
+    """The zip in the real Blender's own window, with simulated mouse and keys: an artist's path."""
+    run_in_window(session, EVERY_DAY)
+
+
+@nox.session(name="window-slow", python=PYTHON, requires=NEEDS_ZIP, allow_parallel=True)
+def window_slow(session: nox.Session) -> None:
+    """All else that is tried in the window."""
+    run_in_window(session, "slow")
+
+
+def run_in_window(session: nox.Session, marked: str) -> None:
     install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
     fetch_landmark_model(session)
-    run_pytest(session, "tests/window", env={"HANDFIT_ZIP": built_zip()})
+    run_pytest(session, "tests/window", marked=marked, env={"HANDFIT_ZIP": built_zip()})
 
 
 def vrm_clients(session: nox.Session) -> dict[str, str]:
@@ -224,11 +261,11 @@ def built_zip() -> str:
     return os.environ.get("HANDFIT_ZIP") or str(next(TRIED_ZIP.glob("*.zip")))
 
 
-def run_blender_tests(session: nox.Session, version: str) -> None:
+def run_blender_tests(session: nox.Session, version: str, marked: str = "") -> None:
     install(session, *RUN_TIME, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
     fetch_landmark_model(session)
     if version == "4.5":  # the real Blender has its turn beside one of the wheels
-        run_pytest(session, "tests/blender", "tests/e2e", workers=2)
+        run_pytest(session, "tests/blender", "tests/e2e", marked=marked, workers=2)
     else:
         env = {"HANDFIT_BLENDER_CHROOT": ""}
         if version == "5.0":  # between the oldest and the newest, only what Blender's own versions change
@@ -261,13 +298,15 @@ def hostile(session: nox.Session) -> None:
 def run_pytest(
     session: nox.Session,
     *paths: str,
+    marked: str = "",
     allowed_skips: str = "",
     env: dict[str, str] | None = None,
     workers: int = 0,
     spread: str = "loadfile",
 ) -> None:
     """Run pytest, in as many processes as `workers` says (not what measures time or memory beside others),
-    each with whole files of tests, or as `spread`, pytest-xdist's --dist, says. In CI everything is there, so
+    each with whole files of tests, or as `spread`, pytest-xdist's --dist, says; of a whole run those that are
+    `marked` so, pytest's -m, and the slowest are listed. In CI everything is there, so
     that a skip whose reason names none of `allowed_skips` is a failure (tests/conftest.py). A CI that lacks
     something, such as the samples, names it in HANDFIT_ALLOWED_SKIPS."""
     allowed = ",".join(filter(None, (allowed_skips, os.environ.get("HANDFIT_ALLOWED_SKIPS"))))
@@ -278,6 +317,8 @@ def run_pytest(
     threads = {"OPENBLAS_NUM_THREADS": "1"}
     whole = session.posargs in ([], ["-m", "quick"])
     parallel = ["-n", str(workers), "--dist", spread] if workers and whole else []
+    if whole:
+        options += ["--durations=30", *(["-m", marked] if marked else [])]
     session.run(
         *("python", "-m", "pytest", *parallel, *(chosen or paths), *options),
         env={**threads, **strict, **(env or {})},
