@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from handfit_core.fit.solvers import SOLVERS
-from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker.client import CHOOSE_PYTHON, Worker
 from handfit_core.worker.events import Event, WorkerError, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
@@ -26,12 +26,6 @@ _EXIT_WAIT_SECONDS = 3.0
 
 _POLL_SECONDS = 0.2
 """seconds between two looks for answers that nobody waits for"""
-
-ADVICE = Advice(
-    where="in the add-on's preferences",
-    crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
-)
-"""advice of errors that are shown in Blender's window"""
 
 
 class BlendersWorker(Worker):
@@ -96,17 +90,11 @@ def _offered_names(kind: str) -> list[str]:
 def new_worker(python: str | None = None) -> Worker:
     """A worker beside the shared one, with the preferences' settings, or with another `python`."""
     settings = _settings()
-    return configured_worker(python or settings.python, settings.threads, settings.debug)
-
-
-def configured_worker(
-    python: str | None, threads: int | None = None, debug: bool = False, advice: Advice = ADVICE
-) -> Worker:
-    """A worker with the given settings instead of the preferences'."""
-    if installation.is_installed():
-        broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
-        advice = Advice(advice.where, advice.crash, broken)
-    return BlendersWorker(python, threads, debug, advice=advice, bytecode=bytecode_folder())
+    python = python or settings.python
+    advice = f"{CHOOSE_PYTHON} in the add-on's preferences"
+    if installation.is_installed() and is_current_interpreter(find_python(python)):
+        advice = "remove the add-on and install the zip again"
+    return BlendersWorker(python, settings.threads, settings.debug, advice=advice, bytecode=bytecode_folder())
 
 
 def capture_sentence(python: str | None = None) -> str:

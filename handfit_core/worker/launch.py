@@ -30,7 +30,7 @@ def main():
         setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010
         runpy.run_module("handfit_core", run_name="__main__", alter_sys=True)
     except ImportError as error:  # while it loads; the command line catches its own
-        sys.stderr.write("cannot capture ({})\n".format(error))
+        sys.stderr.write(f"cannot capture ({error})\n")
         return EXIT_UNFIT
 
 
