@@ -261,26 +261,3 @@ found([seen, holds(NAME)])
     assert not left
     assert [s["runs"] for s in (first, second, alone)] == [True, False, True]
     assert second["why_not"].startswith("Another copy of this add-on is enabled already: disable")
-
-
-@pytest.mark.parametrize(("own", "kept"), [("0.1.0", "0.2.0"), ("0.3.0", "0.3.0")], ids=["newer", "older"])
-def test_with_another_version_gone_the_first_works_again(blender, own, kept):
-    code = """
-def cores():
-    return [p.split("/")[-2] for p in files() if "handfit_core" in p and p.endswith("dist-info/RECORD")]
-bpy.ops.preferences.extension_repo_add(name="second", type="LOCAL")
-repos = [repo.module for repo in bpy.context.preferences.extensions.repos]
-install(ZIP)
-install(NEW, repo="second")
-seen = [cores(), commands()]
-bpy.ops.extensions.package_uninstall(repo_index=repos.index("second"), pkg_id="manient")
-disable()
-enable()
-found([*seen, cores(), state()])
-"""
-    (both, codes, alone, state), console = blender(code, version=own)
-    assert both == [f"handfit_core-{kept}.dist-info"]
-    assert codes == [1, 1]  # the packages of these zips are empty
-    assert "restart Blender" in console
-    assert alone == [f"handfit_core-{own}.dist-info"]
-    assert (state["runs"], state["why_not"]) == (True, "")
