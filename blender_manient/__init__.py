@@ -25,12 +25,6 @@ def unregister() -> None:
     registration.unregister()
 
 
-def runs() -> bool:
-    """Whether the add-on is registered with all its modules."""
-    registration = sys.modules.get(f"{__name__}.registration")
-    return registration is not None and registration.runs()
-
-
 # Where the add-on is replaced while it is disabled, Blender reloads this file, and no other.
 for _name in [name for name in sys.modules if name.startswith(f"{__name__}.")]:
     del sys.modules[_name]

@@ -30,15 +30,16 @@ def main(argv: Sequence[str]) -> int:
     """Run `manient ARGV`; returns the exit code, raises nothing."""
     show_all_names()
     debug = "--debug" in argv
-    if argv[:1] and argv[0] in COMMANDS and _print_refusal():  # their very options are the core's
+    if installation.why_not and argv[:1] and argv[0] in COMMANDS:  # their very options are the core's
+        print_error(installation.why_not)
         return EXIT_SOME_FAILED
     try:
         args = _parser(argv).parse_args(argv)
         return _check(args) if args.command == "check" else _run_batch(args)
     except SystemExit as ended:  # --help, or wrong options; both have printed what there is to say
         return ended.code if isinstance(ended.code, int) else EXIT_USAGE
-    except (ImportError, SyntaxError) as error:  # files that are needed first here are gone or damaged
-        print_error(installation.import_fault(error).sentence, debug)
+    except (ImportError, SyntaxError):  # files that are needed first here are gone or damaged
+        print_error(installation.NOT_WHOLE, debug)
     except Exception as error:  # a defect of ours: still one line
         print_error(f"unexpected {type(error).__name__}: {error}", debug)
     return EXIT_SOME_FAILED
@@ -65,7 +66,7 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     check = commands.add_parser(
         "check",
         help="check the installation",
-        description="Print versions, files and a self-test, for bug reports. Ends with 0 if all is well.",
+        description="Try the Python that captures, and print versions. Ends with 0 if all is well.",
     )
     check.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {_DEFAULT_PYTHON})")
     check.add_argument("--debug", action="store_true", help="show tracebacks")
@@ -109,29 +110,22 @@ def _own_command() -> tuple[str, ...]:
 
 
 def _check(args: argparse.Namespace) -> int:
-    if _print_refusal():
-        print(installation.report())
+    if installation.why_not:
+        print_error(installation.why_not)
+        print(f"{installation.versions()}\n{installation.details}")
         return EXIT_SOME_FAILED
     # Needs handfit_core.
-    from .operators.check_installation import check
+    from .operators.base import finish
+    from .operators.check_installation import WHOLE, checking
 
     with stopped_by_signals():
         try:
-            result, text = check(args.python)
+            sentence, text = finish(checking(args.python))
             print(text, end="")
-            return EXIT_OK if result.ok else EXIT_SOME_FAILED
+            return EXIT_OK if sentence == WHOLE else EXIT_SOME_FAILED
         except KeyboardInterrupt:
             print("stopped", file=sys.stderr)
             return EXIT_INTERRUPTED
-
-
-def _print_refusal() -> bool:
-    """Say why the add-on cannot run, where it cannot."""
-    found = installation.fault()
-    if found is None or found.runs:
-        return False
-    print_error(found.sentence)
-    return True
 
 
 def register() -> None:

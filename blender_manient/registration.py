@@ -1,18 +1,13 @@
-"""Registration of all modules of the add-on, or of the one that says why they cannot run.
-
-Nothing of handfit_core is imported before the installation was looked at.
-"""
+"""Registration of all modules of the add-on, or of the panel that says why they cannot run."""
 
 from __future__ import annotations
 
 import atexit
 import contextlib
 import importlib
-import importlib.util
 import sys
 import traceback
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Iterable
 from types import ModuleType
 from typing import Any
 
@@ -22,23 +17,11 @@ from . import command, unusable
 from .common import installation
 
 PACKAGE = __package__ or ""
+SECOND_COPY = (
+    "Another copy of this add-on is enabled already: disable or remove one of the two and restart Blender"
+)
 
-
-def _unload(names: Iterable[str]) -> None:
-    """Have modules imported anew. Where the package holds one as an attribute, `from . import` finds it."""
-    for name in list(names):
-        sys.modules.pop(name, None)
-        package, _, leaf = name.rpartition(".")
-        if package in sys.modules:
-            vars(sys.modules[package]).pop(leaf, None)
-
-
-def _loaded_modules() -> list[str]:
-    """The names of this package's modules that are loaded."""
-    return [name for name in sys.modules if name.startswith(f"{PACKAGE}.")]
-
-
-_WITHOUT_CORE = frozenset(_loaded_modules())
+_WITHOUT_CORE = frozenset(name for name in sys.modules if name.startswith(f"{PACKAGE}."))
 """Modules that can be imported where handfit_core cannot"""
 _registered: list[Any] = []
 """In the order of registration"""
@@ -48,15 +31,12 @@ _core: ModuleType | None = None
 
 def register() -> None:
     """Register every module of the add-on, or only the panel that says why it cannot run."""
-    modules = _addon_modules() if _can_run() else (unusable,)
-    found = installation.fault()
-    if found is not None and not found.runs:
-        installation.print_sentence(found.sentence)
+    # Blender refuses a command of which it knows two.
+    modules = _refused(SECOND_COPY) if _is_second_copy() else (*_addon_modules(), command)
     try:
         for module in modules:
             _registered.append(module)  # before: where it fails, half of it may be registered
             module.register()
-        _register_command()
     except Exception:
         with contextlib.suppress(Exception):
             unregister()
@@ -75,118 +55,53 @@ def unregister() -> None:
             _registered.pop().unregister()
         except Exception as error:
             errors.append(error)
-    installation.note(None)
+    installation.why_not = installation.details = ""
     if errors:
-        _unregister_classes()
         raise errors[0]
 
 
-def runs() -> bool:
-    """Whether the add-on is registered with all its modules."""
-    return bool(_registered) and unusable not in _registered
-
-
-def _can_run() -> bool:
-    installation.note(installation.examine(Path(bpy.utils.user_resource("EXTENSIONS"))))
-    importlib.invalidate_caches()  # Blender may just have unpacked it
-    for name in ("numpy", "handfit_core"):
-        if not installation.is_refused() and not _is_importable(name):
-            missing = ModuleNotFoundError(f"no module named {name}", name=name)
-            installation.note(installation.import_fault(missing))
-    other = _running_copy()
-    if other and not installation.is_refused():
-        installation.note(installation.second_copy(other))
-    return not installation.is_refused()
-
-
-def _is_importable(name: str) -> bool:
-    """Whether a package can be imported; an empty folder of its name is none."""
-    try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError):
-        return False
-    return spec is not None and spec.origin is not None
-
-
-def _register_command() -> None:
-    """Register the command, of which Blender knows one of a name: the copy's that runs, else the first's."""
-    others = [module for _, module in _copies() if isinstance(getattr(module, "command", None), ModuleType)]
-    if runs():
-        for other in others:
-            other.command.unregister()
-    elif any(getattr(other.command, "_handle", None) is not None for other in others):
-        return
-    _registered.append(command)
-    command.register()
-
-
-def _copies() -> Iterator[tuple[str, ModuleType]]:
-    """Other copies of the add-on that are loaded, from others of Blender's repositories."""
-    leaf = PACKAGE.rpartition(".")[2]
-    for name, module in list(sys.modules.items()):
-        if name.startswith("bl_ext.") and name.endswith(f".{leaf}") and name != PACKAGE:
-            yield name, module
-
-
-def _running_copy() -> str:
-    """The name of another copy that runs."""
-    for name, module in _copies():
-        running = getattr(module, "runs", None)
-        if callable(running) and running():
-            return name
-    return ""
-
-
 def _addon_modules() -> tuple[Any, ...]:
-    """The modules to register, or the one that says why they cannot be imported."""
+    """The modules to register, or the one that says that they cannot be imported."""
     global _core
-    installed = installation.is_installed()
-    if installed and _other_core() is not None:
-        _forget_core()
-    if installed and _core is not None and _core is not sys.modules.get("handfit_core"):
-        # Another copy of the add-on has run meanwhile, with a handfit_core of its own.
-        _unload(name for name in _loaded_modules() if name not in _WITHOUT_CORE)
-    before = set(sys.modules)
+    if installation.is_installed() and (_core is None or _core is not sys.modules.get("handfit_core")):
+        # What is loaded may be of an earlier zip, or of another copy that has run meanwhile.
+        _unload(name for name in sys.modules if name.partition(".")[0] == "handfit_core")
+        _unload(name for name in sys.modules if name.startswith(f"{PACKAGE}.") and name not in _WITHOUT_CORE)
+    importlib.invalidate_caches()  # Blender may just have unpacked it
     try:
-        # Needs handfit_core, which must be looked at before it is imported.
+        # Needs handfit_core, which may be missing.
         from . import modules
+
+        _core = sys.modules["handfit_core"]
+        if (version := installation.addon_version()) != _core.__version__:
+            raise ImportError(f"handfit_core is version {vars(_core)['__version__']}, the add-on {version}")
     except Exception as error:
-        if not installed:
+        if not installation.is_installed():
             raise
-        traceback.print_exc()
-        # Half of them would be met again.
-        _unload(n for n in set(sys.modules) - before if n.startswith((f"{PACKAGE}.", "handfit_core")))
-        installation.note(installation.import_fault(error))
-        return (unusable,)
-    _core = sys.modules.get("handfit_core")
-    if installed and (other := _other_core()) is not None:
-        installation.note(other)
-        return (unusable,)
+        _core = None
+        return _refused(installation.NOT_WHOLE, f" ({type(error).__name__}: {error})")
     return modules.MODULES
 
 
-def _other_core() -> installation.Fault | None:
-    """Whether the handfit_core that is loaded belongs to another version of the add-on."""
-    loaded = getattr(sys.modules.get("handfit_core"), "__version__", None)
-    version = installation.installed_version()
-    return None if loaded in (None, version) else installation.other_core(version, str(loaded))
+def _refused(sentence: str, reason: str = "") -> tuple[Any, ...]:
+    """The module to register where the add-on cannot run; `reason` is for the console."""
+    installation.why_not = sentence
+    installation.details = traceback.format_exc() if reason else ""
+    print(f"Manient Hand Capture: {sentence}{reason}", file=sys.stderr)
+    return (unusable,)
 
 
-def _forget_core() -> None:
-    """Have handfit_core imported anew."""
-    _unload(n for n in list(sys.modules) if n == "handfit_core" or n.startswith("handfit_core."))
+def _unload(names: Iterable[str]) -> None:
+    """Have modules imported anew. Where the package holds one as an attribute, `from . import` finds it."""
+    for name in list(names):
+        sys.modules.pop(name, None)
+        package, _, leaf = name.rpartition(".")
+        if package in sys.modules:
+            vars(sys.modules[package]).pop(leaf, None)
 
 
-def _unregister_classes() -> None:
-    """Take away what modules that failed have left with Blender: it would refuse them the next time."""
-    modules = [sys.modules[name] for name in _loaded_modules()]
-    classes = {cls for module in modules for cls in vars(module).values() if isinstance(cls, type)}
-    for cls in classes:
-        if cls.__module__.startswith(f"{PACKAGE}.") and "bl_rna" in vars(cls):
-            with contextlib.suppress(RuntimeError, ValueError):
-                bpy.utils.unregister_class(cls)
-
-
-if installation.is_installed() and not _running_copy():
-    # The one that is loaded may be of another zip: the add-on was replaced in a running Blender.
-    _forget_core()
+def _is_second_copy() -> bool:
+    """True if a copy of the add-on from another one of Blender's repositories is registered."""
+    ending = f".{PACKAGE.rpartition('.')[2]}.registration"
+    others = [n for n in sys.modules if n.startswith("bl_ext.") and n.endswith(ending) and n != __name__]
+    return any(getattr(sys.modules[name], "_registered", None) for name in others)

@@ -28,14 +28,13 @@ from scripts.needed import need
 
 need("numpy", "nox -s build")
 
-from blender_manient.common.installation import this_platform
 from handfit_core.common.errors import HandfitError
 from handfit_core.common.files import written_whole
 from handfit_core.common.version import __version__
 from scripts.extension.core_wheel import core_wheel
 from scripts.extension.papers import licence
 from scripts.extension.staging import extension_tool, fix, run_tool, stage
-from scripts.extension.wheels import PLATFORMS, PYTHONS, BuildError, Wheel, locked_wheels
+from scripts.extension.wheels import PLATFORMS, PYTHONS, BuildError, Wheel, locked_wheels, this_platform
 
 TEMPORARY_SPACE = "1 GB"
 WINDOWS_LONGEST = 260 - len(

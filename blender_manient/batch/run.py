@@ -119,8 +119,6 @@ class _Batch:
         args, python = self.args, interpreter.find_python(python)
         only_takes = all(task.take for task in self.tasks)
         is_own = interpreter.is_current_interpreter(python)
-        if not only_takes and (sentence := shared_worker.capture_sentence(python)):
-            raise OptionError(sentence)
         given = {option.flag: getattr(args, name) for name, option in OPTIONS.items()}
         given |= {f"--{name.replace('_', '-')}": getattr(args, name) for name in _OF_CORE}
         given["--processes"] = args.processes or self.host.threads

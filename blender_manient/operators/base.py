@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Generator
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -212,6 +213,17 @@ class Waiting(str):
     """What steps yield while another process works: how far that is."""
 
 
+def finish(steps: Generator[str, None, Any]) -> Any:
+    """Do steps without a window beside them; what they return."""
+    with closing(steps):
+        while True:
+            try:
+                if isinstance(next(steps), Waiting):
+                    time.sleep(0.005)
+            except StopIteration as stop:
+                return stop.value
+
+
 class StepsOperator(ModalOperator):
     """The base of operators that work in steps: in slices beside the window's work, at once for scripts."""
 
@@ -232,13 +244,7 @@ class StepsOperator(ModalOperator):
         raise NotImplementedError
 
     def run(self, context):
-        steps = self.steps(context)
-        while True:
-            try:
-                if isinstance(next(steps), Waiting):
-                    time.sleep(0.005)
-            except StopIteration as stop:
-                return self.finished(context, stop.value)
+        return self.finished(context, finish(self.steps(context)))
 
     def begin(self, context):
         self._steps, self._watch = self.steps(context), ChangeWatch()

@@ -13,7 +13,6 @@ from handfit_core.geometry.lens import Lens
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.lenses import saved_lens
-from handfit_core.worker.events import WorkerError
 
 from ..common import preferences, screen
 from ..common.block_reference import BlockReference
@@ -21,7 +20,7 @@ from ..scene.camera import lens_of_camera
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
-from ..session import jobs, live, shared_worker, source_info
+from ..session import jobs, live, source_info
 from .base import LINKED_SCENE, InternalOperator, ModalOperator
 
 
@@ -158,7 +157,7 @@ def why_no_capture(context: bpy.types.Context, *, alone: bool = False) -> str:
         return LINKED_SCENE
     if alone and jobs.busy():
         return "A capture is running: wait for it, or stop it"
-    return shared_worker.capture_sentence()
+    return ""
 
 
 def new_job(
@@ -172,8 +171,6 @@ def new_job(
     """The capture that the panel's settings describe; with `regions`, of the hands in them and no others.
     `ask_if_many`, `bare`: as of a job. Raises HandfitError in the artist's words."""
     settings, scene = context.scene.manient, context.scene
-    if sentence := shared_worker.capture_sentence():
-        raise WorkerError(sentence)
     source = source_info.resolve(settings.source, as_sequence=settings.as_sequence)
     hand = active_hand(context)
     target = "NEW" if bare else settings.target

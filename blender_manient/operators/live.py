@@ -14,7 +14,7 @@ from handfit_core.common.skeleton import SIDES, Side, other_side
 from ..common import screen
 from ..common.block_reference import BlockReference
 from ..scene.timing import frame_rate
-from ..session import jobs, live, shared_worker
+from ..session import jobs, live
 from ..session.live_takes import LiveTake, takes
 from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 from .capture import lens_of, model_of
@@ -38,7 +38,7 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
             return LINKED_SCENE
         if live.running() is not None:
             return "Live runs already"
-        return shared_worker.capture_sentence() or None
+        return None
 
     def run(self, context):
         raise OptionError("Live needs Blender's window")

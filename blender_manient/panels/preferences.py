@@ -8,7 +8,7 @@ from ..common import plugins, preferences
 from ..common.section import sentence, split
 from ..common.wording import capitalised
 from ..operators import check_installation, housekeeping
-from ..session import cache, shared_worker
+from ..session import cache, details
 
 
 class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
@@ -23,26 +23,16 @@ class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
             draw(self, layout.column(), context)
 
 
-def _draw_worker(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def _draw_worker(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
     layout.prop(self, "python")
-    text = shared_worker.capture_sentence()
-    if text:
-        sentence(layout, context, text, "ERROR", alert=True)
     layout.prop(self, "threads")
     layout.prop(self, "max_megapixels")
     row = layout.row(align=True)
     row.operator("manient.check_installation", icon="CHECKMARK")
-    if check_installation.running():
-        layout.label(text="Checking, which takes up to half a minute", icon="TIME")
-        return
-    result = check_installation.last_result()
-    if result is not None:
+    if details.local_text(check_installation.TEXT_NAME) is not None:
         show = row.operator("manient.show_details", text="Show", icon="TEXT")
         copy = row.operator("manient.copy_details", text="Copy", icon="COPYDOWN")
         show.text = copy.text = check_installation.TEXT_NAME
-        if result.sentence != text:
-            icon = "CHECKMARK" if result.ok else "ERROR"
-            sentence(layout, context, result.sentence, icon, alert=not result.ok)
 
 
 def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

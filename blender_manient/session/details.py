@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import platform
-import sys
-
 import bpy
-import numpy as np
 
-from handfit_core.common.version import __version__
+from ..common import installation
 
 TEXT_NAME = "Hand Capture Details"
 
@@ -16,7 +12,7 @@ TEXT_NAME = "Hand Capture Details"
 def write_details(title: str, sentence: str, details: str) -> bpy.types.Text:
     """Replace the text block Hand Capture Details: what was tried, what the interface said about it, the
     versions at play, and `details` (a traceback, a process's last words)."""
-    parts = [title, "", sentence, "", system_text()]
+    parts = [title, "", sentence, "", installation.versions()]
     if details.strip():
         parts += ["", details.strip()]
     return write_text(TEXT_NAME, "\n".join(parts) + "\n")
@@ -34,18 +30,3 @@ def write_text(name: str, content: str) -> bpy.types.Text:
 def local_text(name: str) -> bpy.types.Text | None:
     """The file's own text block of this name; a linked one of the same name does not count."""
     return next((t for t in bpy.data.texts if t.name == name and t.library is None), None)
-
-
-def system_text() -> str:
-    """Versions of the add-on, Blender and the operating system; a few lines."""
-    build = bpy.app.build_hash
-    commit = build.decode("ascii", "replace") if isinstance(build, bytes) else str(build)
-    return "\n".join(
-        (
-            f"Manient Hand Capture {__version__}",
-            f"Blender {bpy.app.version_string} ({commit})",
-            f"Python {platform.python_version()}, NumPy {np.__version__}",
-            f"{platform.platform()} ({platform.machine()})",
-            f"{'background' if bpy.app.background else 'window'}, {sys.executable}",
-        )
-    )

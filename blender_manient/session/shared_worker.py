@@ -6,18 +6,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 
 from handfit_core.fit.solvers import SOLVERS
-from handfit_core.worker.client import Advice, Worker
-from handfit_core.worker.events import Event, WorkerError, as_error
+from handfit_core.worker.client import CHOOSE_PYTHON, Worker
+from handfit_core.worker.events import Event, as_error
 from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
 
 from ..common import installation, preferences
-from ..common.wording import capitalised
 from . import properties
 from .cache import remove_temporary_takes
 
@@ -26,22 +24,6 @@ _EXIT_WAIT_SECONDS = 3.0
 
 _POLL_SECONDS = 0.2
 """seconds between two looks for answers that nobody waits for"""
-
-ADVICE = Advice(
-    where="in the add-on's preferences",
-    crash="try again, and if it happens again, press Check Installation in the add-on's preferences",
-)
-"""advice of errors that are shown in Blender's window"""
-
-
-class BlendersWorker(Worker):
-    """A worker that refuses captures for which this installation is known to be unfit."""
-
-    def submit(self, kind: str, /, **fields: Any) -> int:
-        """Ask for something. Raises WorkerError also where a part that captures need is missing."""
-        if kind in ("capture", "arms") and (found := _fault_of(self.python)):
-            raise WorkerError(found.sentence)
-        return super().submit(kind, **fields)
 
 
 @dataclass(frozen=True)
@@ -96,24 +78,11 @@ def _offered_names(kind: str) -> list[str]:
 def new_worker(python: str | None = None) -> Worker:
     """A worker beside the shared one, with the preferences' settings, or with another `python`."""
     settings = _settings()
-    return configured_worker(python or settings.python, settings.threads, settings.debug)
-
-
-def configured_worker(
-    python: str | None, threads: int | None = None, debug: bool = False, advice: Advice = ADVICE
-) -> Worker:
-    """A worker with the given settings instead of the preferences'."""
-    if installation.is_installed():
-        broken = f"remove the add-on, restart Blender and install its zip again, or {advice.python}"
-        advice = Advice(advice.where, advice.crash, broken)
-    return BlendersWorker(python, threads, debug, advice=advice, bytecode=bytecode_folder())
-
-
-def capture_sentence(python: str | None = None) -> str:
-    """Why `python`, or the Python that the preferences choose, cannot capture, as far as is known; empty
-    where nothing is. For labels: with a capital, and it costs nothing."""
-    found = _fault_of(python or find_python(_settings().python))
-    return capitalised(found.sentence) if found is not None else ""
+    python = python or settings.python
+    advice = f"{CHOOSE_PYTHON} in the add-on's preferences"
+    if installation.is_installed() and is_current_interpreter(find_python(python)):
+        advice = "remove the add-on and install the zip again"
+    return Worker(python, settings.threads, settings.debug, advice=advice, bytecode=bytecode_folder())
 
 
 def stop() -> None:
@@ -157,10 +126,6 @@ def _collect() -> float | None:
     return _POLL_SECONDS if _abandoned and _worker.busy else _abandoned.clear()
 
 
-def _fault_of(python: str) -> installation.Fault | None:
-    return installation.fault() if is_current_interpreter(python) else None
-
-
 def _settings() -> _Settings:
     chosen = preferences.get()
     debug = bpy.app.debug or bpy.app.debug_python
@@ -174,9 +139,7 @@ def bytecode_folder() -> Path | None:
     removes them; so a folder that goes with the extension. In it whole paths are repeated, which Windows
     finds too long.
     """
-    if sys.platform == "win32" or not (
-        installation.is_installed() and preferences.ADDON.startswith("bl_ext.")
-    ):
+    if sys.platform == "win32" or not installation.is_installed():
         return None
     return Path(bpy.utils.extension_path_user(preferences.ADDON, path="bytecode"))
 
@@ -185,10 +148,8 @@ TIMERS = (_collect,)
 
 
 def register() -> None:
-    """Say on the console why nothing can be captured; the worker starts with the first request."""
+    """Offer what the worker's plug-ins add; it starts with the first request."""
     properties.choices_of_option |= {"detector": detectors, "solver": solvers}
-    if sentence := capture_sentence():
-        installation.print_sentence(sentence)
 
 
 def unregister() -> None:

@@ -66,14 +66,14 @@ def warm_up(model: str = OPEN_HAND) -> None:
         except HandModelError as error:  # a MANO file of one side is enough
             errors.append(error)
             continue
-        hand = seen_hand(loaded, model, side)
+        hand = _seen_hand(loaded, model, side)
         hand.pins[0, 8] = hand.detections.keypoints_2d[0, 8] + 10.0  # a fingertip is pulled
         refit_each(hand)
     if len(errors) == len(SIDES):
         raise errors[0]
 
 
-def seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
+def _seen_hand(loaded: HandModel, model: str, side: Side) -> RefineHand:
     """A relaxed hand before a camera, as a detector sees it."""
     camera = Intrinsics(600.0, 600.0, 320.0, 240.0)
     pose = np.array([[-np.pi / 2, 0.0, 0.0]]), loaded.hands_mean[None], np.array([[0.0, 0.0, 0.5]])

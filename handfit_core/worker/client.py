@@ -6,12 +6,8 @@ docs/worker-protocol.md lists the messages.
 
 from __future__ import annotations
 
-import contextlib
-import shutil
-import signal
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,12 +16,13 @@ from handfit_core.common.version import __version__
 from handfit_core.worker.events import Event, WorkerError, as_error, encode
 from handfit_core.worker.interpreter import (
     EXIT_UNFIT,
+    PYTHON_VARIABLE,
     find_python,
     is_current_interpreter,
     worker_command,
     worker_environment,
 )
-from handfit_core.worker.process import ChildProcess, out_of_memory_kills
+from handfit_core.worker.process import ChildProcess
 
 _START_SECONDS = 60.0
 """seconds until a started process must have said that it is ready"""
@@ -36,30 +33,13 @@ _STOP_SECONDS = 0.03
 0.1, all of it to give back memory"""
 _SCRIPT_STOP_SECONDS = 3.0
 """seconds that a script gives a process to end by itself"""
-_CRASH_SIGNALS = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE", "SIGTRAP", "SIGSYS")
-"""signals of a process's own crash; other signals come from outside"""
-
-
-@dataclass(frozen=True)
-class Advice:
-    """What errors tell the user to do; parts of sentences."""
-
-    where: str
-    """where the interpreter is chosen"""
-    crash: str
-    """what to do after a crash"""
-    broken: str = ""
-    """what to do where a package does not load that the Python which runs here was given; empty where nobody
-    gave it any"""
-
-    @property
-    def python(self) -> str:
-        """What to do about an unfit interpreter."""
-        return f"choose a Python that has SciPy, OpenCV and MediaPipe {self.where}"
-
-
-ADVICE = Advice(where="with --python or in $HANDFIT_PYTHON", crash="try again with --debug")
-"""advice of errors that are printed, where no window starts the worker"""
+CHOOSE_PYTHON = "choose a Python that has SciPy, OpenCV and MediaPipe"
+"""What to do about a Python that cannot capture; where it is chosen follows"""
+ENDED = (
+    "the capturing process ended unexpectedly: try again, and if it happens again, with fewer frames or "
+    "smaller pictures"
+)
+"""What is said of a process that dies; what it said last are the error's details"""
 
 
 class Worker:
@@ -75,23 +55,22 @@ class Worker:
         threads: int | None = None,
         debug: bool = False,
         *,
-        advice: Advice = ADVICE,
+        advice: str = f"{CHOOSE_PYTHON} with --python or in ${PYTHON_VARIABLE}",
         bytecode: Path | None = None,
     ) -> None:
         """`python`: the interpreter, as `find_python` takes it. `threads`: how many it may use, None for
-        its own choice. `debug`: its stderr, with tracebacks, is repeated on ours. `bytecode`: where the
-        Python that runs here keeps what it compiles for the process; None: nowhere."""
+        its own choice. `debug`: its stderr, with tracebacks, is repeated on ours. `advice`: what to do about
+        a Python that cannot capture, part of a sentence. `bytecode`: where the Python that runs here keeps
+        what it compiles for the process; None: nowhere."""
         self.python = find_python(python)
         self._threads = threads
         self._debug = debug
         self._advice = advice
-        self._bytecode = bytecode if self.uses_current_interpreter else None
+        self._bytecode = bytecode if is_current_interpreter(self.python) else None
         self._child: ChildProcess | None = None
         self._last_child: ChildProcess | None = None
         self._ready_event: Event | None = None
         self._start_deadline = 0.0
-        self._kills_before: int | None = None
-        """`out_of_memory_kills` when the last request was sent"""
         self._number = 0
         self._open: dict[int, str] = {}
         """Number -> kind of the requests that have had no last event"""
@@ -107,11 +86,6 @@ class Worker:
     def busy(self) -> bool:
         """Whether a request has not been answered, or an answer was not taken yet."""
         return bool(self._open or self._events)
-
-    @property
-    def uses_current_interpreter(self) -> bool:
-        """Whether the worker's Python is the interpreter of this process."""
-        return is_current_interpreter(self.python)
 
     @property
     def alive(self) -> bool:
@@ -133,8 +107,6 @@ class Worker:
         self._collect(0.0)
         if self._child is not None:
             return
-        if Path(self.python).is_dir() and not shutil.which(self.python):
-            raise WorkerError(f"'{self.python}' is a folder, not a Python; {self._advice.python}")
         command = worker_command(self.python)
         if self._threads:
             command += ["--threads", str(self._threads)]
@@ -145,9 +117,7 @@ class Worker:
                 command, worker_environment(self.python, self._bytecode), echo=self._debug
             )
         except OSError as error:
-            raise WorkerError(
-                f"cannot start the Python '{self.python}' ({error.strerror or error}); {self._advice.python}"
-            ) from error
+            raise WorkerError(self._unfit(f"cannot be started ({error.strerror or error})")) from error
         self._last_child = self._child
         self._ready_event = None
         self._start_deadline = time.monotonic() + _START_SECONDS
@@ -161,7 +131,6 @@ class Worker:
         line = encode({"id": self._number + 1, "request": kind, **fields})
         self.start()
         assert self._child is not None
-        self._kills_before = out_of_memory_kills()
         self._child.send(line)
         self._number += 1
         self._open[self._number] = kind
@@ -235,7 +204,7 @@ class Worker:
         if child is None:
             return ""
         code = child.exit_code
-        how = "" if code is None else f"the process ended {_ending(code)}"
+        how = "" if code is None else f"the process ended with exit code {code}"
         return "\n".join(filter(None, (child.stderr_tail().strip(), how)))
 
     def _collect(self, wait: float) -> None:
@@ -255,18 +224,15 @@ class Worker:
             if self._child is None:
                 return
         if ended:
-            self._give_up(self._death_message(child))
+            self._give_up(self._end_at_start(child) if self._ready_event is None else ENDED)
         elif self._ready_event is None and time.monotonic() > self._start_deadline:
-            self._give_up(
-                f"the Python '{self.python}' did not answer within {_START_SECONDS:g} seconds; "
-                f"{self._advice.python}"
-            )
+            self._give_up(self._unfit(f"did not answer within {_START_SECONDS:g} seconds"))
 
     def _receive_first(self, message: Event) -> None:
         """Take in a process's first message; gives up on the process if it is not the `ready` event of this
         version."""
         if message.get("event") != "ready":
-            self._give_up(f"the Python '{self.python}' answered in an unknown way; {self._advice.python}")
+            self._give_up(self._unfit("answered in an unknown way"))
         elif message.get("version") != __version__:
             self._give_up(
                 f"the add-on was updated from version {__version__} to {message.get('version')} while "
@@ -281,9 +247,11 @@ class Worker:
         if kind in ("done", "error"):
             del self._open[message["id"]]
         if kind == "error" and message["type"] in ("ModuleNotFoundError", "ImportError"):
-            otherwise = f"{message['message'].rstrip('.')} {self._advice.where}"
-            said = self._import_message(_last_line(message["details"]), otherwise)
-            message = {**message, "type": WorkerError.__name__, "message": said}
+            message = {
+                **message,
+                "type": WorkerError.__name__,
+                "message": self._unfit(f"cannot capture ({message['message']})"),
+            }
         if kind == "live":  # only the newest pose is of use, and the newest picture
             same = [(e["event"], e["id"]) == ("live", message["id"]) for e in self._events]
             pictures = [e["picture"] for e, is_same in zip(self._events, same, strict=True) if is_same]
@@ -310,67 +278,12 @@ class Worker:
             child.kill()
         self._fail_all(WorkerError.__name__, why, self.details())
 
-    def _import_message(self, reason: str, otherwise: str) -> str:
-        """One sentence about a package that does not load: `otherwise` where nobody brought it along."""
-        if self.uses_current_interpreter and self._advice.broken:
-            return f"a package that capturing needs does not load ({reason}): {self._advice.broken}"
-        return otherwise
+    def _end_at_start(self, child: ChildProcess) -> str:
+        """The sentence about a Python whose process ended before it was ready, with what it said last."""
+        lines = child.stderr_tail().split("\n")
+        said = next((line.strip() for line in reversed(lines) if line.strip()), "it said nothing")
+        return self._unfit(said if child.exit_code == EXIT_UNFIT else f"cannot capture ({said})")
 
-    def _death_message(self, child: ChildProcess) -> str:
-        """One sentence for a process that ended without saying why."""
-        code, words = child.exit_code or 0, child.stderr_tail()
-        last = _last_line(words)
-        if code == EXIT_UNFIT and self._ready_event is None and not self.uses_current_interpreter:
-            return f"the Python '{self.python}' {last}; {self._advice.python}"
-        if "No module named" in last:
-            cannot = f"the Python '{self.python}' cannot capture ({last}); {self._advice.python}"
-            return self._import_message(last, cannot)
-        said = f", last saying: {last}" if last else ""
-        if child.hung:
-            return f"the worker process closed its output and did not end{said}; {self._advice.crash}"
-        signal_name, kills = _signal_name(code), out_of_memory_kills()
-        by_system = None not in (kills, self._kills_before) and kills != self._kills_before
-        if _says_memory_ran_out(words) or (by_system and signal_name == "SIGKILL"):
-            return (
-                f"memory ran out, and the worker process ended {_ending(code)}{said}; capture fewer frames "
-                "at a time, or smaller pictures"
-            )
-        if signal_name and signal_name not in _CRASH_SIGNALS:
-            # A system that does not count may have done it itself, for whatever reason.
-            who = "from outside" if self._kills_before is not None else "from outside or by the system"
-            return f"the worker process was killed {who}, by signal {signal_name}{said}; {self._advice.crash}"
-        if self._ready_event is None and not self.uses_current_interpreter:
-            return (
-                f"'{self.python}' is not a Python that can capture (it ended {_ending(code)}{said}); "
-                f"{self._advice.python}"
-            )
-        advice = self._advice.crash
-        if self._open:
-            advice = f"if only this input does that, save it anew with another program; otherwise {advice}"
-        return f"the worker process ended {_ending(code)}{said}; {advice}"
-
-
-def _last_line(words: str) -> str:
-    """What a process said last; of a crash, its kind rather than the lines about where it was."""
-    lines = [line.strip() for line in words.splitlines() if line.strip()]
-    return next((line for line in lines if line.startswith("Fatal Python error")), lines[-1] if lines else "")
-
-
-def _says_memory_ran_out(words: str) -> bool:
-    """Whether that is what ended a process: an error of Python's or NumPy's, or of C++, which then aborts."""
-    return "MemoryError" in _last_line(words).partition(":")[0] or "std::bad_alloc" in words
-
-
-def _signal_name(code: int) -> str:
-    """The signal that ended a process, by its exit code; empty where none did."""
-    with contextlib.suppress(ValueError):
-        return signal.Signals(-code).name if code < 0 else ""
-    return f"{-code}"
-
-
-def _ending(code: int) -> str:
-    """How a process ended, by its exit code; part of a sentence."""
-    if code < 0:
-        return f"by signal {_signal_name(code)}"
-    # Windows gives what Unix calls a signal as a large number that is known in hexadecimal.
-    return f"with exit code {code if code < 256 else hex(code)}"
+    def _unfit(self, what: str) -> str:
+        """The sentence about a Python that cannot capture: what it is or does, and what to do."""
+        return f"the Python '{self.python}' {what}; {self._advice}"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
@@ -73,15 +72,10 @@ def error_fields(error: Exception) -> dict[str, str]:
     `details` the traceback, which nobody needs of a Cancelled."""
     message, kind = str(error), type(error).__name__
     details = "" if isinstance(error, Cancelled) else "".join(traceback.format_exception(error))
-    if isinstance(error, ImportError):
-        message = (
-            f"the Python {sys.executable} lacks what capturing needs ({error}); install handfit-core's "
-            "requirements into it, or choose another Python"
-        )
-    elif isinstance(error, MemoryError):
+    if isinstance(error, MemoryError):
         message = "memory ran out; capture fewer frames at a time, or smaller pictures"
         kind = MemoryError.__name__  # NumPy has one of its own
-    elif not isinstance(error, HandfitError):
+    elif not isinstance(error, HandfitError | ImportError):
         message = f"unexpected error: {type(error).__name__}: {error}; the details say where"
     return {"type": kind, "message": " ".join(message.split()), "details": details}
 

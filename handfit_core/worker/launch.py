@@ -8,6 +8,7 @@ An older Python must be able to read this file, to be told that it is too old.
 
 import os
 import platform
+import runpy
 import sys
 
 LOWEST = (3, 11)
@@ -16,7 +17,7 @@ EXIT_UNFIT = 77
 
 
 def main():
-    """Run handfit_core's command line; returns the exit code."""
+    """Run handfit_core's command line, which ends the process, or return the exit code of an unfit Python."""
     here = os.path.dirname(os.path.abspath(__file__))  # noqa: PTH100, PTH120
     # Python puts a script's folder first; the modules in this one have names that anybody may use.
     sys.path[:] = [path for path in sys.path if os.path.abspath(path) != here]  # noqa: PTH100
@@ -27,13 +28,10 @@ def main():
     try:
         import_package("handfit_core", os.path.dirname(here))  # noqa: PTH120
         setattr(sys.modules["handfit_core"], "brought_by_launcher", True)  # noqa: B010
-        # Only now Python finds the package, as import_package has loaded it.
-        from handfit_core.__main__ import main as run
-    except ImportError as error:
+        runpy.run_module("handfit_core", run_name="__main__", alter_sys=True)
+    except ImportError as error:  # while it loads; the command line catches its own
         sys.stderr.write(f"cannot capture ({error})\n")
         return EXIT_UNFIT
-
-    return run(sys.argv[1:])
 
 
 def import_package(name, folder):

@@ -76,8 +76,6 @@ class ChildProcess:
                 self._socket.close()
                 raise
         self.pid = self._process.pid
-        self.hung = False
-        """Whether the child was killed because it had closed its output and did not end"""
         self._echoed: int | None = 0 if echo else None
         """Bytes of its stderr that were repeated on ours; None where none are to be"""
         self._line: list[bytes] = []
@@ -141,7 +139,7 @@ class ChildProcess:
         if self._closed and not self._over:
             self._ending_since = self._ending_since or time.monotonic()
             if time.monotonic() - self._ending_since > _EXIT_SECONDS:
-                self.hung = self._over = True
+                self._over = True
                 self.kill()
         return self._over
 
@@ -223,16 +221,6 @@ def own_streams() -> tuple[BinaryIO, BinaryIO]:
     connection = socket.socket(fileno=int(os.environ.pop(_CONNECTION)))
     connection.set_inheritable(False)
     return connection.makefile("rb"), connection.makefile("wb")
-
-
-def out_of_memory_kills() -> int | None:
-    """How many processes the system has killed since it started because memory ran out; None where it does
-    not tell, which Linux alone does."""
-    with contextlib.suppress(OSError), open("/proc/vmstat", "rb") as lines:
-        for line in lines:
-            if line.startswith(b"oom_kill "):
-                return int(line.split()[1])
-    return None
 
 
 def reap() -> None:

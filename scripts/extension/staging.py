@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import re
 import shutil
 import subprocess
@@ -14,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from scripts.extension.papers import sbom, third_party_licences
-from scripts.extension.wheels import PYTHONS, BuildError, Wheel
+from scripts.extension.wheels import BuildError, Wheel
 
 ROOT = Path(__file__).resolve().parents[2]
 MANIFEST = "blender_manifest.toml"
@@ -36,7 +35,6 @@ def stage(folder: Path, platform: str, wheels: Sequence[Wheel]) -> None:
     manifest = tomllib.loads(text)
     for name, content in (
         (MANIFEST, staged_manifest(text, platform, wheels)),
-        ("wheels.json", inventory(manifest["version"], platform, wheels)),
         ("THIRD_PARTY_LICENSES", third_party_licences(wheels)),
         ("sbom.cdx.json", sbom(manifest["id"], manifest["version"], platform, wheels)),
     ):
@@ -54,30 +52,6 @@ def staged_manifest(text: str, platform: str, wheels: Sequence[Wheel]) -> str:
     # A key of the top level must stand before the first table.
     listed = "".join(f'  "./wheels/{wheel.path.name}",\n' for wheel in wheels)
     return f"{before.rstrip()}\nwheels = [\n{listed}]\n{table}{after}"
-
-
-def inventory(version: str, platform: str, wheels: Sequence[Wheel]) -> str:
-    """wheels.json: what the zip carries, by which the installed add-on sees whether all of it is there.
-
-    Sizes in bytes; "pythons" of a wheel are those of the zip that can use it.
-    """
-    listed = [
-        {
-            "file": wheel.path.name,
-            "name": wheel.name,
-            "version": wheel.version,
-            "size": wheel.size,
-            "pythons": list(wheel.pythons),
-        }
-        for wheel in wheels
-    ]
-    content = {
-        "version": version,
-        "platform": platform,
-        "pythons": PYTHONS,
-        "wheels": listed,
-    }
-    return json.dumps(content, indent=2) + "\n"
 
 
 def fix(path: Path) -> None:

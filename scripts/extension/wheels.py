@@ -18,6 +18,7 @@ from email.message import Message
 from email.parser import HeaderParser
 from functools import cached_property
 from pathlib import Path
+from platform import machine
 from typing import Any
 
 from handfit_core.common.errors import HandfitError
@@ -48,6 +49,13 @@ TORCH = ("torch", "typing-extensions")
 networkx, jinja2, ...) it imports only for what is not used here."""
 
 _PIN = re.compile(r"(?P<name>[\w.-]+)==(?P<version>\S+) --hash=sha256:(?P<sha256>[0-9a-f]{64})")
+
+
+def this_platform() -> str:
+    """This machine as Blender's manifests name it: linux-x64, windows-x64, macos-arm64."""
+    system = {"win32": "windows", "darwin": "macos"}.get(sys.platform, sys.platform)
+    name = machine().lower()
+    return f"{system}-" + {"x86_64": "x64", "amd64": "x64", "aarch64": "arm64"}.get(name, name)
 
 
 class BuildError(HandfitError):

@@ -11,14 +11,7 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from blender_manient.common.installation import this_platform, this_python
-
 ROOT = Path(__file__).resolve().parents[2]
-PLATFORM = this_platform()
-PYTHON = this_python()
-_TAGS = {"linux": "manylinux_2_17_x86_64", "windows": "win_amd64", "macos": "macosx_11_0_arm64"}
-FOREIGN = "windows-x64" if PLATFORM == "linux-x64" else "linux-x64"
-"""Some other platform"""
 
 
 def small_zip(
@@ -26,39 +19,21 @@ def small_zip(
     *,
     version: str = "0.1.0",
     damage: dict[str, Callable[[bytes], bytes | None]] | None = None,
-    platform: str = PLATFORM,
-    pythons: tuple[str, ...] = (PYTHON,),
     mark: str = "",
 ) -> Path:
-    """Write it; the wheels say that they are for `platform` and `pythons`.
+    """Write it.
 
     `mark`: what MARK is in every module, to tell zips of one version from each other.
-    `damage`: name of a package -> what becomes of its wheel after it was listed; None leaves it out.
+    `damage`: name of a package -> what becomes of its wheel; None leaves it out.
     """
-    tags = {p: f"cp{p.replace('.', '')}" for p in pythons}
-    system = _TAGS[platform.partition("-")[0]]
     last_line = f"MARK = {mark!r}\n".encode() if mark else b""
-    wheels = [(_core_wheel(version, last_line), "handfit-core", version, pythons)]
-    wheels.append((_wheel("mediapipe", "0.10.31", f"py3-none-{system}"), "mediapipe", "0.10.31", pythons))
-    for python, tag in tags.items():
-        wheels.append((_wheel("scipy", "1.11.4", f"{tag}-{tag}-{system}"), "scipy", "1.11.4", (python,)))
-    listed = [
-        {"file": name, "name": package, "version": number, "size": len(content), "pythons": list(fits)}
-        for (name, content), package, number, fits in wheels
-    ]
-    contents = {
-        "version": version,
-        "platform": platform,
-        "pythons": list(pythons),
-        "wheels": listed,
-    }
+    wheels = {"handfit-core": _core_wheel(version, last_line), "mediapipe": _wheel("mediapipe", "0.10.31")}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("blender_manifest.toml", _manifest(version, platform, [e["file"] for e in listed]))
-        archive.writestr("wheels.json", json.dumps(contents))
+        archive.writestr("blender_manifest.toml", _manifest(version, [name for name, _ in wheels.values()]))
         for file in sorted((ROOT / "blender_manient").rglob("*.py")):
             name = file.relative_to(ROOT / "blender_manient").as_posix()
             archive.writestr(name, file.read_bytes() + last_line)
-        for (name, content), package, *_ in wheels:
+        for package, (name, content) in wheels.items():
             kept = (damage or {}).get(package, bytes)(content)
             if kept is not None:
                 archive.writestr(f"wheels/{name}", kept)
@@ -75,19 +50,11 @@ def cut_short(wheel: bytes) -> bytes:
     return wheel[: len(wheel) // 2]
 
 
-def gone(_wheel: bytes) -> None:
-    """Not in the zip at all."""
-
-
-def _manifest(version: str, platform: str, files: list[str]) -> str:
+def _manifest(version: str, files: list[str]) -> str:
     text = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
-    lines = [f"wheels = {json.dumps([f'./wheels/{file}' for file in files])}", f'platforms = ["{platform}"]']
-    kept = []
-    for line in text.partition("\n[")[0].splitlines():
-        if line.startswith(("platforms", "wheels")):
-            continue
-        kept.append(f'version = "{version}"' if line.startswith("version") else line)
-    return "\n".join([*kept, *lines, "\n[" + text.partition("\n[")[2]])
+    top, _, tables = text.partition("\n[")
+    lines = [f'version = "{version}"' if line.startswith("version") else line for line in top.splitlines()]
+    return "\n".join([*lines, f"wheels = {json.dumps([f'./wheels/{file}' for file in files])}", f"[{tables}"])
 
 
 def _core_wheel(version: str, last_line: bytes) -> tuple[str, bytes]:
@@ -96,20 +63,19 @@ def _core_wheel(version: str, last_line: bytes) -> tuple[str, bytes]:
         for path in sorted((ROOT / "handfit_core").rglob("*"))
         if path.is_file() and "__pycache__" not in path.parts
     }
-    return _packed("handfit_core", version, "py3-none-any", files)
+    return _packed("handfit_core", version, files)
 
 
-def _wheel(name: str, version: str, tag: str) -> tuple[str, bytes]:
-    return _packed(name, version, tag, {f"{name}/__init__.py": f"# {'x' * 200}\n".encode()})
+def _wheel(name: str, version: str) -> tuple[str, bytes]:
+    return _packed(name, version, {f"{name}/__init__.py": f"# {'x' * 200}\n".encode()})
 
 
-def _packed(name: str, version: str, tag: str, files: dict[str, bytes]) -> tuple[str, bytes]:
+def _packed(name: str, version: str, files: dict[str, bytes]) -> tuple[str, bytes]:
     info = f"{name}-{version}.dist-info"
-    pure = "true" if tag.endswith("any") else "false"
     files = {
         **files,
         f"{info}/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n".encode(),
-        f"{info}/WHEEL": f"Wheel-Version: 1.0\nRoot-Is-Purelib: {pure}\nTag: {tag}\n".encode(),
+        f"{info}/WHEEL": b"Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
     }
     record = [f"{path},sha256={_digest(data)},{len(data)}" for path, data in files.items()]
     record.append(f"{info}/RECORD,,")
@@ -118,7 +84,7 @@ def _packed(name: str, version: str, tag: str, files: dict[str, bytes]) -> tuple
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_STORED) as archive:
         for path, data in files.items():
             archive.writestr(path, data)
-    return f"{name}-{version}-{tag}.whl", packed.getvalue()
+    return f"{name}-{version}-py3-none-any.whl", packed.getvalue()
 
 
 def _digest(data: bytes) -> str:

@@ -11,7 +11,7 @@ bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
 from blender_manient.panels.source import MANIENT_PT_source  # noqa: E402
-from blender_manient.session import shared_worker, source_info  # noqa: E402
+from blender_manient.session import source_info  # noqa: E402
 from handfit_core.common.errors import InputError, OptionError  # noqa: E402
 from tests.drawn import drawn  # noqa: E402
 
@@ -79,8 +79,7 @@ def test_what_cannot_be_captured_is_said_with_a_remedy(tmp_path, make_take, monk
         source_info.resolve(name, as_sequence=False)
 
 
-def test_a_picture_size_that_no_file_tells_is_asked_for(registered, monkeypatch, tmp_path):
-    monkeypatch.setattr(shared_worker, "capture_sentence", lambda: "")
+def test_a_picture_size_that_no_file_tells_is_asked_for(registered, tmp_path):
     path, settings = tmp_path / "hands.json", bpy.context.scene.manient
     path.write_text("{}")
     settings.source = str(path)

@@ -16,7 +16,7 @@ from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.scene import captures
 from blender_manient.scene.build import build_take
 from blender_manient.scene.retime import retime
-from blender_manient.session import shared_worker, source_info
+from blender_manient.session import source_info
 from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
@@ -141,8 +141,7 @@ def test_it_goes_with_its_capture_and_keeps_it_the_active_one(take, make_take):
     assert blocks() == before
 
 
-def test_what_the_panel_tells_of_a_second_view(take, tmp_path, monkeypatch):
-    monkeypatch.setattr(shared_worker, "capture_sentence", lambda: "")
+def test_what_the_panel_tells_of_a_second_view(take, tmp_path):
     settings = bpy.context.scene.manient
     settings.source, settings.second_view = str(tmp_path / "a.avi"), str(tmp_path / "b.avi")
     settings.offset, settings.use_baseline, settings.baseline = 2.0, True, 0.7

@@ -90,7 +90,7 @@ def test_blenders_process_loads_nothing_heavy_and_no_threads():
 
 
 ASSEMBLIES = ("modules", "batch.order", "batch.run", "batch.slot", "exporters", "exporters.take")
-PURE = ("common.wording", "common.installation", "batch.arguments", "batch.console", "batch.commands")
+PURE = ("common.wording", "batch.arguments", "batch.console", "batch.commands")
 """Modules of the add-on that work without Blender"""
 
 

@@ -132,11 +132,10 @@ def commands(zipped: Path, samples: Path, without_network, tmp_path_factory) -> 
         ("install", 0, "Installed", ""),
         ("help", 0, "usage: blender --command manient capture", ""),
         ("wrong", 2, "", "--output"),
-        ("check", 0, "Everything works.", ""),
-        ("check", 0, "hand_landmarks_2020.tflite in ", ""),
+        ("check", 0, "Everything works\n", ""),
         ("gone_command", 2, "", "there is no command plan any more; "),
         ("stopped", 130, "", "what was finished is kept"),
-        ("damaged", 1, "", "error: "),
+        ("damaged", 1, "handfit_core not loaded", "error: "),
         ("damaged_capture", 1, "", "error: "),
         ("remove", 0, "", ""),
     ],
@@ -146,7 +145,6 @@ def test_what_a_command_ends_with_and_says(commands, step, code, out, err):
     assert found.code == code, found
     assert out in found.out
     assert err in found.err
-    assert "FAILED" not in found.out
     assert "Traceback" not in found.err
 
 
@@ -201,7 +199,7 @@ def test_ctrl_c_ends_the_worker(commands, processes_with):
 def test_a_damaged_installation_says_so_once_and_makes_nothing(commands):
     for step in ("damaged", "damaged_capture"):
         (error,) = [line for line in commands[step].err.splitlines() if line.startswith("error: ")]
-        assert "handfit" in error
+        assert "The add-on is not whole: remove it and install the zip again" in error
     assert not (commands.folder / "damaged").exists()
     assert not (commands.folder / "planned").exists()
 

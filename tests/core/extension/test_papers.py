@@ -7,7 +7,7 @@ import pytest
 
 from handfit_core.detect.landmark_model import NETWORK_2020
 from scripts.extension.papers import licence, sbom, third_party_licences
-from scripts.extension.staging import MANIFEST, ROOT, inventory, staged_manifest
+from scripts.extension.staging import MANIFEST, ROOT, staged_manifest
 from scripts.extension.wheels import BuildError
 
 GCC = "GPL-3.0-or-later WITH GCC-exception-3.1"
@@ -94,13 +94,3 @@ def test_the_manifest_is_for_one_platform_and_lists_the_wheels(wheels):
     for other in ('id = "x"\n[permissions]\n', 'platforms = [\n  "linux-x64",\n]\n'):
         with pytest.raises(BuildError, match="expected one line"):
             staged_manifest(other, "linux-x64", wheels)
-
-
-def test_the_inventory_tells_which_python_a_wheel_is_for(wheels):
-    found = json.loads(inventory("0.1.0", "linux-x64", wheels))
-    assert (found["version"], found["platform"]) == ("0.1.0", "linux-x64")
-    assert [(w["name"], w["version"], w["pythons"]) for w in found["wheels"]] == [
-        ("handfit-core", "0.1.0", ["3.11", "3.13"]),
-        ("mediapipe", "0.10.31", ["3.11", "3.13"]),
-        ("torch", "2.13.0+cpu", ["3.11"]),
-    ]

@@ -7,14 +7,13 @@ import stat
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import pytest
 
 from handfit_core.common.errors import Cancelled, InputError, NoHandFoundError
 from handfit_core.common.version import __version__
-from handfit_core.worker import client, process
-from handfit_core.worker.client import Advice, Worker
+from handfit_core.worker import client
+from handfit_core.worker.client import ENDED, Worker
 from handfit_core.worker.events import WorkerError, as_error
 from handfit_core.worker.process import reap
 from tests.conftest import ROOT
@@ -23,8 +22,7 @@ needs_scripts = pytest.mark.skipif(
     sys.platform == "win32", reason="misbehaving peers are scripts with a #! line"
 )
 
-IN_A_WINDOW = Advice("in the add-on's preferences", "try again, and then press Check Installation")
-
+ADVICE = "choose a Python in the add-on's preferences"
 SLEEPS = 60
 """seconds that a peer sleeps: nothing here may last as long"""
 
@@ -66,7 +64,7 @@ def start():
     made: list[Worker] = []
 
     def make(*args, **kwargs) -> Worker:
-        made.append(Worker(*args, **{"advice": IN_A_WINDOW, **kwargs}))
+        made.append(Worker(*args, **{"advice": ADVICE, **kwargs}))
         return made[-1]
 
     yield make
@@ -116,37 +114,14 @@ def test_events_arrive_in_order(peer, start):
 
 
 @needs_scripts
-def test_asking_never_waits(peer, start, monkeypatch):
-    """A peer that reads nothing and says nothing, and a request larger than any socket's room."""
-    waits: list[float] = []
-    monkeypatch.setattr(client.ChildProcess, "wait_for_io", lambda _child, seconds: waits.append(seconds))
-    worker = start(peer(f"ready()\ntime.sleep({SLEEPS})"))
-    began = time.monotonic()
-    worker.submit("refit", text="x" * 30_000_000)
-    for _ in range(10):
-        worker.events()
-    assert not waits
-    assert time.monotonic() - began < SLEEPS
-
-
-@needs_scripts
-def test_a_flood_is_taken_in_parts(peer, start, monkeypatch):
-    """A peer that says as much as it can: by a clock on which each look at it takes a millisecond, a call
-    looks no more often than it has time for."""
-    code = "ready()\nn = next(requests())['id']\nwhile True: say(event='warning', id=n, message='noise')"
-    worker = start(peer(code))
-    worker.submit("check")
-    while not worker.events():
-        time.sleep(0.01)
-    looks: list[float] = []
-    clock = SimpleNamespace(
-        perf_counter=lambda: looks.append(1.0) or len(looks) / 1000, monotonic=time.monotonic
-    )
-    monkeypatch.setattr(process, "time", clock)
-    for _ in range(30):
-        before = len(looks)
-        worker.events()
-        assert 0 < len(looks) - before <= 10
+def test_a_large_request_waits_for_nobody_and_arrives_whole(peer, start):
+    """It is larger than any socket's room, and the peer reads late."""
+    code = "ready()\ntime.sleep(3)\nfor r in requests(): say(event='done', id=r['id'], got=len(r['text']))"
+    worker, began = start(peer(code)), time.monotonic()
+    request = worker.submit("refit", text="x" * 5_000_000)
+    assert worker.events() == []
+    assert time.monotonic() - began < 3
+    assert worker.wait(request, timeout=20)["got"] == 5_000_000
 
 
 @needs_scripts
@@ -164,13 +139,6 @@ def test_what_was_said_while_nobody_looked_is_not_lost(peer, start):
     events = []
     worker.wait(request, events.append, timeout=60)
     assert [event["done"] for event in events] == list(range(40_000))
-
-
-@needs_scripts
-def test_a_large_request_arrives_whole_at_a_peer_that_reads_late(peer, start):
-    code = "ready()\ntime.sleep(0.3)\nfor r in requests(): say(event='done', id=r['id'], got=len(r['text']))"
-    worker = start(peer(code))
-    assert worker.wait(worker.submit("refit", text="x" * 5_000_000), timeout=20)["got"] == 5_000_000
 
 
 @needs_scripts
@@ -229,91 +197,62 @@ def test_errors_are_raised_as_what_they_were(kind):
 # Deaths
 
 
+UNFIT = f"^the Python '.*peer' {{}}; {ADVICE}"
 DEATHS = {
-    "no-package": (
-        "sys.stderr.write(\"No module named 'handfit_core'\\n\"); sys.exit(1)",
-        "handfit_core.*preferences",
-    ),
-    "killed": (
-        "ready()\nos.kill(os.getpid(), signal.SIGKILL)",
-        "^the worker process was killed from outside[^;]*, by signal SIGKILL; try again",
-    ),
-    "terminated": (
-        "ready()\nos.kill(os.getpid(), signal.SIGTERM)",
-        "killed from outside.*by signal SIGTERM; try again",
-    ),
-    "python-memory": (
-        "ready()\nsys.stderr.write('Traceback ...\\nMemoryError\\n'); sys.exit(1)",
-        "^memory ran out, and the worker process ended with exit code 1.*fewer frames",
-    ),
-    "numpy-memory": (
-        "ready()\nsys.stderr.write('numpy._core._exceptions._ArrayMemoryError: no\\n'); sys.exit(1)",
-        "^memory ran out.*fewer frames",
-    ),
-    "c++-memory": (
-        "ready()\nsys.stderr.write(\"instance of 'std::bad_alloc'\\n\"); sys.stderr.flush(); os.abort()",
-        "^memory ran out, and the worker process ended by signal SIGABRT.*fewer frames",
-    ),
+    "killed": ("ready()\nos.kill(os.getpid(), signal.SIGKILL)", ENDED, "exit code -9"),
     "hung": (
         "ready()\nsys.stdin.close(); sys.stdout.close(); connection.close(); time.sleep(60)",
-        "^the worker process closed its output and did not end; try again",
+        ENDED,
+        "",
     ),
     "abort": (
         "ready()\nsys.stderr.write('out of paper\\n\\n'); sys.stderr.flush(); os.abort()",
-        "SIGABRT.*out of paper",
+        ENDED,
+        "out of paper",
     ),
-    "silent": ("ready()\nsys.exit(0)", "exit code 0.*Check Installation"),
-    "segfault": (
-        "import faulthandler, ctypes; faulthandler.enable(); ready(); ctypes.string_at(0)",
-        "Segmentation fault",
+    "version": (
+        "ready('0.0.1')\ntime.sleep(60)",
+        "was updated from version .* to 0.0.1 .*restart Blender",
+        "",
     ),
-    "version": ("ready('0.0.1')\ntime.sleep(60)", "was updated from version .* to 0.0.1 .*restart Blender"),
-    "no-ready": ("say(event='done', id=1)\ntime.sleep(60)", "unknown way"),
+    "no-ready": (
+        "say(event='done', id=1)\ntime.sleep(60)",
+        UNFIT.format("answered in an unknown way"),
+        "",
+    ),
+    "no-package": (
+        "sys.stderr.write(\"No module named 'handfit_core'\\n\"); sys.exit(1)",
+        UNFIT.format(r"cannot capture \(No module named 'handfit_core'\)"),
+        "exit code 1",
+    ),
     "old-python": (
-        "sys.stderr.write('is version 3.9.1, and capturing needs 3.11 or newer\\n'); sys.exit(77)",
-        "version 3.9.1.*3.11 or newer.*choose a Python",
+        "sys.stderr.write('is version 3.9.1\\n'); sys.exit(77)",
+        UNFIT.format("is version 3.9.1"),
+        "exit code 77",
     ),
 }
-"""What a peer does -> what is said of it"""
+"""What a peer does -> what is said of it, and what is in its details"""
 
 
 @needs_scripts
-@pytest.mark.parametrize(("code", "expected"), DEATHS.values(), ids=DEATHS)
-def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected):
+@pytest.mark.parametrize(("code", "expected", "details"), DEATHS.values(), ids=DEATHS)
+def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected, details):
     worker = start(peer(code))
     requests = [worker.submit("capture"), worker.submit("refit")]
     for request in requests:
         with pytest.raises(WorkerError, match=expected) as caught:
             worker.wait(request, timeout=30)
-        assert "\n" not in str(caught.value)
+        assert details in caught.value.details
     assert not worker.alive
-
-
-@needs_scripts
-def test_the_systems_own_count_tells_that_memory_ran_out(peer, start, monkeypatch):
-    """A SIGKILL while Linux has killed for memory is called that; its count is /proc/vmstat's."""
-    counts = iter([4, 5])
-    monkeypatch.setattr(client, "out_of_memory_kills", lambda: next(counts))
-    worker = start(peer("ready()\nfor r in requests(): os.kill(os.getpid(), signal.SIGKILL)"))
-    with pytest.raises(WorkerError, match=r"^memory ran out.*by signal SIGKILL; capture fewer frames"):
-        worker.wait(worker.submit("capture"), timeout=20)
 
 
 @needs_scripts
 def test_a_process_that_hangs_before_it_is_ready_is_ended(peer, start, monkeypatch):
     monkeypatch.setattr(client, "_START_SECONDS", 0.2)
     worker = start(peer(f"time.sleep({SLEEPS})"))
-    with pytest.raises(WorkerError, match=r"did not answer within 0\.2 seconds; choose a Python"):
+    with pytest.raises(WorkerError, match=r"peer\' did not answer within 0\.2 seconds; choose a Python"):
         worker.wait(worker.submit("capture"), timeout=20)
     assert not worker.alive
-
-
-@needs_scripts
-def test_a_package_that_is_missing_later_names_the_remedy(peer, start):
-    error = "event='error', type='ModuleNotFoundError', message='no torch', details=''"
-    worker = start(peer(f"ready()\nfor r in requests(): say(id=r['id'], {error})"))
-    with pytest.raises(WorkerError, match="no torch in the add-on's preferences"):
-        worker.wait(worker.submit("capture"), timeout=20)
 
 
 def test_a_missing_interpreter_is_one_sentence(start, tmp_path):
@@ -327,44 +266,13 @@ def test_a_missing_interpreter_is_one_sentence(start, tmp_path):
 
 @needs_scripts
 def test_after_a_crash_the_next_request_starts_another(peer, start, tmp_path):
-    mark = tmp_path / "crashed"
-    worker = start(
-        peer(
-            "ready()\n"
-            "for r in requests():\n"
-            f"    if not os.path.exists({str(mark)!r}):\n"
-            f"        open({str(mark)!r}, 'w').close(); sys.stderr.write('last words\\n'); os._exit(7)\n"
-            "    say(event='done', id=r['id'], pid=os.getpid())"
-        )
-    )
-    first = worker.submit("capture")
-    deadline = time.monotonic() + 20
-    events = []
-    while not events and time.monotonic() < deadline:
-        events = worker.events()
-        time.sleep(0.01)
-    (event,) = events
-    assert (event["event"], event["id"], event["type"]) == ("error", first, "WorkerError")
-    assert "if only this input does that, save it anew" in event["message"]
-    assert "last words" in event["details"]
-    assert "exit code 7" in event["details"]
+    mark = str(tmp_path / "crashed")
+    crash = f"if not os.path.exists({mark!r}): open({mark!r}, 'w'); os._exit(7)"
+    answer = "say(event='done', id=r['id'], pid=os.getpid())"
+    worker = start(peer(f"ready()\nfor r in requests():\n    {crash}\n    {answer}"))
+    with pytest.raises(WorkerError, match=ENDED):
+        worker.wait(worker.submit("capture"), timeout=20)
     assert worker.wait(worker.submit("capture"), timeout=20)["pid"] == worker.pid
-
-
-@needs_scripts
-def test_a_death_while_idle_costs_nothing(peer, start):
-    worker = start(peer("ready()\nfor r in requests(): say(event='done', id=r['id'])"))
-    worker.wait(worker.submit("warm"), timeout=20)
-    first = worker.pid
-    assert first is not None
-    os.kill(first, 9)
-    deadline = time.monotonic() + 5
-    while worker.alive and time.monotonic() < deadline:
-        time.sleep(0.01)
-    time.sleep(0.05)
-    assert worker.events() == []
-    worker.wait(worker.submit("warm"), timeout=20)
-    assert worker.pid != first
 
 
 @needs_scripts
