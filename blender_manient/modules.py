@@ -20,7 +20,6 @@ _KINDS = (
     bpy.types.Operator,
     bpy.types.Panel,
     bpy.types.UIList,
-    bpy.types.Menu,
     bpy.types.FileHandler,
 )
 
