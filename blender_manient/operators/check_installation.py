@@ -62,7 +62,7 @@ class MANIENT_OT_check_installation(ModalOperator, bpy.types.Operator):
     tick = 0.05
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return "The check is running: Esc stops it" if running() else None
 
     def begin(self, context):

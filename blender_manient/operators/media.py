@@ -14,7 +14,7 @@ from handfit_core.take import Take
 from ..common import preferences, screen
 from ..common.section import sentence
 from ..scene.build import build_take
-from ..scene.captures import comes_in_front
+from ..scene.captures import becomes_active
 from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..session import jobs, source_info
 from ..session.properties import MATCHING, POSE_CORRECTIVES
@@ -71,7 +71,7 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
         take = Take.load(self.filepath)
         footage, frame = Footage.of_take(take), context.scene.frame_current
         matched = matches(context.scene, self.matching, footage)
-        in_front = comes_in_front(context.scene, self.matching, matched)
+        in_front = becomes_active(context.scene, self.matching, matched)
         built = build_take(
             take,
             pose_correctives=self.pose_correctives,
@@ -200,7 +200,7 @@ class MANIENT_OT_use_background_clip(ManientOperator, bpy.types.Operator):
     bl_label = "Camera's Background Clip"
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return None if _background_clip(context.scene.camera) else "The scene's camera has no background clip"
 
     def run(self, context):

@@ -12,8 +12,8 @@ from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
 from ..rigs.arm import has_arm
 from ..scene import captures, corrections
+from ..scene.background import missing_picture
 from ..scene.confidence import errors_by_view, errors_of, is_marked
-from ..scene.plate import missing_picture
 from ..scene.retime import other_rate
 from ..scene.store import CapturedHand, captured_hands, hand_of
 from ..scene.timing import frame_rate

@@ -252,7 +252,7 @@ def captures_of(
                 yield capture
 
 
-def hung_on(hand: CapturedHand) -> list[bpy.types.Object]:
+def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
     """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own."""
     armature = hand.armature
     others = [o for o in bpy.data.objects if o.parent == armature or _moved_by(o, armature)]

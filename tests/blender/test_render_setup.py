@@ -12,9 +12,9 @@ from mathutils import Matrix
 import blender_manient
 from blender_manient.exporters.export_hands import export_take
 from blender_manient.scene import render_setup
+from blender_manient.scene.background import rows_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.matching import clear_view
-from blender_manient.scene.plate import rows_of
 
 from .conftest import HEIGHT, WIDTH, world
 

@@ -13,10 +13,10 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.arm import ArmBones
 from blender_manient.scene import store
 from blender_manient.scene.apply import apply_track
+from blender_manient.scene.background import load_plate
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import corrected_frames
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from blender_manient.scene.plate import load_plate
 from blender_manient.scene.preview import render_plate
 from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene

@@ -211,7 +211,7 @@ def test_other_meshes_on_the_hand_are_not_its_mesh(built, armature, marked):
     glove.modifiers.new("Armature", "ARMATURE").object = armature
     hand = store.hand_of(armature)
     assert hand.mesh == mesh
-    assert store.hung_on(hand) == [glove, ring]
+    assert store.attached_objects(hand) == [glove, ring]
     # What was deleted in the viewport lives on as long as the armature names it.
     chosen(mesh)
     bpy.ops.object.delete()

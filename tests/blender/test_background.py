@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
+from blender_manient.scene.background import load_plate, rows_of
 from blender_manient.scene.build import build_take
-from blender_manient.scene.plate import load_plate, rows_of
 from blender_manient.scene.preview import preview_rows, render_plate, render_preview, spread_frames
 from blender_manient.scene.timing import timing_in
 from blender_manient.session import source_info
