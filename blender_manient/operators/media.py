@@ -213,8 +213,7 @@ class MANIENT_OT_use_background_clip(ManientOperator, bpy.types.Operator):
 
 
 def _background_clip(camera: bpy.types.Object | None) -> bpy.types.MovieClip | None:
-    data = camera.data if camera is not None else None
-    backgrounds = data.background_images if isinstance(data, bpy.types.Camera) else ()
+    backgrounds = camera.data.background_images if camera is not None and camera.type == "CAMERA" else ()
     return next((each.clip for each in backgrounds if each.source == "MOVIE_CLIP" and each.clip), None)
 
 
