@@ -23,7 +23,7 @@ from blender_manient.scene.confidence import (
 from blender_manient.scene.keys import pose_at
 from blender_manient.scene.store import hand_of
 from handfit_core.common.skeleton import FINGERS
-from handfit_core.take.fit_quality import EXPECTED, IN_PICTURE
+from handfit_core.take.fit_quality import EXPECTED
 
 from .conftest import FRAMES, UNSEEN
 
@@ -78,17 +78,6 @@ def test_errors_are_parts_of_the_hand(make_take):
     length = sum(np.linalg.norm(joints[b] - joints[a]) for a, b in ((0, 9), (9, 10), (10, 11), (11, 12)))
     expected = 30.0 / (take.intrinsics.fx * length / joints[:, 2].mean())
     assert errors[ROW, off[0]] == pytest.approx(expected)
-
-
-def test_colors_run_from_green_over_yellow_to_red():
-    """A value has the color of the word that the panel has for it."""
-    assert GREEN[1] > 2 * GREEN[0]
-    assert min(YELLOW[:2]) > 3 * YELLOW[2]
-    assert RED[0] > 4 * RED[1]
-    assert tuple(GREY) == UNSEEN_COLOR
-    for scale in (IN_PICTURE, EXPECTED):
-        steps = np.array([0.9 * scale.good_below, scale.fair_below, 2 * scale.fair_below])
-        np.testing.assert_allclose(confidence.colors_of(steps, scale.levels), [GREEN, YELLOW, RED])
 
 
 def test_colors_are_there_at_once_and_follow_the_frame(armature):
