@@ -158,7 +158,7 @@ class _Build:
         self, made: list[bpy.types.ID], take: Take, scene: bpy.types.Scene, how: BuildOptions
     ) -> None:
         self.made, self.scene, self.how = made, scene, how
-        self.captured = take
+        self.take = self.captured = take
         self.units = 1.0 / scene.unit_settings.scale_length
         self.unmatched = None if how.match_scene else scene
         self.models: dict[Side, HandModel] = {}
@@ -217,7 +217,7 @@ class _Build:
         self.shapes = [self.models[track.side].shaped(track.betas) for track in take.hands]
 
     def _choose_times(self) -> None:
-        self.take, self.timing, self.clip = self.captured, Timing(), Timing()
+        self.timing = self.clip = Timing()
         if not self.how.match_scene:
             self.take, self.timing, self.clip = in_scene(self.scene, self.captured, self.how.frame)
         check_range(self.take, self.timing)
@@ -287,10 +287,43 @@ class _Build:
         for track, shaped in zip(self.take.hands, self.shapes, strict=True):
             others = sum(hand.side == track.side for hand in self.hands)
             name = named_after(self.collection.name, hand_part(track.side, others))
-            hand = yield from _hand(
-                self.made, self.progress, track, shaped, name, self.units, self.timing, self.how.camera
-            )
+            hand = yield from self.build_hand(track, shaped, name)
             self.hands.append(hand)
+
+    def build_hand(
+        self, track: HandTrack, shaped: ShapedHand, name: str
+    ) -> Generator[float | None, None, BuiltHand]:
+        """One hand's rig, mesh and keys, linked nowhere."""
+        model = self.models[track.side]
+        rig = build_rig(name, shaped, track.side)
+        armature = rig.armature
+        self.made += [armature, armature.data]
+        armature.scale = (self.units,) * 3
+        if self.how.camera is not None:
+            put_before(armature, self.how.camera)
+        if track.arm is not None:
+            rig.add_arm(track.arm.lengths)
+        rest = rig.rest
+        yield self.progress.done(1)
+        mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
+        self.made += [mesh, mesh.data, *mesh.data.materials]
+        yield self.progress.done(1)
+        if self.progress.has_correctives(track):
+            offsets = axes.corrective_offsets(model, rest.frames)
+            yield None
+            for _ in adding_correctives(mesh, rig, offsets):
+                yield self.progress.done(0.3)
+        frames = self.timing.scene_frames(self.take.frame_numbers)
+        keys = yield from self.progress.counting(computing_keys(track, shaped, rest, frames))
+        action = None
+        for action in animating(rig, keys):
+            if action not in self.made:
+                self.made.append(action)
+            yield self.progress.done(1)
+        assert action is not None
+        if track.arm is not None:
+            yield from self.progress.counting(keying_arm(rig, track.arm, frames))
+        return BuiltHand(track.side, armature, mesh, action)
 
     def _keep_takes(self) -> Generator[float | None, None, None]:
         """The collection keeps the take as captured, and beside it the one that was retimed."""
@@ -336,49 +369,6 @@ class _Build:
                 bpy.context.view_layer.update()  # copies the whole action, which takes longest of all
 
 
-def _hand(
-    made: list[bpy.types.ID],
-    progress: _Progress,
-    track: HandTrack,
-    shaped: ShapedHand,
-    name: str,
-    units: float,
-    timing: Timing,
-    camera: bpy.types.Object | None,
-) -> Generator[float | None, None, BuiltHand]:
-    """One hand's rig, mesh and keys in steps, linked nowhere; `camera`: one that it hangs on."""
-    model = progress.models[track.side]
-    rig = build_rig(name, shaped, track.side)
-    armature = rig.armature
-    made += [armature, armature.data]
-    armature.scale = (units, units, units)
-    if camera is not None:
-        put_before(armature, camera)
-    if track.arm is not None:
-        rig.add_arm(track.arm.lengths)
-    rest = rig.rest
-    yield progress.done(1)
-    mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
-    made += [mesh, mesh.data, *mesh.data.materials]
-    yield progress.done(1)
-    if progress.has_correctives(track):
-        offsets = axes.corrective_offsets(model, rest.frames)
-        yield None
-        for _ in adding_correctives(mesh, rig, offsets):
-            yield progress.done(0.3)
-    frames = timing.scene_frames(progress.take.frame_numbers)
-    keys = yield from progress.counting(computing_keys(track, shaped, rest, frames))
-    action = None
-    for action in animating(rig, keys):
-        if action not in made:
-            made.append(action)
-        yield progress.done(1)
-    assert action is not None
-    if track.arm is not None:
-        yield from progress.counting(keying_arm(rig, track.arm, frames))
-    return BuiltHand(track.side, armature, mesh, action)
-
-
 def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     """Build the last hand of a take into the collection of the others, which keeps the take from then on.
 
@@ -392,15 +382,13 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
         camera = None
     others = sum(hand.side == track.side for hand in take.hands[:-1])
     name = named_after(collection.name, hand_part(track.side, others))
-    made: list[bpy.types.ID] = []
-    progress = _Progress(replace(take, hands=(track,)), {track.side: model}, True)
-    units = 1.0 / bpy.context.scene.unit_settings.scale_length
+    build = _Build([], replace(take, hands=(track,)), bpy.context.scene, BuildOptions(camera=camera))
+    build.models[track.side], build.timing = model, timing
+    build.progress = _Progress(build.take, build.models, True)
     try:
-        hand = run_to_completion(
-            _hand(made, progress, track, model.shaped(track.betas), name, units, timing, camera)
-        )
+        hand = run_to_completion(build.build_hand(track, model.shaped(track.betas), name))
     except BaseException:
-        _remove(made)
+        _remove(build.made)
         raise
     keep_take(collection, take)
     describe_hand(hand.armature, collection, take, index, "open" if model is loaded else "forearm")
@@ -439,7 +427,6 @@ class _Progress:
     """How much of all steps is done, a curve being one."""
 
     def __init__(self, take: Take, models: dict[Side, HandModel], pose_correctives: bool) -> None:
-        self.take, self.models = take, models
         self._correctives = {
             side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
         }
@@ -480,7 +467,7 @@ class ChangeWatch:
 
     @property
     def changed(self) -> bool:
-        """Whether there was any."""
+        """True if there was an undo, a redo or a file load since."""
         return _changes != self._before
 
 
