@@ -152,7 +152,7 @@ def slow(session: nox.Session, part: str) -> None:
 
 @nox.session(venv_backend="none")
 def release_check(session: nox.Session) -> None:
-    """All that `.ci/run` leaves out, one to two hours: before a release, or after changes of what it covers."""
+    """What `.ci/run` leaves out, one to two hours: before a release, or after a change of what it covers."""
     session.run(sys.executable, "-m", "nox", "-s", *RELEASE_CHECK, "--parallel", "2", external=True)
 
 

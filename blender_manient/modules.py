@@ -20,7 +20,6 @@ _KINDS = (
     bpy.types.Operator,
     bpy.types.Panel,
     bpy.types.UIList,
-    bpy.types.Menu,
     bpy.types.FileHandler,
 )
 
@@ -45,11 +44,11 @@ class AddonModule:
             if isinstance(value, type) and issubclass(value, _KINDS) and value.__module__ == module.__name__
         ]
         self._module = module
-        # Blender 4.2 does not tell of imports.
-        events = {name: getattr(bpy.app.handlers, name, []) for name in self._declared("HANDLERS")}
         # Handlers that are not persistent are gone as soon as a file is opened.
-        kept = bpy.app.handlers.persistent
-        self._handlers = [(events[name], kept(module.HANDLERS[name])) for name in events]
+        events, kept = bpy.app.handlers, bpy.app.handlers.persistent
+        self._handlers = [
+            (getattr(events, name), kept(handler)) for name, handler in self._declared("HANDLERS").items()
+        ]
         self._register_classes, self._unregister_classes = bpy.utils.register_classes_factory(self.classes)
 
     def _declared(self, name: str) -> Any:

@@ -34,7 +34,7 @@ class MANIENT_OT_add_arms(StepsOperator, bpy.types.Operator):
     hand: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if cls.bl_idname in cls.running:
             return "Arms are being found already"
         return why_no_capture(context)

@@ -138,7 +138,7 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if _mode is not None:
             return "A hand is being added already"
         if context.mode not in ("OBJECT", "POSE"):

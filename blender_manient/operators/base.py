@@ -24,8 +24,8 @@ LINKED_SCENE: Final = "This scene is linked from another file: open or make one 
 
 
 class ManientOperator:
-    """The base of all operators: the class' name is the operator's, its docstring the tooltip, `lacks` the
-    poll, and `run` does the work."""
+    """The base of all operators: the class' name is the operator's, its docstring the tooltip,
+    `poll_reason` the poll, and `run` does the work."""
 
     bl_options = {"REGISTER", "UNDO"}
     layout: Any
@@ -41,14 +41,14 @@ class ManientOperator:
     @classmethod
     def poll(cls: Any, context):
         """Whether it can begin."""
-        why = cls.lacks(context)
+        why = cls.poll_reason(context)
         if why:
             cls.poll_message_set(why)
         return not why
 
     @classmethod
-    def lacks(cls, context: bpy.types.Context) -> str | None:
-        """What is missing, a sentence; None where it can begin."""
+    def poll_reason(cls, context: bpy.types.Context) -> str | None:
+        """Why it cannot begin, a sentence; None where it can."""
 
     def run(self, context: bpy.types.Context) -> str | set[str] | None:
         """Do the work. Returns what is reported of it, or Blender's own result. Raises HandfitError, which
@@ -87,7 +87,7 @@ class SceneOperator(ManientOperator):
     """The base of operators that need a scene that may be changed."""
 
     @classmethod
-    def lacks(cls, context) -> str | None:
+    def poll_reason(cls, context) -> str | None:
         return None if context.scene.is_editable else "This scene is linked from another file"
 
 
@@ -100,7 +100,7 @@ class HandOperator(ManientOperator):
     """Whether it works in every mode, and not only where the hand is posed"""
 
     @classmethod
-    def lacks(cls, context) -> str | None:
+    def poll_reason(cls, context) -> str | None:
         hand = active_hand(context)
         if hand is None:
             return "Select a captured hand first: its armature or its mesh"
@@ -113,13 +113,13 @@ class CharacterOperator(ManientOperator):
     """The base of operators on the selected character."""
 
     @classmethod
-    def lacks(cls, context) -> str | None:
+    def poll_reason(cls, context) -> str | None:
         armature = active_character(context)
         return NO_CHARACTER if armature is None else why_not_reachable(armature)
 
 
 @dataclass
-class Work:
+class ModalState:
     """A modal operator that goes on."""
 
     can_stop: bool = True
@@ -133,7 +133,7 @@ class Work:
         self.can_stop = False
 
 
-_running: dict[str, Work] = {}
+_running: dict[str, ModalState] = {}
 """What goes on now, by the operators' names, which are their classes': an instance's `bl_idname` is Blender's
 own, MANIENT_OT_... An annotation in an operator must name no class of ours: Blender keeps it, and hangs when
 Python ends."""
@@ -169,7 +169,7 @@ class ModalOperator(ManientOperator):
         if result is None:
             self._timer = context.window_manager.event_timer_add(self.tick, window=context.window)
             context.window_manager.modal_handler_add(self)  # type: ignore[arg-type]
-            self.running[type(self).bl_idname] = Work()
+            self.running[type(self).bl_idname] = ModalState()
         return result or {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -251,12 +251,12 @@ class StepsOperator(ModalOperator):
 
     def follow(self, context, event):
         """Go on; Esc stops, as long as nothing was changed."""
-        work = self.running[type(self).bl_idname]
+        state = self.running[type(self).bl_idname]
         if self._watch.changed:
             raise OptionError(self.undone)
         if event.type == "ESC" and event.value == "PRESS":
-            work.stop()
-        if work.stopped:
+            state.stop()
+        if state.stopped:
             self.end(context)
             return self._nothing_done(f"{self.title} was stopped; nothing was changed")
         if event.type != "TIMER" or bpy.app.is_job_running("RENDER"):
@@ -268,7 +268,7 @@ class StepsOperator(ModalOperator):
             except StopIteration as stop:
                 self.end(context)
                 return self._reported(self.finished, context, stop.value)
-            self.show_status(context, f"{text}   Esc: Stop" if work.can_stop else text)
+            self.show_status(context, f"{text}   Esc: Stop" if state.can_stop else text)
             if isinstance(text, Waiting) or is_over():
                 return {"PASS_THROUGH"}
 

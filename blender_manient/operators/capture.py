@@ -50,7 +50,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         return cls.bl_description
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return why_no_capture(context)
 
     def begin(self, context):

@@ -50,10 +50,10 @@ class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if cls.bl_idname in cls.running:
             return "Motion is being applied already"
-        why = super().lacks(context)
+        why = super().poll_reason(context)
         if why is not None:
             return why
         try:

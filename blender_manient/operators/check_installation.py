@@ -29,7 +29,7 @@ class MANIENT_OT_check_installation(StepsOperator, bpy.types.Operator):
     undone = "An undo stopped the check: begin it again"
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return "The check is running: Esc stops it" if cls.bl_idname in cls.running else None
 
     def steps(self, context):

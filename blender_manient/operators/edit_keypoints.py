@@ -41,7 +41,7 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
     tick = 0.008
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
     def begin(self, context):
@@ -175,7 +175,7 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         """Anything that can be refined at all; `execute` checks the hand it is given."""
         hand = active_hand(context)
         return why_not(context, hand) if hand is not None else None

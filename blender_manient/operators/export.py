@@ -18,7 +18,7 @@ from ..exporters.exporter import Exporter, HandObjects
 from ..scene.characters import CharacterObjects, active_character, why_not_written
 from ..scene.editable import why_not_readable
 from ..scene.keys import read_pose_keys
-from ..scene.store import CapturedHand, captured_hands, hand_of, hung_on
+from ..scene.store import CapturedHand, attached_objects, captured_hands, hand_of
 from ..session.properties import EXPORT_FORMATS
 from .base import NO_CHARACTER, HandOperator, ManientOperator, polled_character, polled_hand
 
@@ -196,10 +196,8 @@ class MANIENT_OT_export_hand(_ExportOperator, HandOperator, bpy.types.Operator):
         layout.prop(self, "active_only")
 
     def _left_out(self, chosen):
-        others = (
-            [o.name for hand in chosen for o in hung_on(hand)] if self._exporter.writes == "hands" else []
-        )
-        if not others:
+        others = [o.name for hand in chosen for o in attached_objects(hand)]
+        if not others or self._exporter.writes != "hands":
             return ""
         return f" without {', '.join(others)}: only hands are exported, not what hangs on them"
 
@@ -233,7 +231,7 @@ class MANIENT_OT_export_character(_ExportOperator, bpy.types.Operator):
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         armature = active_character(context)
         if armature is None:
             return NO_CHARACTER

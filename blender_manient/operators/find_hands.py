@@ -27,7 +27,7 @@ class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
     tick = 0.03
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if mode.current is not None:
             return "Hands are being chosen already"
         return why_no_capture(context, alone=True)
@@ -167,7 +167,7 @@ class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if mode.current is not None and mode.current.busy:
             return "The worker is still looking: wait a moment"
         chosen = mode.current is not None and mode.current.choice.chosen

@@ -250,8 +250,8 @@ class _ControlsOperator(HandOperator):
         return why
 
     @classmethod
-    def lacks(cls, context):
-        why = super().lacks(context)
+    def poll_reason(cls, context):
+        why = super().poll_reason(context)
         if why or bool(polled_hand(context).rig.controls) == cls.has_controls:
             return why
         return "This hand has no controls" if cls.has_controls else "This hand has its controls"

@@ -76,7 +76,7 @@ class MANIENT_OT_clear_cache(InternalOperator, bpy.types.Operator):
     bl_label = "Clear"
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         worker = shared_worker.current()
         busy = worker is not None and worker.busy
         return "A capture uses these files: wait for it or cancel it" if busy else None
@@ -130,7 +130,7 @@ class MANIENT_OT_copy_details(_TextOperator, bpy.types.Operator):
     bl_label = "Copy Details"
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return "There is no clipboard without a window" if bpy.app.background else None
 
     def show(self, context, text):

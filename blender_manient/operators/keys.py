@@ -16,7 +16,7 @@ class _KeysOperator(ManientOperator):
     """The base of operators on the keys of the active captured hand, or of the active character's hands."""
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         armature = armature_of(context)
         if armature is None:
             return "Select a captured hand, or a character whose hands are known"

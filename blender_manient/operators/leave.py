@@ -24,7 +24,7 @@ class MANIENT_OT_leave(InternalOperator, bpy.types.Operator):
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         begun = find_mode.current is not None or add_hand.running() or RangeFitOperator.fitting()
         return None if begun else "Nothing is under way"
 

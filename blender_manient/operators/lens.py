@@ -58,7 +58,7 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
     _browsing = False
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if context.scene is None or not context.scene.is_editable:
             return LINKED_SCENE
         return None

@@ -33,7 +33,7 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
     tick = 1 / 60
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if context.scene is None or not context.scene.is_editable:
             return LINKED_SCENE
         if live.running() is not None:
@@ -118,7 +118,7 @@ class MANIENT_OT_live_snapshot(ManientOperator, bpy.types.Operator):
     bl_label = "Snapshot"
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return None if live.running() is not None else "Press Start first"
 
     def run(self, context):

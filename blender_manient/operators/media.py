@@ -1,13 +1,10 @@
-"""What is captured or imported: takes, pictures and clips that are dropped, or in the file already."""
+"""What is captured or imported: takes, dropped pictures and clips, and the camera's background clip."""
 
 from __future__ import annotations
 
-import uuid
-from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
-import numpy as np
 from bpy_extras.io_utils import ImportHelper
 
 from handfit_core.common.errors import HandfitError, InputError
@@ -17,12 +14,9 @@ from handfit_core.take import Take
 from ..common import preferences, screen
 from ..common.section import sentence
 from ..scene.build import build_take
-from ..scene.captures import comes_in_front
+from ..scene.captures import becomes_active
 from ..scene.matching import Footage, clear_view, matches, scene_sentence
-from ..scene.plate import rows_of
-from ..scene.preview import write_png
 from ..session import jobs, source_info
-from ..session.cache import cache_folder
 from ..session.properties import MATCHING, POSE_CORRECTIVES
 from .base import ManientOperator, SceneOperator
 from .capture import new_job
@@ -77,7 +71,7 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
         take = Take.load(self.filepath)
         footage, frame = Footage.of_take(take), context.scene.frame_current
         matched = matches(context.scene, self.matching, footage)
-        in_front = comes_in_front(context.scene, self.matching, matched)
+        in_front = becomes_active(context.scene, self.matching, matched)
         built = build_take(
             take,
             pose_correctives=self.pose_correctives,
@@ -200,113 +194,27 @@ class MANIENT_FH_take(bpy.types.FileHandler):
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-@dataclass(frozen=True)
-class Offer:
-    """Something in the file that can be captured."""
+class MANIENT_OT_use_background_clip(ManientOperator, bpy.types.Operator):
+    """Capture the hands in the movie clip behind the scene's camera."""
 
-    kind: str
-    """IMAGE or CLIP"""
-    name: str
-    """of the data-block"""
-    where: str
-    """for people: where it is seen"""
-    icon: str
+    bl_label = "Camera's Background Clip"
 
-
-def offers(context: bpy.types.Context) -> list[Offer]:
-    """What is in the open file: images in image editors, the active camera's background, movie clips."""
-    found: list[Offer] = []
-    screen = context.screen
-    for area in screen.areas if screen else ():
-        space = area.spaces.active
-        if area.type == "IMAGE_EDITOR" and space.image is not None and _usable(space.image):
-            found.append(Offer("IMAGE", space.image.name, "Image Editor", "IMAGE"))
-    camera = context.scene.camera
-    if camera is not None and camera.type == "CAMERA":
-        for background in camera.data.background_images:
-            if background.source == "IMAGE" and background.image and _usable(background.image):
-                found.append(Offer("IMAGE", background.image.name, "Camera Background", "CAMERA_DATA"))
-            elif background.source == "MOVIE_CLIP" and background.clip:
-                found.append(Offer("CLIP", background.clip.name, "Camera Background", "CAMERA_DATA"))
-    found += [Offer("CLIP", clip.name, "Movie Clip", "TRACKER") for clip in bpy.data.movieclips]
-    return list({(offer.kind, offer.name): offer for offer in reversed(found)}.values())[::-1]
-
-
-def _usable(image: bpy.types.Image) -> bool:
-    return image.source in {"FILE", "SEQUENCE", "MOVIE", "GENERATED"}
-
-
-class MANIENT_OT_use_source(ManientOperator, bpy.types.Operator):
-    """Capture the hands in a picture or clip that this file already has."""
-
-    bl_label = "Use as Source"
-
-    kind: bpy.props.EnumProperty(  # type: ignore
-        items=(("IMAGE", "Image", ""), ("CLIP", "Movie Clip", "")), options={"SKIP_SAVE"}
-    )
-    name: bpy.props.StringProperty(name="Name", options={"SKIP_SAVE"})  # type: ignore
+    @classmethod
+    def poll_reason(cls, context):
+        return None if _background_clip(context.scene.camera) else "The scene's camera has no background clip"
 
     def run(self, context):
-        settings = context.scene.manient
-        if self.kind == "IMAGE":
-            path, sequence = _image_path(self.name)
-        else:
-            path, sequence = _clip_path(self.name)
-        settings.source = path
-        settings.as_sequence = sequence
+        clip, settings = _background_clip(context.scene.camera), context.scene.manient
+        assert clip is not None
+        path = Path(bpy.path.abspath(clip.filepath, library=clip.library))
+        if not path.is_file():
+            raise InputError(f"{path}: the clip's file is not there any more; find it again")
+        settings.source, settings.as_sequence = str(path), clip.source == "SEQUENCE"
 
 
-def _image_path(name: str) -> tuple[str, bool]:
-    image = bpy.data.images.get(name)
-    if image is None:
-        raise InputError(f"there is no image {name} in this file any more")
-    path = Path(bpy.path.abspath(image.filepath, library=image.library)) if image.filepath else None
-    if path is not None and path.is_file() and not image.is_dirty:
-        return str(path), image.source == "SEQUENCE"
-    if not image.has_data and not image.packed_file and image.source != "GENERATED":
-        raise InputError(f"the file of the image {name} is not there any more: find it again, or pack it")
-    # Painted, generated or packed: a copy that the worker can read.
-    # A name of its own each time: a capture that waits may still want the one before.
-    copy = cache_folder() / f"{bpy.path.clean_name(image.name)}-{uuid.uuid4().hex[:6]}.png"
-    _write_png(image, copy)
-    return str(copy), False
-
-
-def _write_png(image: bpy.types.Image, path: Path) -> None:
-    """Write what the image shows now, painted or not, and leave it as it is: before Blender 4.3 saving
-    changes an image's own path."""
-    rows = rows_of(image)[..., :3]
-    write_png(np.clip(rows, 0.0, 1.0) ** np.float32(1 / 2.2) if image.is_float else rows, path)  # else linear
-
-
-def _clip_path(name: str) -> tuple[str, bool]:
-    clip = bpy.data.movieclips.get(name)
-    if clip is None:
-        raise InputError(f"there is no movie clip {name} in this file any more")
-    path = Path(bpy.path.abspath(clip.filepath, library=clip.library))
-    if not path.is_file():
-        raise InputError(f"{path}: the clip's file is not there any more; find it again")
-    return str(path), clip.source == "SEQUENCE"
-
-
-class MANIENT_MT_sources(bpy.types.Menu):
-    bl_label = "From This File"
-    bl_description = "Use a picture or clip that this file already has"
-
-    def draw(self, context):
-        """One entry per picture or clip."""
-        layout = self.layout
-        found = offers(context)
-        for offer in found:
-            entry = layout.operator(
-                MANIENT_OT_use_source.bl_idname,
-                text=f"{offer.name}  ({offer.where})",
-                icon=offer.icon,
-                translate=False,
-            )
-            entry.kind, entry.name = offer.kind, offer.name
-        if not found:
-            layout.label(text="No Images or Movie Clips in This File", icon="INFO")
+def _background_clip(camera: bpy.types.Object | None) -> bpy.types.MovieClip | None:
+    backgrounds = camera.data.background_images if camera is not None and camera.type == "CAMERA" else ()
+    return next((each.clip for each in backgrounds if each.source == "MOVIE_CLIP" and each.clip), None)
 
 
 MENUS = {("TOPBAR_MT_file_import", "append"): _menu_entry}

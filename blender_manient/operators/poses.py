@@ -40,7 +40,7 @@ class _PoseOperator(ManientOperator):
     last: bpy.props.IntProperty(name="Last", description="Last scene frame", default=250)  # type: ignore
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return why_not_posable(context)
 
     def _put(
@@ -112,11 +112,11 @@ class MANIENT_OT_apply_pose_asset(_PoseOperator, bpy.types.Operator):
     bl_label = "Apply to Hand"
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         asset = getattr(context, "asset", None)
         if asset is None or not property_group(asset.metadata, PROPERTY):
             return "Choose a pose asset that Save Pose Asset made"
-        return super().lacks(context)
+        return super().poll_reason(context)
 
     def run(self, context):
         pose = kept_pose(context.asset.metadata)
@@ -140,7 +140,7 @@ class MANIENT_OT_save_pose_asset(ManientOperator, bpy.types.Operator):
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         return why_not_posable(context, reading=True)
 
     def invoke(self, context, event):

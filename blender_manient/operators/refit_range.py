@@ -21,7 +21,7 @@ from ..scene.store import active_hand, scene_frames
 from ..scene.timing import span_of
 from ..session import details, shared_worker
 from ..session.refiner import BonePoses, Refiner, smoothing_of, why_not
-from .base import StepsOperator, Waiting, Work, polled_hand, show_frame_again
+from .base import ModalState, StepsOperator, Waiting, polled_hand, show_frame_again
 
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
@@ -92,7 +92,7 @@ class RangeFitOperator(StepsOperator):
     """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
 
     @classmethod
-    def fitting(cls) -> tuple[str, Work] | None:
+    def fitting(cls) -> tuple[str, ModalState] | None:
         """The operator by which a range is being fitted, and its work; None where none is."""
         names = [each.bl_idname for each in RangeFitOperator.__subclasses__()]
         return next(((name, cls.running[name]) for name in names if name in cls.running), None)
@@ -104,7 +104,7 @@ class RangeFitOperator(StepsOperator):
             fit[1].stop()
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         if cls.fitting():
             return "A range is being fitted already"
         if "manient.edit_keypoints" in cls.running:

@@ -35,8 +35,8 @@ class MANIENT_OT_hide_captures(SceneOperator, bpy.types.Operator):
         return cls.bl_description if properties.hide else "Show all captures of this scene again"
 
     @classmethod
-    def lacks(cls, context):
-        return super().lacks(context) or (
+    def poll_reason(cls, context):
+        return super().poll_reason(context) or (
             None if len(captures.captures(context.scene)) > 1 else "There are no other captures in this scene"
         )
 
@@ -50,8 +50,8 @@ class MANIENT_OT_switch_view(SceneOperator, bpy.types.Operator):
     bl_label = "Switch View"
 
     @classmethod
-    def lacks(cls, context):
-        lacking = super().lacks(context)
+    def poll_reason(cls, context):
+        lacking = super().poll_reason(context)
         if lacking:
             return lacking
         capture = captures.active_capture(context.scene)
@@ -196,12 +196,12 @@ class MANIENT_OT_retime(SceneOperator, bpy.types.Operator):
         return cls.bl_description
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         """A scene that may be changed, and no mode that holds on to keys."""
         return (
             "Leave Edit Keypoints first"
             if "manient.edit_keypoints" in ModalOperator.running
-            else super().lacks(context)
+            else super().poll_reason(context)
         )
 
     def run(self, context):

@@ -39,10 +39,10 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
     )
 
     @classmethod
-    def lacks(cls, context):
+    def poll_reason(cls, context):
         hand = active_hand(context)
         why = why_not_smoothable(hand) if hand is not None else None
-        return capitalised(why) if why is not None else super().lacks(context)
+        return capitalised(why) if why is not None else super().poll_reason(context)
 
     def make_fit(self, context):
         return _SmoothFit(self, context)

@@ -12,8 +12,8 @@ from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
 from ..rigs.arm import has_arm
 from ..scene import captures, corrections
+from ..scene.background import missing_picture
 from ..scene.confidence import errors_by_view, errors_of, is_marked
-from ..scene.plate import missing_picture
 from ..scene.retime import other_rate
 from ..scene.store import CapturedHand, captured_hands, hand_of
 from ..scene.timing import frame_rate
@@ -171,9 +171,6 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             markable.enabled = marked or doubtful + filled > 0
             mark = markable.operator("manient.mark_doubtful", text="Markers", depress=marked)
             mark.hand = armature.name
-            graph = row.row(align=True)
-            graph.enabled = errors.known
-            graph.prop(armature.manient, "show_error", text="Error", toggle=True)
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
         if armature.manient.show_confidence and context.mode != "POSE":
             sentence(box, context, "Blender shows bone colors in Pose Mode", "INFO")

@@ -7,7 +7,6 @@ import bpy
 from handfit_core.media.source import Source
 
 from ..common.section import Section, fitted, sentence, split
-from ..operators.media import MANIENT_MT_sources
 from ..session import source_info
 
 _KINDS = {
@@ -33,7 +32,7 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         layout, settings = self.layout, context.scene.manient
         row = layout.row(align=True)
         row.prop(settings, "source", text="")
-        row.menu(MANIENT_MT_sources.__name__, text="", icon="DOWNARROW_HLT")
+        row.operator("manient.use_background_clip", text="", icon="CAMERA_DATA")
         info = source_info.of(settings)
         if info.files is None:
             missing = not settings.source

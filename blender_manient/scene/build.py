@@ -30,13 +30,13 @@ from ..common.wording import NAME_BYTES, hand_part, named_after, shortened_name
 from ..rigs.captured_hand import build_rig
 from . import captures
 from .arms import keying_arm
+from .background import Plate, loading_plate
 from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
 from .keys import CURVES, animating, computing_keys
 from .matching import Footage, note_matched
 from .mesh import adding_correctives, build_mesh
-from .plate import Plate, loading_plate
-from .render_setup import hung_card, put_in_force, set_up
+from .render_setup import add_picture_plane, put_in_force, set_up
 from .store import (
     describe_capture,
     describe_hand,
@@ -47,7 +47,7 @@ from .store import (
     timing_of,
 )
 from .timing import Timing, check_range, frame_rate, has_rate, in_scene, set_timing
-from .views import VIEW_DISPLAY_SIZE, building_view
+from .views import VIEW_DISPLAY_SIZE, BuiltView, building_view
 
 _T = TypeVar("_T")
 
@@ -128,7 +128,7 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
     finished = False
     watch = ChangeWatch()
     try:
-        steps = _steps(made, take, bpy.context.scene, how)
+        steps = _Build(made, take, bpy.context.scene, how).steps()
         done = 0.0
         while True:
             is_over = slice_clock()
@@ -150,180 +150,223 @@ def building(take: Take, how: BuildOptions = BuildOptions()) -> Generator[float,
             _remove(made)
 
 
-def _steps(
-    made: list[bpy.types.ID], take: Take, scene: bpy.types.Scene, how: BuildOptions
-) -> Generator[float | None, None, BuiltTake]:
-    """The work in small steps. Yields how much is done, or None where the slice should end: what follows
-    is one long step. Every data-block goes into `made`."""
-    # Read every model before anything is made: a missing file must not leave half a rig behind.
-    models: dict[Side, HandModel] = {}
-    wrists: dict[Side, Wrist] = {}
-    warnings: list[str] = []
-    for track in take.hands:
-        loaded = load_model(how.model or take.model, track.side)
-        if is_of_other_model(take, track, loaded):
-            warnings.append(
-                f"the {track.side} hand was captured with another version of the hand model {loaded.name}, "
-                "whose joints lie elsewhere: it may differ from the fit; capture it again to be exact"
-            )
-        yield None
-        models[track.side] = with_wrist(loaded, how.wrist)
-        # A model without an edge where a piece of forearm could begin comes back as it is.
-        wrists[track.side] = "open" if models[track.side] is loaded else how.wrist
-        yield None
-    shapes = [models[t.side].shaped(t.betas) for t in take.hands]
-    captured = take
-    timing = clip = Timing()
-    if not how.match_scene:
-        take, timing, clip = in_scene(scene, captured, how.frame)
-    check_range(take, timing)
-    units = 1.0 / scene.unit_settings.scale_length
-    work = _Work(take, models, how.pose_correctives)
+class _Build:
+    """A build in steps, each a method, and what they hand on to each other. Every data-block goes into
+    `made`."""
 
-    def keep(block: _T) -> _T:
-        made.append(block)  # type: ignore[arg-type]
+    def __init__(
+        self, made: list[bpy.types.ID], take: Take, scene: bpy.types.Scene, how: BuildOptions
+    ) -> None:
+        self.made, self.scene, self.how = made, scene, how
+        self.take = self.captured = take
+        self.units = 1.0 / scene.unit_settings.scale_length
+        self.unmatched = None if how.match_scene else scene
+        self.models: dict[Side, HandModel] = {}
+        self.wrists: dict[Side, Wrist] = {}
+        self.warnings: list[str] = []
+        self.plate: Plate | None = None
+        self.view: BuiltView | None = None
+        self.stage: list[bpy.types.Object] = []
+        self.hands: list[BuiltHand] = []
+
+    def steps(self) -> Generator[float | None, None, BuiltTake]:
+        """The work. Yields how much is done, or None where the slice should end: what follows is one long
+        step."""
+        # Read every model before anything is made: a missing file must not leave half a rig behind.
+        yield from self._read_models()
+        self._choose_times()
+        self._add_collection()
+        yield None
+        picture_warnings = yield from self._load_picture()
+        yield None
+        self._add_camera()
+        if self.captured.cameras is not None:
+            yield from self._add_second_view()
+        self._add_render_setup()
+        yield from self._add_hands()
+        yield from self._keep_takes()
+        yield None
+        # From here on the artist sees it.
+        self._describe()
+        self._show()
+        yield from self._link_hands()
+        yield None
+        if self.how.match_scene:
+            self.scene.frame_set(int(self.take.frame_numbers[0]))
+        return BuiltTake(self.collection, self.camera, tuple(self.hands), (*self.warnings, *picture_warnings))
+
+    def _keep(self, block: _T) -> _T:
+        self.made.append(block)  # type: ignore[arg-type]
         return block
 
-    program = f" ({take.program})" if take.program else ""
-    stem = shortened_name(take.source.name + program, NAME_BYTES - len(".001"))
-    collection = keep(bpy.data.collections.new(stem))
-    name = collection.name
-    yield None
-    plate, plate_warnings = None, []
-    if how.picture:
-        plate, plate_warnings = yield from work.counting(loading_plate(captured, clip, how.max_megapixels))
-    if plate is not None:
-        keep(plate.image)
-    yield None
-    camera = how.camera
-    if camera is None:
-        unmatched = None if how.match_scene else scene
-        camera = keep(
-            build_camera(named_after(name, "camera"), take, plate, scene=unmatched, units_per_metre=units)
+    def _read_models(self) -> Generator[None, None, None]:
+        take = self.captured
+        for track in take.hands:
+            loaded = load_model(self.how.model or take.model, track.side)
+            if is_of_other_model(take, track, loaded):
+                self.warnings.append(
+                    f"the {track.side} hand was captured with another version of the hand model "
+                    f"{loaded.name}, whose joints lie elsewhere: it may differ from the fit; capture it "
+                    "again to be exact"
+                )
+            yield None
+            self.models[track.side] = with_wrist(loaded, self.how.wrist)
+            # A model without an edge where a piece of forearm could begin comes back as it is.
+            self.wrists[track.side] = "open" if self.models[track.side] is loaded else self.how.wrist
+            yield None
+        self.shapes = [self.models[track.side].shaped(track.betas) for track in take.hands]
+
+    def _choose_times(self) -> None:
+        self.timing = self.clip = Timing()
+        if not self.how.match_scene:
+            self.take, self.timing, self.clip = in_scene(self.scene, self.captured, self.how.frame)
+        check_range(self.take, self.timing)
+        self.progress = _Progress(self.take, self.models, self.how.pose_correctives)
+
+    def _add_collection(self) -> None:
+        program = f" ({self.take.program})" if self.take.program else ""
+        stem = shortened_name(self.take.source.name + program, NAME_BYTES - len(".001"))
+        self.collection = self._keep(bpy.data.collections.new(stem))
+
+    def _load_picture(self) -> Generator[float, None, list[str]]:
+        if not self.how.picture:
+            return []
+        loading = loading_plate(self.captured, self.clip, self.how.max_megapixels)
+        self.plate, warnings = yield from self.progress.counting(loading)
+        if self.plate is not None:
+            self._keep(self.plate.image)
+        return warnings
+
+    def _add_camera(self) -> None:
+        if self.how.camera is not None:
+            self.camera = self.how.camera
+            return
+        name = named_after(self.collection.name, "camera")
+        self.camera = build_camera(
+            name, self.take, self.plate, scene=self.unmatched, units_per_metre=self.units
         )
-        keep(camera.data)
-        collection.objects.link(camera)
-    view = None
-    if captured.cameras is not None:
-        view = yield from work.counting(
+        self._link(self.camera)
+
+    def _link(self, obj: bpy.types.Object) -> None:
+        self.made += [obj, obj.data]
+        self.made.extend(getattr(obj.data, "materials", ()))
+        self.collection.objects.link(obj)
+
+    def _add_second_view(self) -> Generator[float, None, None]:
+        self.view = view = yield from self.progress.counting(
             building_view(
-                captured,
-                clip,
-                picture=how.picture,
-                scene=None if how.match_scene else scene,
-                units_per_metre=units,
-                before=how.camera,
-                max_megapixels=how.max_megapixels,
+                self.captured,
+                self.clip,
+                picture=self.how.picture,
+                scene=self.unmatched,
+                units_per_metre=self.units,
+                before=self.how.camera,
+                max_megapixels=self.how.max_megapixels,
             )
         )
-        keep(view.camera)
-        keep(view.camera.data)
-        for shown in (view.camera, camera) if how.camera is None else (view.camera,):
+        self._link(view.camera)
+        for shown in (view.camera, self.camera) if self.how.camera is None else (view.camera,):
             shown.data.display_size *= VIEW_DISPLAY_SIZE
         if view.plate is not None:
-            keep(view.plate.image)
-        collection.objects.link(view.camera)
-        warnings += view.warnings
-    stage = []
-    if how.render_setup and (how.match_scene or how.in_front) and how.camera is None:
-        stage = set_up(scene, name, camera, take, plate)
+            self._keep(view.plate.image)
+        self.warnings += view.warnings
+
+    def _add_render_setup(self) -> None:
+        how, view = self.how, self.view
+        if not how.render_setup or not (how.match_scene or how.in_front) or how.camera is not None:
+            return
+        self.stage = set_up(self.scene, self.collection.name, self.camera, self.take, self.plate)
         if view is not None and view.plate is not None:
             # First, so that where renders fall back to the last one's camera it is the first view's.
-            stage.insert(0, hung_card(view.take.source.name, view.camera, view.take, view.plate))
-            stage[0].hide_render = True
-        for thing in stage:
-            keep(thing)
-            keep(thing.data)
-            made.extend(getattr(thing.data, "materials", ()))
-            collection.objects.link(thing)
+            self.stage.insert(0, add_picture_plane(view.take.source.name, view.camera, view.take, view.plate))
+            self.stage[0].hide_render = True
+        for thing in self.stage:
+            self._link(thing)
 
-    hands = []
-    for track, shaped in zip(take.hands, shapes, strict=True):
-        named = named_after(name, hand_part(track.side, sum(h.side == track.side for h in hands)))
-        hand = yield from _hand(made, work, track, shaped, named, units, timing, how.camera)
-        hands.append(hand)
+    def _add_hands(self) -> Generator[float | None, None, None]:
+        for track, shaped in zip(self.take.hands, self.shapes, strict=True):
+            others = sum(hand.side == track.side for hand in self.hands)
+            name = named_after(self.collection.name, hand_part(track.side, others))
+            hand = yield from self.build_hand(track, shaped, name)
+            self.hands.append(hand)
 
-    if take is captured:
-        yield from work.counting(keeping_take(collection, take, how.data))
-    else:
-        yield from work.counting(keeping_take(collection, captured, how.data, captured=True))
-        yield None
-        yield from work.counting(keeping_take(collection, take))
-    yield None
+    def build_hand(
+        self, track: HandTrack, shaped: ShapedHand, name: str
+    ) -> Generator[float | None, None, BuiltHand]:
+        """One hand's rig, mesh and keys, linked nowhere."""
+        model = self.models[track.side]
+        rig = build_rig(name, shaped, track.side)
+        armature = rig.armature
+        self.made += [armature, armature.data]
+        armature.scale = (self.units,) * 3
+        if self.how.camera is not None:
+            put_before(armature, self.how.camera)
+        if track.arm is not None:
+            rig.add_arm(track.arm.lengths)
+        rest = rig.rest
+        yield self.progress.done(1)
+        mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
+        self.made += [mesh, mesh.data, *mesh.data.materials]
+        yield self.progress.done(1)
+        if self.progress.has_correctives(track):
+            offsets = axes.corrective_offsets(model, rest.frames)
+            yield None
+            for _ in adding_correctives(mesh, rig, offsets):
+                yield self.progress.done(0.3)
+        frames = self.timing.scene_frames(self.take.frame_numbers)
+        keys = yield from self.progress.counting(computing_keys(track, shaped, rest, frames))
+        action = None
+        for action in animating(rig, keys):
+            if action not in self.made:
+                self.made.append(action)
+            yield self.progress.done(1)
+        assert action is not None
+        if track.arm is not None:
+            yield from self.progress.counting(keying_arm(rig, track.arm, frames))
+        return BuiltHand(track.side, armature, mesh, action)
 
-    # From here on the artist sees it.
-    describe_capture(collection, camera, timing, _rate(scene, captured, how.match_scene))
-    if view is not None and has_properties():
-        collection.manient.view_camera = view.camera
-    for index, hand in enumerate(hands):
-        describe_hand(hand.armature, collection, take, index, wrists[hand.side])
-        _keep_pins(hand.armature, take, take.hands[index])
-    if how.camera is not None and plate is not None:
-        warnings += _show_behind_own(how.camera, plate, take, scene)
-    captures.add(scene, collection, in_front=how.in_front)
-    if how.match_scene:
-        if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
-            set_timing(scene, take)
-        scene.frame_current = int(take.frame_numbers[0])
-        if how.camera is None:
-            frame_scene(scene, take)
-            scene.camera = camera
-        note_matched(scene, Footage.of_take(take, own_camera=how.camera is not None))
-    if stage:
-        put_in_force(scene, stage)
-    for hand in hands:
-        yield None
-        collection.objects.link(hand.armature)
-        collection.objects.link(hand.mesh)
-        if bpy.context.scene == scene:
-            bpy.context.view_layer.update()  # copies the whole action, which takes longest of all
-    yield None
-    if how.match_scene:
-        scene.frame_set(int(take.frame_numbers[0]))
-    return BuiltTake(collection, camera, tuple(hands), (*warnings, *plate_warnings))
+    def _keep_takes(self) -> Generator[float | None, None, None]:
+        """The collection keeps the take as captured, and beside it the one that was retimed."""
+        retimed, data = self.take is not self.captured, self.how.data
+        keeping = keeping_take(self.collection, self.captured, data, captured=retimed)
+        yield from self.progress.counting(keeping)
+        if retimed:
+            yield None
+            yield from self.progress.counting(keeping_take(self.collection, self.take))
 
+    def _describe(self) -> None:
+        rate = _rate(self.scene, self.captured, self.how.match_scene)
+        describe_capture(self.collection, self.camera, self.timing, rate)
+        if self.view is not None and has_properties():
+            self.collection.manient.view_camera = self.view.camera
+        for index, hand in enumerate(self.hands):
+            describe_hand(hand.armature, self.collection, self.take, index, self.wrists[hand.side])
+            _keep_pins(hand.armature, self.take, self.take.hands[index])
 
-def _hand(
-    made: list[bpy.types.ID],
-    work: _Work,
-    track: HandTrack,
-    shaped: ShapedHand,
-    name: str,
-    units: float,
-    timing: Timing,
-    camera: bpy.types.Object | None,
-) -> Generator[float | None, None, BuiltHand]:
-    """One hand's rig, mesh and keys in steps, linked nowhere; `camera`: one that it hangs on."""
-    model = work.models[track.side]
-    rig = build_rig(name, shaped, track.side)
-    armature = rig.armature
-    made += [armature, armature.data]
-    armature.scale = (units, units, units)
-    if camera is not None:
-        put_before(armature, camera)
-    if track.arm is not None:
-        rig.add_arm(track.arm.lengths)
-    rest = rig.rest
-    yield work.done(1)
-    mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
-    made += [mesh, mesh.data, *mesh.data.materials]
-    yield work.done(1)
-    if work.has_correctives(track):
-        offsets = axes.corrective_offsets(model, rest.frames)
-        yield None
-        for _ in adding_correctives(mesh, rig, offsets):
-            yield work.done(0.3)
-    frames = timing.scene_frames(work.take.frame_numbers)
-    keys = yield from work.counting(computing_keys(track, shaped, rest, frames))
-    action = None
-    for action in animating(rig, keys):
-        if action not in made:
-            made.append(action)
-        yield work.done(1)
-    assert action is not None
-    if track.arm is not None:
-        yield from work.counting(keying_arm(rig, track.arm, frames))
-    return BuiltHand(track.side, armature, mesh, action)
+    def _show(self) -> None:
+        """The scene gets the collection, and where it is matched the take's times, size and camera."""
+        how, scene, take = self.how, self.scene, self.take
+        if how.camera is not None and self.plate is not None:
+            self.warnings += _show_behind_own(how.camera, self.plate, take, scene)
+        captures.add(scene, self.collection, in_front=how.in_front)
+        if how.match_scene:
+            if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
+                set_timing(scene, take)
+            scene.frame_current = int(take.frame_numbers[0])
+            if how.camera is None:
+                frame_scene(scene, take)
+                scene.camera = self.camera
+            note_matched(scene, Footage.of_take(take, own_camera=how.camera is not None))
+        if self.stage:
+            put_in_force(scene, self.stage)
+
+    def _link_hands(self) -> Generator[None, None, None]:
+        for hand in self.hands:
+            yield None
+            self.collection.objects.link(hand.armature)
+            self.collection.objects.link(hand.mesh)
+            if bpy.context.scene == self.scene:
+                bpy.context.view_layer.update()  # copies the whole action, which takes longest of all
 
 
 def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
@@ -339,15 +382,13 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
         camera = None
     others = sum(hand.side == track.side for hand in take.hands[:-1])
     name = named_after(collection.name, hand_part(track.side, others))
-    made: list[bpy.types.ID] = []
-    work = _Work(replace(take, hands=(track,)), {track.side: model}, True)
-    units = 1.0 / bpy.context.scene.unit_settings.scale_length
+    build = _Build([], replace(take, hands=(track,)), bpy.context.scene, BuildOptions(camera=camera))
+    build.models[track.side], build.timing = model, timing
+    build.progress = _Progress(build.take, build.models, True)
     try:
-        hand = run_to_completion(
-            _hand(made, work, track, model.shaped(track.betas), name, units, timing, camera)
-        )
+        hand = run_to_completion(build.build_hand(track, model.shaped(track.betas), name))
     except BaseException:
-        _remove(made)
+        _remove(build.made)
         raise
     keep_take(collection, take)
     describe_hand(hand.armature, collection, take, index, "open" if model is loaded else "forearm")
@@ -382,11 +423,10 @@ def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None
         keep_field(armature, CorrectionField(kept))
 
 
-class _Work:
+class _Progress:
     """How much of all steps is done, a curve being one."""
 
     def __init__(self, take: Take, models: dict[Side, HandModel], pose_correctives: bool) -> None:
-        self.take, self.models = take, models
         self._correctives = {
             side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
         }
@@ -427,7 +467,7 @@ class ChangeWatch:
 
     @property
     def changed(self) -> bool:
-        """Whether there was any."""
+        """True if there was an undo, a redo or a file load since."""
         return _changes != self._before
 
 

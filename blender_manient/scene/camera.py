@@ -10,7 +10,7 @@ from mathutils import Matrix
 from handfit_core.common.errors import OptionError
 from handfit_core.take import Take
 
-from .plate import Plate
+from .background import Plate
 
 _SENSOR_WIDTH = 36.0
 """mm. Only the ratio of lens and sensor matters; full frame gives lenses that photographers know"""

@@ -91,7 +91,7 @@ def in_view(scene: bpy.types.Scene) -> bool:
     return has_properties() and scene.camera is not None and is_of_a_capture(scene.camera)
 
 
-def comes_in_front(scene: bpy.types.Scene, choice: Choice, matched: bool) -> bool:
+def becomes_active(scene: bpy.types.Scene, choice: Choice, matched: bool) -> bool:
     """Whether a new capture becomes the active one, with its own camera: in a scene that is matched to it,
     and in one that looks through another capture's camera, unless the artist keeps that, or is at work on an
     object in another mode."""

@@ -157,7 +157,7 @@ class CharacterHand(LiveHand):
 
 
 class AsSource:
-    """What motions of one shape are to a character."""
+    """Feeds motions of one hand shape to the character transfer."""
 
     def __init__(self, model: str, of: HandMotion) -> None:
         """`of` has the shape. Raises HandModelError."""

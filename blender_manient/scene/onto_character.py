@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import bpy
@@ -63,12 +63,6 @@ from .timing import Timing, check_range, frame_rate
 
 Into = Literal["NEW", "STRIP", "ACTION"]
 Wrist = Literal["FINGERS", "TURNED", "PLACED"]
-
-_FROM_PROPERTIES = (
-    *("into", "wrist", "reference", "contacts", "travel", "smoothing"),
-    *("arms", "arms_influence", "arms_ease", "arms_turn", "arms_outside"),
-)
-"""What of `TransferOptions` the panel's properties say"""
 
 MAX_TOUCH_ERROR = 0.002
 """metres at the captured hand's size by which touching fingertips may miss each other unseen"""
@@ -161,11 +155,11 @@ class TransferOptions:
     """Whether hands on captured arms are kept outside of the character's trunk and head"""
 
     @classmethod
-    def of(cls, armature: bpy.types.Object, **fields: Any) -> TransferOptions:
+    def of(cls, armature: bpy.types.Object, **changes: Any) -> TransferOptions:
         """The options of the character's panel, with these fields in place of its own."""
-        character = armature.manient.character
-        said = {name: getattr(character, name) for name in _FROM_PROPERTIES}
-        return cls(**{**said, "offsets": offsets_of(armature), **fields})
+        shown = armature.manient.character  # which has properties of these names
+        said = {each.name: getattr(shown, each.name) for each in fields(cls) if hasattr(shown, each.name)}
+        return cls(**{**said, "offsets": offsets_of(armature), **changes})
 
 
 @dataclass(frozen=True, eq=False)

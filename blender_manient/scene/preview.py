@@ -18,10 +18,10 @@ from handfit_core.common.errors import OutputError
 from handfit_core.common.files import check_room, written_whole
 from handfit_core.take import Take
 
+from .background import Plate, load_plate, rows_of
 from .build import BuiltTake
 from .camera import build_camera, frame_scene
 from .own_scene import unseen_scene
-from .plate import Plate, load_plate, rows_of
 from .proof import is_whole_png, prove_whole
 from .render_setup import SUNS, picture_card, sun
 

@@ -19,9 +19,9 @@ from handfit_core.take import Take
 
 from ..common.blender_versions import use_nodes
 from ..common.wording import named_after
+from .background import Plate
 from .camera import put_before
 from .matching import is_untouched
-from .plate import Plate
 from .store import has_properties
 
 SUNS = ((-40.0, 42.0, 3.4), (55.0, 10.0, 1.0), (160.0, 40.0, 1.8))
@@ -50,11 +50,11 @@ def set_up(
         thing[OURS] = True
         put_before(thing, camera)
     if plate is not None:
-        made.append(hung_card(name, camera, take, plate))
+        made.append(add_picture_plane(name, camera, take, plate))
     return made
 
 
-def hung_card(name: str, camera: bpy.types.Object, take: Take, plate: Plate) -> bpy.types.Object:
+def add_picture_plane(name: str, camera: bpy.types.Object, take: Take, plate: Plate) -> bpy.types.Object:
     """A card with the picture, which only renders see, hung on the camera of a capture or view of that
     name; linked to no collection yet."""
     card = picture_card(named_after(name, "picture"), plate, take, _CARD_PLACE * camera.data.clip_end)

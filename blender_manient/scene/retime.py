@@ -30,6 +30,7 @@ from handfit_core.take import Take
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import PosedBones
 from .actions import present_curves
+from .background import movie_plate
 from .confidence import is_marked, mark_doubtful
 from .corrections import check_writable, corrections_of, keep_field
 from .editable import check_unlayered
@@ -45,7 +46,6 @@ from .keys import (
     write_pose_keys,
 )
 from .own_keys import keyed_by_hand, note_fitted
-from .plate import movie_plate
 from .simplify import forget_all_keys
 from .store import (
     CapturedHand,

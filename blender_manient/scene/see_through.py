@@ -14,7 +14,7 @@ from collections.abc import Callable
 import bpy
 
 from ..common.block_reference import BlockReference
-from .plate import drive_offset, offset_driver
+from .background import drive_offset, offset_driver
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
 

@@ -196,9 +196,9 @@ def is_in_hidden_capture(obj: bpy.types.Object) -> bool:
 def hand_of(obj: bpy.types.Object) -> CapturedHand | None:
     """The captured hand that an armature or its mesh belongs to.
 
-    None for all other objects, and for hands whose take is not there: ones that an older version built,
-    or that were copied to another file without their collection. `kept_take` says what is wrong. None also
-    for one whose shape or place is not finite, which only a damaged or hostile file holds.
+    None for all other objects, and for hands whose take is not there, as of ones that were copied to another
+    file without their collection. `kept_take` says what is wrong. None also for one whose shape or place is
+    not finite, which only a damaged or hostile file holds.
     """
     armature = _armature_of(obj)
     if armature is None:
@@ -252,7 +252,7 @@ def captures_of(
                 yield capture
 
 
-def hung_on(hand: CapturedHand) -> list[bpy.types.Object]:
+def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
     """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own."""
     armature = hand.armature
     others = [o for o in bpy.data.objects if o.parent == armature or _moved_by(o, armature)]
@@ -355,8 +355,6 @@ def _mesh_of(armature: bpy.types.Object, take: Take, side: Side) -> bpy.types.Ob
     if marked is not None and own and marked.users_collection:
         return marked
     found = [o for o in _deformed_by(armature) if o.users_collection]
-    if marked is None and len(found) == 1:  # built before meshes were marked
-        return found[0]
     if found:  # a copy of the hand's mesh, or only a glove over it
         with contextlib.suppress(HandModelError):
             model = kept_model(take.model, side)

@@ -14,8 +14,8 @@ from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
 from ..common.wording import named_after
+from .background import Plate, loading_plate, shown_number
 from .camera import build_camera, put_before
-from .plate import Plate, loading_plate, shown_number
 from .store import captured_take, clip_timing
 from .timing import Timing, check_range
 

@@ -29,7 +29,7 @@ from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted, without_name
 from ..scene.apply import apply_track, track_for
 from ..scene.build import BuildOptions, BuiltTake, building
-from ..scene.captures import comes_in_front
+from ..scene.captures import becomes_active
 from ..scene.controls import add_controls
 from ..scene.matching import Choice, Footage, clear_view, matches, scene_sentence
 from ..scene.store import hand_of
@@ -394,7 +394,7 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     footage = Footage.of_take(take, own_camera=plan.camera is not None)
     frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
     job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
-    job.in_front = scene is not None and comes_in_front(scene, plan.matching, job.matched)
+    job.in_front = scene is not None and becomes_active(scene, plan.matching, job.matched)
     how = BuildOptions(
         data=data,
         in_front=job.in_front,

@@ -77,7 +77,7 @@ class LiveTake:
     _last: float = 0.0
     """The scene frame on which the preview ends"""
     _actions: dict[BlockReference, BlockReference] = field(default_factory=dict)
-    """By the character"""
+    """The action written to, by character"""
 
     @property
     def take_path(self) -> Path:

@@ -676,13 +676,6 @@ class ManientHand(bpy.types.PropertyGroup):
         default=False,
         update=notifier("confidence"),
     )
-    show_error: BoolProperty(  # type: ignore
-        name="Error over Time",
-        description="Draw how far the hand is from the picture, frame by frame, along the bottom of the "
-        "Timeline, the Dope Sheet and the Graph Editor",
-        default=False,
-        update=notifier("error"),
-    )
     own_colors: StringProperty(  # type: ignore
         description="The bones' own colors while they show confidence, as JSON (scene/confidence.py)"
     )

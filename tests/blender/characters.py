@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from blender_manient.scene.characters import keep_map
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, PARENTS, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import axes
@@ -105,6 +106,15 @@ def hand_specs(
 def map_of(side: Side, names: Mapping[int, str] | None = None) -> HandMap:
     """The table of such a hand."""
     return HandMap(side, tuple((names or {}).get(j, joint_name(j, side)) for j in range(NUM_JOINTS)))
+
+
+def one_handed(side: Side = "right", seed: int = 3, name: str = "Character", **fields) -> bpy.types.Object:
+    """A character with one such hand and its table, whose fingertips need not touch; `fields` of
+    `hand_specs`."""
+    armature = build_armature(hand_specs(side, np.random.default_rng(seed), **fields), name)
+    keep_map(armature, map_of(side))
+    armature.manient.character.contacts = False
+    return armature
 
 
 def placed(obj: bpy.types.Object, rng: np.random.Generator, scale: float) -> None:

@@ -145,6 +145,18 @@ def write_png(path: Path, rows: np.ndarray) -> Path:
     return path
 
 
+def movie(path: Path, size: tuple[int, int] = (WIDTH, HEIGHT), rate: float = 30.0) -> Source:
+    """A clip of 40 frames; frame n is as grey as 6 n, and black in its left tenth."""
+    cv2 = pytest.importorskip("cv2")
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate, size)
+    for number in range(1, 41):
+        picture = np.full((*size[::-1], 3), number * 6, dtype=np.uint8)
+        picture[:, : size[0] // 10] = 0
+        writer.write(picture)
+    writer.release()
+    return Source("video", (str(path),))
+
+
 @pytest.fixture(scope="session")
 def imitation_mano(tmp_path_factory) -> Path:
     """A folder with an imitation of both MANO files: pose blend shapes, no UVs, triangles."""

@@ -180,16 +180,6 @@ def test_dropped_pictures(numbers, expected):
     assert [list(hand.take.frame_numbers) for hand in hands()] == expected
 
 
-@needs_capture
-def test_a_painted_picture_stays_in_the_file(settings, photo):
-    picture = bpy.data.images.load(str(photo))
-    picture.pack()
-    picture.filepath = ""
-    bpy.ops.manient.use_source(kind="IMAGE", name=picture.name)
-    capture()
-    assert hands()[0].camera.data.background_images[0].image.packed_file
-
-
 @pytest.mark.parametrize(
     ("values", "said"),
     [
@@ -231,26 +221,20 @@ def test_settings_become_the_options_of_the_worker(settings):
         assert {name: value for name, value in options.items() if name in others} == expected
 
 
-def test_pictures_of_the_open_file_as_sources(settings, tmp_path):
-    picture = bpy.data.images.load(str(SAMPLE / "hand.0001.jpg"))
-    assert bpy.ops.manient.use_source(kind="IMAGE", name=picture.name) == {"FINISHED"}
-    assert settings.source == str(SAMPLE / "hand.0001.jpg")
-    picture.pack()
-    picture.filepath = "/nowhere/gone.jpg"
-    assert bpy.ops.manient.use_source(kind="IMAGE", name=picture.name) == {"FINISHED"}
-    assert Path(settings.source).is_file()
-    clip = bpy.data.movieclips.load(str(SAMPLE / "hand.0002.jpg"))
-    assert bpy.ops.manient.use_source(kind="CLIP", name=clip.name) == {"FINISHED"}
-    assert settings.source == str(SAMPLE / "hand.0002.jpg")
-    painted = bpy.data.images.new("Painted", 32, 16)
-    painted.pixels.foreach_set(np.tile([1.0, 0.5, 0.0, 1.0], 32 * 16).astype(np.float32))
-    assert bpy.ops.manient.use_source(kind="IMAGE", name=painted.name) == {"FINISHED"}
-    written = bpy.data.images.load(settings.source)
-    assert tuple(written.size) == (32, 16)
-    assert list(written.pixels[:4]) == pytest.approx([1.0, 0.5, 0.0, 1.0], abs=0.01)
-    assert painted.filepath == ""
-    with pytest.raises(RuntimeError, match="no image"):
-        bpy.ops.manient.use_source(kind="IMAGE", name="nothing")
+def test_the_cameras_background_clip_as_source(settings, tmp_path):
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    assert not bpy.ops.manient.use_background_clip.poll()
+    bpy.context.scene.camera = camera
+    camera.data.background_images.new().image = bpy.data.images.new("Beside", 8, 8)
+    assert not bpy.ops.manient.use_background_clip.poll()
+    picture = Path(shutil.copy(SAMPLE / "hand.0002.jpg", tmp_path))
+    background = camera.data.background_images.new()
+    background.source, background.clip = "MOVIE_CLIP", bpy.data.movieclips.load(str(picture))
+    assert bpy.ops.manient.use_background_clip() == {"FINISHED"}
+    assert settings.source == str(picture)
+    picture.unlink()
+    with pytest.raises(RuntimeError, match="not there any more"):
+        bpy.ops.manient.use_background_clip()
 
 
 @needs_capture

@@ -10,15 +10,14 @@ import pytest
 import blender_manient
 from blender_manient.rigs import rig_of
 from blender_manient.scene import captures, store
-from blender_manient.scene.characters import keep_map
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.matching import Footage, clear_view, matches, scene_sentence, why_kept
 from blender_manient.session import source_info
 from handfit_core.media.source import Source
 
-from .characters import build_armature, hand_specs, map_of
-from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH
-from .test_live_link import alike, curl, settle
+from .characters import one_handed
+from .conftest import FRAMES, HEIGHT, WIDTH
+from .test_live_link import alike
 
 
 @pytest.fixture(autouse=True)
@@ -211,23 +210,14 @@ def test_odd_captures_raise_nothing(imported, how):
     assert scene.manient_capture == -1
 
 
-@pytest.mark.parametrize("how", ["applied", "linked"])
-def test_a_hidden_hand_moves_a_character(imported, how):
+def test_a_hidden_hand_moves_a_character(imported):
     a = imported("a")
     imported("b", sides=("left",))
     hand = store.hand_of(armature_of(a))
     assert not hand.armature.visible_get()
-    target = build_armature(hand_specs("right", np.random.default_rng(3), bend=0.4, stretch=0.2))
-    keep_map(target, map_of("right"))
-    target.manient.character.contacts = False
+    target = one_handed(bend=0.4, stretch=0.2)
     bpy.context.view_layer.objects.active = target
-    if how == "applied":
-        assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
-    else:
-        target.manient.character.live = True
-        settle()
-        curl(hand, 5)
-        settle()
+    assert bpy.ops.manient.apply_to_character() == {"FINISHED"}
     assert target.animation_data.action.frame_range[:] == (FRAMES[0], FRAMES[-1])
     chosen(a)  # directions() looks at what is evaluated
     assert all(alike(hand, target, frame) for frame in (3, 5, 14))
@@ -305,13 +295,8 @@ def test_what_tells_of_a_shot_keeps_the_scene(clip, tmp_path, sign):
     rate = scene.render.fps
     assert told.startswith(f"Hand comes at frame 41, {rate} fps: the scene stays, as ")
     assert told.endswith(". The clip of 30 fps is retimed to it")
-    armature = brought_in(clip, tmp_path)
+    brought_in(clip, tmp_path)
     assert state() == before
-    keyed = read_pose_keys(rig_of(armature)).frames
-    # Every whole frame on which the clip shows a picture with the hand has a key.
-    frames = np.arange(41, 41 + int((FRAMES[-1] - FRAMES[0]) * rate / 30) + 1)
-    pictures = np.floor(FRAMES[0] + (frames - 41) * 30 / rate + 0.5)
-    np.testing.assert_array_equal(keyed, frames[np.isin(pictures, np.delete(FRAMES, UNSEEN))])
 
 
 def test_the_start_up_scene_is_matched(clip, tmp_path):
@@ -383,9 +368,6 @@ def test_all_that_matching_changes_is_said(clip):
     for matching, known, expected in (
         ("AUTO", whole, "Scene becomes 25 fps, 1-60, 64×48, with the footage's camera"),
         ("AUTO", one, "Scene becomes 64×48, with the footage's camera"),
-        ("AUTO", None, "Scene becomes what the footage has: rate, range, size and camera"),
-        ("MATCH", Footage(25.0, 1, 60), "Scene becomes 25 fps, 1-60"),
-        ("MATCH", Footage(25.0, 4, 4), "Hand comes at frame 4"),
         ("MATCH", Footage.of_take(clip, own_camera=True), "Scene becomes 30 fps, 3-18"),
         ("KEEP", None, "Hand comes at frame 7, 24 fps: the scene stays as it is"),
     ):

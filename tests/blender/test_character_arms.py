@@ -20,6 +20,7 @@ from blender_manient.session import live_link
 from handfit_core.common.skeleton import SIDES
 from handfit_core.common.slices import run_to_completion
 from handfit_core.hand_model.arm import ArmMotion
+from handfit_core.interchange import humanoid
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, mixamo_names, placed
@@ -32,21 +33,6 @@ pytestmark = pytest.mark.usefixtures("registered")
 RIGS = {"mixamo": ("LeftArm", "LeftForeArm"), "vrm": ("leftUpperArm", "leftLowerArm")}
 FRAMES = (3, 5, 8, 17)
 """Of takes, whose first is 3 and whose last is 18"""
-
-
-def vrm_names(side):
-    """Names of bones as VRM has them, by what they are."""
-    parts = ("Proximal", "Intermediate", "Distal")
-    thumb = ("Metacarpal", "Proximal", "Distal")
-    names = {0: f"{side}Hand"}
-    for finger, joints in zip(
-        ("Index", "Middle", "Little", "Ring", "Thumb"),
-        ((1, 2, 3), (4, 5, 6), (7, 8, 9), (10, 11, 12), (13, 14, 15)),
-        strict=True,
-    ):
-        own = thumb if finger == "Thumb" else parts
-        names |= {joint: f"{side}{finger}{part}" for joint, part in zip(joints, own, strict=True)}
-    return names
 
 
 def character(kind, down=0.0, arms=True):
@@ -66,7 +52,7 @@ def character(kind, down=0.0, arms=True):
         for name, head, tail in zip(named if arms else (), joints[:-1], joints[1:], strict=False):
             specs.append(BoneSpec(name, parent, head, tail, rng.uniform(-3, 3)))
             parent = name
-        names = mixamo_names(side) if kind == "mixamo" else vrm_names(side)
+        names = mixamo_names(side) if kind == "mixamo" else dict(enumerate(humanoid.bone_names(side)))
         specs += hand_specs(side, rng, names=names, parent=parent, place=joints[2], scale=0.9)
     return build_armature(specs)
 
@@ -239,13 +225,11 @@ def test_half_of_an_arm_lies_between_and_stays_so_when_it_is_applied_again(hands
     put(target, hands)
     whole = shown_arms(target, FRAMES)
     target = character("vrm")
-    for _ in range(2):
-        put(target, hands, arms_influence=0.5)
-        half = shown_arms(target, FRAMES)
-        assert 0.02 < np.abs(half - rest).max() < 0.9 * np.abs(whole - rest).max()
-    first = half
     put(target, hands, arms_influence=0.5)
-    np.testing.assert_allclose(shown_arms(target, FRAMES), first, atol=1e-5)
+    half = shown_arms(target, FRAMES)
+    assert 0.02 < np.abs(half - rest).max() < 0.9 * np.abs(whole - rest).max()
+    put(target, hands, arms_influence=0.5)
+    np.testing.assert_allclose(shown_arms(target, FRAMES), half, atol=1e-5)
 
 
 def test_a_mirrored_hand_brings_its_arm(hands):
@@ -283,6 +267,13 @@ def skin(armature):
     return obj
 
 
+def from_the_trunk(armature):
+    """metres of the wrists, on every frame, from the skin's middle"""
+    wrists = shown_arms(armature, FRAMES)[:, :, 2]
+    aside = np.clip(wrists[..., 0], -0.05, 0.05)
+    return np.hypot(wrists[..., 0] - aside, wrists[..., 1] - 0.02)
+
+
 def test_hands_are_kept_outside_the_chest(make_take):
     take = with_arms(make_take().take, towards=(1.0, 0.1, 0.4))
     hands = [hand_of(one.armature) for one in build_take(take).hands]
@@ -291,9 +282,7 @@ def test_hands_are_kept_outside_the_chest(make_take):
         target = character("mixamo")
         skin(target)
         put(target, hands, arms_outside=outside)
-        wrists = shown_arms(target, FRAMES)[:, :, 2]
-        aside = np.clip(wrists[..., 0], -0.05, 0.05)
-        depths[outside] = np.hypot(wrists[..., 0] - aside, wrists[..., 1] - 0.02)
+        depths[outside] = from_the_trunk(target)
         lengths = np.linalg.norm(np.diff(shown_arms(target, FRAMES), axis=2), axis=-1)
         np.testing.assert_allclose(lengths, lengths[0, 0] + np.zeros_like(lengths), atol=1e-5)
     assert depths[False].min() < 0.07
@@ -342,6 +331,4 @@ def test_a_batch_puts_arms_on_characters_where_it_is_asked(make_take, tmp_path, 
     target = bpy.data.objects["Character"]
     assert ("mixamorig:LeftArm" in keyed_bones(target)) == arms
     if arms:
-        wrists = shown_arms(target, FRAMES)[:, :, 2]
-        aside = np.clip(wrists[..., 0], -0.05, 0.05)
-        assert np.hypot(wrists[..., 0] - aside, wrists[..., 1] - 0.02).min() > 0.09
+        assert from_the_trunk(target).min() > 0.09

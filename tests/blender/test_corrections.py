@@ -413,7 +413,7 @@ def test_renamed_bones_are_one_sentence(armature, made):
     with pytest.raises(HandModelError, match=f"lacks the bone {bone}.*give its bones their names back"):
         applied(armature, made)
     # Those that only read, as exports, say so too.
-    assert bone in (MANIENT_OT_export_hand.lacks(bpy.context) or "")
+    assert bone in (MANIENT_OT_export_hand.poll_reason(bpy.context) or "")
 
 
 def test_linked_duplicates_do_not_move_each_other(armature):

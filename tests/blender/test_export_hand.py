@@ -121,6 +121,13 @@ def glb_content(path: Path) -> dict:
     return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
 
 
+def glb_times(path: Path) -> list[tuple[float, float]]:
+    """The seconds of the first and the last key of each channel."""
+    content = glb_content(path)
+    inputs = {s["input"] for animation in content["animations"] for s in animation["samplers"]}
+    return [tuple(content["accessors"][i][end][0] for end in ("min", "max")) for i in inputs]
+
+
 def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
     made, built = build(make_take(sides=("right",)))
     armature = built.hands[0].armature
@@ -134,10 +141,7 @@ def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
     bpy.context.scene.frame_end = 5
     for name, last in (("KEYS", 30), ("SCENE", 5)):
         path = write(tmp_path / f"{name}.glb", file_format="glb", frame_range=name)
-        content = glb_content(path)
-        inputs = {s["input"] for animation in content["animations"] for s in animation["samplers"]}
-        ends = {content["accessors"][i]["max"][0] for i in inputs}
-        assert max(ends) == pytest.approx(last / 30.0, abs=1e-4)
+        assert max(end for _, end in glb_times(path)) == pytest.approx(last / 30.0, abs=1e-4)
     path = write(tmp_path / "a.fbx", file_format="fbx", frame_range="KEYS", preset="UNREAL")
     read_back(path)
     bpy.context.scene.frame_set(30)
@@ -416,9 +420,7 @@ def test_gltf_keeps_the_time(make_take, tmp_path, fps):
     """Read from the file itself: Blender's importer would undo a mistake of its exporter."""
     made = make_take(sides=("right",), fps=fps)
     (path,) = export_take(build_take(made.take), made.take, tmp_path, "timed", "glb")
-    content = glb_content(path)
-    inputs = {s["input"] for animation in content["animations"] for s in animation["samplers"]}
-    spans = [content["accessors"][i]["max"][0] - content["accessors"][i]["min"][0] for i in inputs]
+    spans = [last - first for first, last in glb_times(path)]
     frames = int(made.take.frame_numbers[-1] - made.take.frame_numbers[0])
     assert max(spans) == pytest.approx(frames / fps, rel=1e-4)
 

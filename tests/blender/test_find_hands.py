@@ -159,7 +159,7 @@ def test_the_panel_offers_it_unless_another_program_has_found_them(settings, tmp
     """Its keypoints belong to one source, and go with it."""
     settings.source = str(SAMPLE / "hand.0001.jpg")
     assert "manient.find_hands" in drawn(MANIENT_PT_capture).said
-    assert MANIENT_OT_find_hands.lacks(bpy.context) in (None, "")
+    assert MANIENT_OT_find_hands.poll_reason(bpy.context) in (None, "")
     settings.keypoints = str(tmp_path / "openpose")
     said = drawn(MANIENT_PT_capture).said
     assert not {"manient.find_hands", "manient.add_hand"} & set(said.split())
@@ -168,7 +168,7 @@ def test_the_panel_offers_it_unless_another_program_has_found_them(settings, tmp
     settings.source = str(SAMPLE / "hand.0002.jpg")
     assert not settings.keypoints
     jobs.submit(new_job(bpy.context, only_frame=False))
-    assert "capture is running" in MANIENT_OT_find_hands.lacks(bpy.context)
+    assert "capture is running" in MANIENT_OT_find_hands.poll_reason(bpy.context)
     jobs.cancel_all()
 
 

@@ -16,14 +16,11 @@ from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture_advanced
-from blender_manient.panels.refine import MANIENT_PT_refine
-from blender_manient.scene.build import build_take
 from blender_manient.session import cache, shared_worker
 from handfit_core.capturing.options import OPTIONS, CaptureOptions
 from handfit_core.common.errors import OutputError
 from tests.conftest import ROOT
 from tests.drawn import drawn
-from tests.takes import correctable
 
 from .conftest import READY, write_png
 
@@ -64,13 +61,6 @@ def test_the_defaults_are_those_of_the_entry_and_end_with_the_addon(entry):
     blender_manient.register()
 
 
-def test_how_opaque_the_hand_is_can_be_set_where_keypoints_are_edited(entry, make_take):
-    armature = build_take(correctable(make_take(sides=("right",)).take)).hands[0].armature
-    bpy.context.view_layer.objects.active = armature
-    assert "hand_opacity" in drawn(MANIENT_PT_refine).said
-    assert 0.0 < entry.preferences.hand_opacity < 1.0, "the hand starts see-through"
-
-
 # MANO
 
 
@@ -80,6 +70,8 @@ def checked(path) -> list[tuple[bool, str]]:
 
 
 def test_mano_files_are_checked_side_by_side(registered, imitation_mano, tmp_path):
+    with pytest.raises(RuntimeError, match="No MANO files are chosen"):
+        bpy.ops.manient.check_mano()
     good = checked(imitation_mano)
     assert [ok for ok, _ in good] == [True, True]
     assert "778 vertices" in good[0][1]
@@ -96,18 +88,10 @@ def test_mano_files_are_checked_side_by_side(registered, imitation_mano, tmp_pat
     for said in ("MANO_LEFT.pkl", "has no MANO_RIGHT"):
         assert any(said in sentence for _, sentence in results)
     assert not any("Traceback" in sentence for _, sentence in results)
-
-
-def test_the_paths_that_are_checked_by_themselves(registered, imitation_mano, tmp_path):
-    with pytest.raises(RuntimeError, match="No MANO files are chosen"):
-        bpy.ops.manient.check_mano()
-    preferences.get().mano_folder = str(tmp_path)
-    bpy.ops.manient.check_mano()
-    assert housekeeping.results(str(tmp_path))
     bpy.context.scene.manient.model_path = str(imitation_mano)
     bpy.ops.manient.check_mano()
     assert housekeeping.results(str(imitation_mano))
-    assert not housekeeping.results(str(tmp_path))  # of another path nothing is said
+    assert not housekeeping.results(str(tmp_path)), "of another path nothing is said"
 
 
 # The cache

@@ -28,7 +28,7 @@ from blender_manient.scene.keys import PoseKeys, displayed_pose, read_pose_keys,
 from blender_manient.scene.own_keys import keyed_by_hand
 from blender_manient.scene.store import hand_of
 from blender_manient.session import shared_worker
-from blender_manient.session.refiner import BonePoses, Refiner, why_not_smoothable
+from blender_manient.session.refiner import Refiner, why_not_smoothable
 from handfit_core.common.skeleton import FINGER_JOINTS
 from handfit_core.edit.corrections import changed_quats, correction_between
 from handfit_core.take import Take
@@ -398,59 +398,28 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
     drag(armature)
 
 
-def mode_without_a_window(armature) -> KeypointMode:
-    """The mode's state as it is once it has begun, but for what it draws."""
-    mode = KeypointMode.__new__(KeypointMode)
-    mode.refiner, mode.address = Refiner(armature), 0
-    mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
-    mode._warming, mode._solved_in = 0, 0.0
-    mode.view = SimpleNamespace(shows=lambda _: False)
-    mode._frame, mode._places = bpy.context.scene.frame_current_final, mode.picture_places()
-    return mode
-
-
-def until_answered(mode: KeypointMode) -> None:
-    deadline = time.monotonic() + 120.0
-    while (mode.drag.waiting or mode.drag.needs_request) and time.monotonic() < deadline:
-        mode.tick(bpy.context)
-        time.sleep(0.005)
-    assert mode.drag.answer is not None
-
-
 def test_another_frame_while_dragging_shows_its_own_pose(armature):
-    mode, scene = mode_without_a_window(armature), bpy.context.scene
+    mode, scene = KeypointMode.__new__(KeypointMode), bpy.context.scene  # but for what it draws
+    mode.refiner, mode.address, mode._warming, mode._solved_in = Refiner(armature), 0, 0, 0.0
+    mode.drag, mode.message, mode.done, mode.undone = None, "", 0, 0
+    mode.view = SimpleNamespace(shows=lambda _: False)
+    mode._frame, mode._places = scene.frame_current_final, mode.picture_places()
     scene.frame_set(FRAME + 4)
     expected = displayed_pose(rig_of(armature))
     scene.frame_set(FRAME)
     before = all_keys(armature)
     mode.drag = mode._new_drag(TIP, mode.row())
     mode.drag.place, mode.drag.moved = landmarks(armature)[TIP] + FARTHER, True
-    until_answered(mode)
+    deadline = time.monotonic() + 120.0
+    while (mode.drag.waiting or mode.drag.needs_request) and time.monotonic() < deadline:
+        mode.tick(bpy.context)
+        time.sleep(0.005)
+    assert mode.drag.answer is not None
     scene.frame_set(FRAME + 4)
     mode.tick(bpy.context)
     assert mode.drag is None
     np.testing.assert_allclose(displayed_pose(rig_of(armature)), expected, atol=1e-6)
     np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
-
-
-def test_pins_are_those_of_the_pose_that_is_kept(armature):
-    """Where the last place of a drag could not be fitted, the pin stays where it could."""
-    mode = mode_without_a_window(armature)
-    mode.drag = drag = mode._new_drag(TIP, mode.row())
-    fitted = landmarks(armature)[TIP] + 0.5 * FARTHER
-    drag.place, drag.moved = fitted, True
-    until_answered(mode)
-    drag.place = fitted + [300.0, 300.0]
-    mode.release()
-    mode.tick(bpy.context)
-    shared_worker.worker().wait(drag.asked.number, timeout=120)
-    drag.waiting = False
-    nothing = np.full((1, 16, 4), np.nan), np.full((1, 3), np.nan), np.full((1, 21, 2), np.nan)
-    mode._show(bpy.context, drag, drag.asked, BonePoses(*nothing))
-    mode.tick(bpy.context)
-    assert mode.drag is None
-    np.testing.assert_allclose(mode.refiner.pins(mode.row())[TIP], fitted, atol=1e-3)
-    assert np.linalg.norm(landmarks(armature)[TIP] - fitted) < 1.0
 
 
 def test_what_cannot_be_refined_says_why(armature, make_take):

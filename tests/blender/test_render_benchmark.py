@@ -15,7 +15,6 @@ from handfit_core.evaluate.datasets import plain  # noqa: E402
 from handfit_core.hand_model import axes, load_model  # noqa: E402
 from scripts.benchmark import drawing  # noqa: E402
 from scripts.benchmark.clips import clip_shot  # noqa: E402
-from scripts.benchmark.pairs import pair_shots  # noqa: E402
 from scripts.benchmark.scene import build_scene  # noqa: E402
 from scripts.benchmark.shots import Shot  # noqa: E402
 from scripts.benchmark.stills import still_shot  # noqa: E402
@@ -44,37 +43,6 @@ def jpegs(folder: Path) -> dict[str, bytes]:
 def two_handed() -> Shot:
     """The first still with both hands."""
     return next(s for s in (still_shot(0, i, SIZE) for i in range(100)) if len(s.hands) == 2)
-
-
-def test_the_camera_projects_as_the_labels_do() -> None:
-    """The hands' silhouette, rendered over nothing, spans what the labels' mesh projects to."""
-    shot = two_handed()
-    built = build_scene(shot, 1)
-    scene = bpy.context.scene
-    for thing in list(scene.collection.all_objects):
-        if thing.type == "MESH" and thing not in [rig.mesh for rig in built.hands]:
-            bpy.data.objects.remove(thing)
-    scene.render.film_transparent = True
-    scene.render.image_settings.color_mode = "RGBA"
-    scene.cycles.samples = 16
-    scene.cycles.use_denoising = False
-    built.camera.data.dof.use_dof = False
-    path = Path(bpy.app.tempdir) / "silhouette.png"
-    scene.render.filepath = str(path)
-    bpy.ops.render.render(write_still=True)
-    image = bpy.data.images.load(str(path))
-    alpha = np.array(image.pixels[:]).reshape(SIZE, SIZE, 4)[::-1, :, 3]
-    rows, columns = np.nonzero(alpha > 0.4)
-    posed = [
-        load_model(None, h.side).posed(h.betas, h.global_orient[0], h.hand_pose[0], h.transl[0])
-        for h in shot.hands
-    ]
-    pixels = shot.camera.project(np.concatenate([hand.vertices for hand in posed]))
-    low, high = np.maximum(pixels.min(axis=0), 0), np.minimum(pixels.max(axis=0), SIZE)
-    assert np.ptp(rows) > SIZE // 5
-    # The last row and column end one pixel further.
-    np.testing.assert_allclose([columns.min(), rows.min()], low, atol=1.5)
-    np.testing.assert_allclose([columns.max() + 1, rows.max() + 1], high, atol=1.5)
 
 
 def test_index_lists_every_picture_with_its_labels(rendered: Path) -> None:
@@ -119,16 +87,6 @@ def test_blender_holds_the_hands_where_the_labels_say(shot: Shot) -> None:
             np.testing.assert_allclose(heads, posed.joints, atol=1e-5)
             labels = hand.keypoints()[row]
             np.testing.assert_allclose(labels, posed.keypoints, atol=1e-5)
-
-
-def test_two_cameras_read_their_sensors_line_by_line() -> None:
-    """Each line is exposed as long as a clip's picture."""
-    shot, _, _ = pair_shots(0, 0, 2, SIZE)
-    build_scene(shot, 1)
-    scene = bpy.context.scene
-    assert scene.cycles.rolling_shutter_type == "TOP"
-    exposed = scene.render.motion_blur_shutter * scene.cycles.rolling_shutter_duration
-    assert exposed == pytest.approx(0.5)
 
 
 def test_an_interrupted_run_goes_on_and_same_seed_is_same_bytes(

@@ -13,10 +13,10 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.arm import ArmBones
 from blender_manient.scene import store
 from blender_manient.scene.apply import apply_track
+from blender_manient.scene.background import load_plate
 from blender_manient.scene.build import build_take
 from blender_manient.scene.corrections import corrected_frames
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, write_pose_keys
-from blender_manient.scene.plate import load_plate
 from blender_manient.scene.preview import render_plate
 from blender_manient.scene.retime import other_rate
 from blender_manient.scene.timing import in_scene
@@ -24,34 +24,21 @@ from blender_manient.session import source_info
 from blender_manient.session.refiner import Refiner
 from handfit_core.capturing.retiming import shown_numbers
 from handfit_core.common.errors import OptionError
-from handfit_core.media.source import Source
 from tests.takes import with_arms
 
-from .conftest import HEIGHT, WIDTH
+from .conftest import movie
 
 pytestmark = pytest.mark.usefixtures("registered")
 
 CLIP_FPS, FRAMES = 30.0, np.arange(3, 33)
-"""The take has these frames of a clip of 36"""
+"""The take has these frames of a clip of 40"""
 FIRST = 101
 """The scene frame at which it begins"""
 
 
 @pytest.fixture
-def movie(tmp_path):
-    """A clip of which frame n is as grey as 6 n."""
-    cv2 = pytest.importorskip("cv2")
-    path = tmp_path / "clip.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), CLIP_FPS, (WIDTH, HEIGHT))
-    for number in range(1, 37):
-        writer.write(np.full((HEIGHT, WIDTH, 3), number * 6, dtype=np.uint8))
-    writer.release()
-    return path
-
-
-@pytest.fixture
-def take(make_take, movie):
-    source = Source("video", (str(movie),))
+def take(make_take, tmp_path):
+    source = movie(tmp_path / "clip.avi")
     made = make_take(sides=("right",), source=source, fps=CLIP_FPS, frame_numbers=FRAMES).take
     (track,) = made.hands
     depth = track.keypoints_2d[..., 0] * 0.0
@@ -154,9 +141,9 @@ def retimed(take):
     return store.hand_of(armature)
 
 
-def test_what_works_on_the_frame_under_the_playhead(retimed, take, movie):
+def test_what_works_on_the_frame_under_the_playhead(retimed, take):
     """Rows, Capture Frame and Find Hands mean the picture that is shown."""
-    files = source_info.SourceFiles("video", (str(movie),))
+    files = source_info.SourceFiles("video", take.source.files)
     refiner, (captured,) = Refiner(retimed.armature), take.hands
     for frame in range(FIRST, FIRST + 20):
         bpy.context.scene.frame_set(frame)
@@ -297,11 +284,11 @@ def test_the_rate_is_put_back(take):
 
 
 @pytest.mark.parametrize(("rate", "said"), [(25, "clip.avi is not there"), (240, "240 frames per")])
-def test_what_cannot_be_retimed_stays(retimed, movie, rate, said):
+def test_what_cannot_be_retimed_stays(retimed, tmp_path, rate, said):
     kept = retimed.collection.manient
     before = read_pose_keys(retimed.rig), kept.digest, kept.scene_rate
     if rate == 25:
-        movie.unlink()
+        (tmp_path / "clip.avi").unlink()
     with pytest.raises(RuntimeError, match=said):
         retime(retimed.armature, rate)
     after = read_pose_keys(retimed.rig), kept.digest, kept.scene_rate

@@ -11,7 +11,7 @@ import bpy
 import pytest
 
 from blender_manient.operators import add_hand
-from blender_manient.operators.base import Work
+from blender_manient.operators.base import ModalState
 from blender_manient.operators.capture import new_job
 from blender_manient.operators.modes import find_hands as find_mode
 from blender_manient.operators.modes.find_hands import row_of
@@ -159,7 +159,7 @@ def hand(make_take, registered):
 def test_a_fit_is_stopped_where_it_was_begun(hand, clock, monkeypatch, operator):
     before, running = drawn(MANIENT_PT_refine).rows, MANIENT_OT_refit_range.running
     here = before.index(operator)
-    monkeypatch.setitem(running, operator, Work())
+    monkeypatch.setitem(running, operator, ModalState())
     page = drawn(MANIENT_PT_refine)
     assert page.rows == [*before[:here], "Stop", *before[here + 1 :]]
     assert "Stop" in page.grey

@@ -196,13 +196,9 @@ def test_names_that_are_no_utf8(make_take):
     assert built.hands[0].armature["source"] == "/nowhere/H?nde.jpg"
 
 
-@pytest.mark.parametrize("marked", [True, False])
-def test_other_meshes_on_the_hand_are_not_its_mesh(built, armature, marked):
-    """Also of hands that were built before meshes were marked."""
+def test_other_meshes_on_the_hand_are_not_its_mesh(built, armature):
     mesh = built.hands[0].mesh
     assert armature.manient.mesh == mesh
-    if not marked:
-        armature.manient.mesh = None
     ring, glove = (bpy.data.objects.new(name, bpy.data.meshes.new(name)) for name in ("A ring", "A glove"))
     for child in (ring, glove):
         bpy.context.scene.collection.objects.link(child)
@@ -211,19 +207,16 @@ def test_other_meshes_on_the_hand_are_not_its_mesh(built, armature, marked):
     glove.modifiers.new("Armature", "ARMATURE").object = armature
     hand = store.hand_of(armature)
     assert hand.mesh == mesh
-    assert store.hung_on(hand) == [glove, ring]
+    assert store.attached_objects(hand) == [glove, ring]
     # What was deleted in the viewport lives on as long as the armature names it.
     chosen(mesh)
     bpy.ops.object.delete()
-    if marked:
-        assert armature.manient.mesh is not None
-        assert store.hand_of(armature).mesh is None
+    assert armature.manient.mesh is not None
+    assert store.hand_of(armature).mesh is None
 
 
 def test_a_changed_mesh_is_still_the_hands(built, armature):
     built.hands[0].mesh.data.clear_geometry()
-    assert store.hand_of(armature).mesh == built.hands[0].mesh
-    armature.manient.mesh = None
     assert store.hand_of(armature).mesh == built.hands[0].mesh
 
 

@@ -14,13 +14,11 @@ from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import CURVES, read_pose_keys
-from handfit_core.common.skeleton import FINGER_JOINTS, JOINT_NAMES, NUM_JOINTS, PARENTS, other_side
+from handfit_core.common.skeleton import FINGER_JOINTS, JOINT_NAMES, NUM_JOINTS
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import load_model
-from handfit_core.hand_model.axes import points_to_rest
-from handfit_core.media.source import Source
 
-from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, built_model, evaluated_vertices, joint_heads, world
+from .conftest import FRAMES, HEIGHT, UNSEEN, WIDTH, evaluated_vertices, joint_heads, world
 from .looking import curves_of, keyed_bones
 
 
@@ -137,23 +135,6 @@ def picture_error(made, built, frames) -> float:
     return worst
 
 
-def test_a_video_is_retimed_to_the_scenes_rate(make_take, picture):
-    scene = bpy.context.scene
-    scene.render.fps = 24
-    scene.frame_set(101)
-    made = make_take(source=Source("video", (str(picture),)), fps=30.0)
-    built = build_take(made.take, match_scene=False, picture=False)
-    frames = np.arange(101, 101 + int((FRAMES[-1] - FRAMES[0]) * 24 / 30) + 1)
-    pictures = np.floor(FRAMES[0] + (frames - 101) * 30 / 24 + 0.5)
-    keyed = frames[np.isin(pictures, np.delete(FRAMES, UNSEEN))]
-    assert key_frames(built.hands[0].armature) == [keyed.tolist()] * CURVES
-    # Every fifth picture falls on a whole frame.
-    on = np.flatnonzero((FRAMES - FRAMES[0]) % 5 == 0)
-    every = np.full(len(FRAMES), np.nan)
-    every[on] = 101 + (FRAMES[on] - FRAMES[0]) * 24 / 30
-    assert picture_error(made, built, every) < 0.05
-
-
 @pytest.mark.parametrize("metres_per_unit", [0.01, 1.0, 0.0254, 1000.0])
 def test_hands_are_life_size_in_any_unit(make_take, model, metres_per_unit):
     bpy.context.scene.unit_settings.scale_length = metres_per_unit
@@ -240,40 +221,12 @@ def test_evaluated_mesh_is_the_posed_model(make_take, model):
     assert built.hands[0].mesh.data.shape_keys is None
 
 
-def test_correctives_are_few_and_simple(make_take, model):
-    """The open hand has two for a hinge, five for a knuckle, nine for the thumb's saddle."""
+def test_correctives_need_no_scripts(make_take, model):
     for hand in build_take(make_take(model=model).take).hands:
         keys = hand.mesh.data.shape_keys
         drivers = keys.animation_data.drivers
         assert 0 < len(drivers) == len(keys.key_blocks) - 1 <= 135
         assert all(curve.driver.is_simple_expression and curve.driver.is_valid for curve in drivers)
-        if model == "open-hand":
-            names = [key.name for key in keys.key_blocks[1:]]
-            hinges = [n for n in names if "middle." in n or "distal." in n or "thumb_proximal." in n]
-            assert {name.split()[1] for name in hinges} == {"wx", "xx"}
-            assert len(names) == 10 * 2 + 4 * 5 + 9
-
-
-def test_bones_have_manos_parents_heads_and_tails(make_take):
-    made = make_take()
-    built = build_take(made.take)
-    assert [hand.side for hand in built.hands] == ["left", "right"]
-    for hand, track in zip(built.hands, made.take.hands, strict=True):
-        bones, names = hand.armature.data.bones, bone_names(hand.side)
-        assert names == [f"{name}.{hand.side[0].upper()}" for name in JOINT_NAMES]
-        assert [bpy.utils.flip_name(name) for name in names] == bone_names(other_side(hand.side))
-        shaped = load_model(made.take.model, hand.side).shaped(track.betas)
-        rest, tips = points_to_rest(shaped.joints), points_to_rest(shaped.tips)
-        parents = [bones[name].parent for name in names]
-        assert [bone and bone.name for bone in parents] == [None, *(names[p] for p in PARENTS[1:])]
-        np.testing.assert_allclose([bones[name].head_local for name in names], rest, atol=1e-6)
-        tails = np.array([rest[FINGER_JOINTS["middle"][0]]] * NUM_JOINTS)
-        for tip, (a, b, c) in zip(tips, FINGER_JOINTS.values(), strict=True):
-            tails[[a, b, c]] = rest[b], rest[c], tip
-        np.testing.assert_allclose([bones[name].tail_local for name in names], tails, atol=1e-6)
-        assert hand.mesh.parent == hand.mesh.modifiers[0].object == hand.armature
-        assert [group.name for group in hand.mesh.vertex_groups] == names
-        assert np.allclose(hand.armature.matrix_world, np.eye(4))
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -302,16 +255,9 @@ def test_positive_turn_about_x_bends_to_the_palm(make_take, side):
 
 def test_mesh_has_uvs_smooth_faces_and_skin(make_take, model):
     mesh = build_take(make_take(model=model, sides=("right",)).take).hands[0].mesh.data
-    assert len(mesh.polygons) == len(built_model(model, "right").polygons)
     assert all(p.use_smooth for p in mesh.polygons)
     uv = np.empty((len(mesh.loops), 2), dtype=np.float32)
     mesh.uv_layers[0].data.foreach_get("uv", uv.ravel())
     assert 0.0 <= uv.min() <= uv.max() <= 1.0
     assert np.ptp(uv, axis=0).min() > 0.1
-    slots = [polygon.material_index for polygon in mesh.polygons]
-    names = [material.name.partition(".")[0] for material in mesh.materials]
-    nails = 46 if model == "open-hand" else 0
-    assert names == ["Hand Skin", "Hand Nails"][: 1 + bool(nails)]
-    assert sum(slots) == nails
-    assert mesh.materials[0].node_tree.nodes.get("Principled BSDF") is not None
     assert mesh.validate() is False, "Blender found nothing to repair"

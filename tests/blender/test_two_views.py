@@ -20,12 +20,11 @@ from blender_manient.session import source_info
 from handfit_core.common.errors import OptionError
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
-from handfit_core.media.source import Source
 from handfit_core.take import Take
 from handfit_core.take.views import Cameras, Verdict, View
 from tests.drawn import drawn
 
-from .conftest import FRAMES, HEIGHT, OFF_CENTRE, WIDTH, blocks, joint_heads
+from .conftest import FRAMES, HEIGHT, OFF_CENTRE, WIDTH, blocks, joint_heads, movie
 from .test_retiming import shown_offset
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -36,17 +35,6 @@ LENS = Intrinsics(fx=150.0, fy=155.0, cx=47.0, cy=60.0)
 SIZE = (96, 128)
 RATE = 25.0
 TURN, MOVE = rotvec_to_rotmat(np.array([0.2, 1.2, -0.1])), np.array([-0.55, 0.1, 0.3])
-
-
-def movie(path, size: tuple[int, int], rate: float) -> Source:
-    """A clip of 40 frames; frame n is as grey as 6 n, and black in its left tenth."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate, size)
-    for number in range(1, 41):
-        picture = np.full((*size[::-1], 3), number * 6, dtype=np.uint8)
-        picture[:, : size[0] // 10] = 0
-        writer.write(picture)
-    writer.release()
-    return Source("video", (str(path),))
 
 
 @pytest.fixture

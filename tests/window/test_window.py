@@ -26,7 +26,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "addon.lens_from_the_file_browser": lambda i: {"film": i.film_of_the_board},
     "addon.all_sections": lambda i: {"source": i.clip(60)},
     "addon.preferences": lambda _: {},
-    "addon.curves_and_error": lambda i: {"source": i.clip(60)},
     "addon.whole_picture": lambda i: {"source": i.portrait},
     "capture.photo": lambda i: {"source": i.photo},
     "capture.clip": lambda i: {"source": i.clip(CLIP), "frames": CLIP},

@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 from stage import ADDON
 
-from scenarios.capturing import capture, hands, import_take, part, pixels_of
+from scenarios.capturing import capture, hands, import_take, part
 from scenarios.panels import opened_by_default
 from scenarios.traces import traces
 
@@ -107,38 +107,6 @@ def preferences(stage):
 
     yield from stage.until(drawn, 100.0, "the preferences to be drawn")
     bpy.context.window_manager.addon_search = ""
-
-
-def curves_and_error(stage, source):
-    """In Pose mode all curves of the hand fill the view; the graph of its error is drawn beside them, and in
-    the timeline."""
-    yield from capture(stage, source)
-    (armature,) = hands()
-    with stage.override():
-        bpy.ops.object.mode_set(mode="POSE")
-        bpy.ops.pose.select_all(action="SELECT")
-    area = stage.area()
-    area.type = "GRAPH_EDITOR"
-    yield 0.5
-    region = stage.region("WINDOW", "GRAPH_EDITOR")
-    with bpy.context.temp_override(window=stage.window, area=area, region=region):
-        bpy.ops.graph.view_all()
-    yield 0.8
-    low, high = (region.view2d.region_to_view(0, y)[1] for y in (0, region.height))
-    curves = [c for c in armature.animation_data.action.fcurves if "rotation" in c.data_path]
-    values = np.array([k.co.y for c in curves for k in c.keyframe_points])
-    assert low < values.min() < values.max() < high
-    assert np.ptp(values) > 0.7 * (high - low)
-    shown = []
-    for shows in (False, True):
-        armature.manient.show_error = shows
-        yield 0.3
-        yield from stage.screenshot("curves")
-        shown.append(pixels_of(stage.screenshots / "curves.png"))
-    changed = np.abs(shown[1] - shown[0]).max(axis=-1) > 0.05
-    rows, columns = slice(region.y, region.y + region.height), slice(region.x, region.x + region.width)
-    assert changed[rows, columns].sum() > 2000
-    assert changed[: stage.area("DOPESHEET_EDITOR").height].sum() > 2000
 
 
 def whole_picture(stage, source):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from pathlib import Path
 from types import ModuleType
 
 import bpy
@@ -126,17 +125,6 @@ def mesh_of(armature: bpy.types.Object) -> np.ndarray:
     places = np.empty((len(shown.vertices), 3), dtype=np.float32)
     shown.vertices.foreach_get("co", places.ravel())
     return places
-
-
-def pixels_of(path: Path) -> np.ndarray:
-    """(H, W, 4) a file's own values 0..1, the lowest row first, as regions count."""
-    image = bpy.data.images.load(str(path), check_existing=False)
-    image.colorspace_settings.name = "Non-Color"
-    width, height = image.size
-    pixels = np.empty(width * height * 4, dtype=np.float32)
-    image.pixels.foreach_get(pixels)
-    bpy.data.images.remove(image)
-    return pixels.reshape(height, width, 4)
 
 
 def keys_of(obj) -> int:

@@ -81,7 +81,7 @@ def follows_the_mouse(stage, source, steps=60):
 
 def looked_at(stage, take):
     """Small hands are looked at closely: half of the view is the hand, the wheel zooms about a fingertip, and
-    the view is as before in the end."""
+    the view is as before in the end; edited again, the hand has its own view again."""
     armature = yield from import_take(stage, take)
     yield from stage.open_sidebar()
     before = _camera_view(stage)
@@ -103,8 +103,12 @@ def looked_at(stage, take):
     handles, free = _handles_and_free()
     assert (handles >= free[0]).all()
     assert (handles <= free[1]).all()
+    own = _camera_view(stage)
     yield from ended(stage)
     assert _camera_view(stage) == before
+    yield from edited(stage, armature, frame=26)
+    assert _camera_view(stage) == own
+    yield from ended(stage)
 
 
 def smoothed(stage, source):
