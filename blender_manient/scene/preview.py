@@ -116,15 +116,8 @@ def spread_frames(take: Take, count: int) -> list[int]:
     return [int(n) for n in numbers[np.unique(picked)]]
 
 
-def render_hands(
-    built: BuiltTake,
-    take: Take,
-    frame: int,
-    scale: float,
-    camera: bpy.types.Object | None = None,
-) -> np.ndarray:
-    """The hands of that frame over nothing, through the solved camera or another: rows (H, W, 4), straight
-    alpha."""
+def render_hands(built: BuiltTake, take: Take, frame: int, scale: float) -> np.ndarray:
+    """The hands of that frame over nothing, through the solved camera: rows (H, W, 4), straight alpha."""
     row = int(np.searchsorted(take.frame_numbers, frame))
     with _scene(take, scale) as scene:
         lights = [sun("preview light", *placed) for placed in SUNS]
@@ -135,9 +128,7 @@ def render_hands(
                 if track.present[row]:
                     scene.collection.objects.link(hand.armature)
                     scene.collection.objects.link(hand.mesh)
-            if camera is not None:
-                scene.collection.objects.link(camera)
-            scene.camera = camera or built.camera
+            scene.camera = built.camera
             scene.render.film_transparent = True
             scene.cycles.samples = _SKIN_SAMPLES
             scene.cycles.max_bounces = 2
