@@ -229,6 +229,7 @@ def test_a_picture_that_claims_too_much_is_not_loaded(make_take, tmp_path):
     assert "no more than 0.01 are read" in build_take(take, max_megapixels=0.01).warnings[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "side", "kind"), [("a.jpg", 7900, np.uint8), ("a.png", 4600, np.uint16)])
 def test_a_large_turned_photo_stays_below_a_gigabyte(make_take, tmp_path, name, side, kind):
     path, saved = tmp_path / name, tmp_path / "a.npz"

@@ -16,6 +16,7 @@ from handfit_core.common.errors import OutputError
 from tests.conftest import ROOT
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of files' sizes are POSIX only")
 def test_nothing_good_is_lost(make_take, tmp_path):
     take = make_take().take.save(tmp_path / "source.take.npz")

@@ -201,6 +201,7 @@ def test_takes_of_the_run_are_hidden_while_hands_follow(settings):
     assert not take.collections[0].hide_viewport
 
 
+@pytest.mark.slow
 def test_the_measured_lens_counts_live_and_in_the_take(settings, tmp_path, monkeypatch):
     monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
     save_lens("webcam", MeasuredLens(LENS, 0.2, 1.0, 20))
@@ -285,6 +286,7 @@ def test_a_file_that_is_saved_meanwhile_holds_no_live_hand(settings, tmp_path):
     assert not bpy.data.objects
 
 
+@pytest.mark.slow
 def test_a_killed_worker_keeps_what_was_recorded(settings):
     session = operators.start(bpy.context)
     seen(session)

@@ -143,6 +143,7 @@ enable()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "before", "after"),
     [
@@ -168,6 +169,7 @@ def test_a_broken_zip_is_a_sentence_and_nothing_else(blender, damage, before, af
     assert ", handfit_core " in console
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [
@@ -197,6 +199,7 @@ found([before, state(), marks()])
     assert after == ["new"] * 5
 
 
+@pytest.mark.slow
 def test_a_part_that_fails_does_not_keep_the_others(blender):
     """It leaves nothing behind: where it is registered, unregistered, or a command's file is gone."""
     (failed, runs, again, left, at_last, code), console = blender("""
@@ -233,6 +236,7 @@ found([*seen, sys.modules[NAME + ".command"].main(["capture", "a.jpg", "-o", "ou
     assert "Traceback" not in console.partition(f"error: {NOT_WHOLE}")[2]
 
 
+@pytest.mark.slow
 def test_of_two_copies_one_runs_and_has_the_command(blender, tmp_path):
     """Two versions from two repositories do not mix; Blender refuses a command of which it knows two."""
     (tmp_path / "other").mkdir()

@@ -7,6 +7,7 @@ import pytest
 from scripts import measure_live, measure_speed
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("landmark_model")
 def test_measures_the_sample(capsys):
     assert measure_speed.main(["--frames", "1-2", "--slow", "fast-per-frame", "--rounds", "1"]) == 0
@@ -15,6 +16,7 @@ def test_measures_the_sample(capsys):
         assert any(line.startswith(name) for line in lines)
 
 
+@pytest.mark.slow
 def test_photos_and_empty_tasks(capsys):
     pytest.importorskip("loky")
     from scripts.measure_batch import main
@@ -25,6 +27,7 @@ def test_photos_and_empty_tasks(capsys):
     assert [line.split()[0] for line in text.splitlines()[-2:]] == ["2", "20"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("landmark_model")
 def test_live_run(capsys):
     assert measure_live.main(["--minutes", "0.02"]) == 0

@@ -21,7 +21,7 @@ if CHROOT:
 TIMEOUT = 1200
 
 
-@pytest.fixture(params=["wheel", "blender"])
+@pytest.fixture(params=["wheel", pytest.param("blender", marks=pytest.mark.slow)])
 def in_blender(request, tmp_path):
     """in_blender(script, *arguments) -> CompletedProcess: under the bpy wheel and in real Blender, in a
     folder of its own."""

@@ -89,6 +89,7 @@ def test_takes_become_files(batch, take_file, tmp_path):
         assert read_back(out / "wave" / f"wave{suffix}") == "FOUND (16, True)", suffix
 
 
+@pytest.mark.slow
 def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
     out, takes = tmp_path / "out", [take_file("wave"), take_file("nod")]
     line = [*takes, "-o", out, "--no-sheet", "--jobs", "2", "--format"]
@@ -123,6 +124,7 @@ def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
     assert (out / "nod" / "nod.glb").stat().st_size > 1000
 
 
+@pytest.mark.slow
 @needs_signals
 @pytest.mark.parametrize(
     ("fault", "status", "error"),
@@ -193,6 +195,7 @@ def test_wrong_options_are_refused_before_any_work(wheel, tmp_path, options, exp
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_may_be_called_as_a_command(wheel, tmp_path):
     assert wheel("plan", "a.jpg", "-o", "out").returncode == 2
     for name in ("plan", "capture"):
@@ -202,6 +205,7 @@ def test_a_folder_may_be_called_as_a_command(wheel, tmp_path):
         assert (done.returncode, "1 of 1 to do" in done.stdout) == (0, True), done.stderr
 
 
+@pytest.mark.slow
 @needs_signals
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_keeps_what_is_finished(take_file, tmp_path, number):

@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 1200
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not can_capture(), reason="needs torch, OpenCV and MediaPipe in HANDFIT_PYTHON")
 def test_the_mona_lisa_s_hands_are_captured_and_drawn_over_hers(tmp_path):
     done = subprocess.run(

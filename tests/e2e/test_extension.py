@@ -36,6 +36,8 @@ from scripts.extension.wheels import (
 )
 
 ROOT = Path(__file__).resolve().parents[2]
+
+pytestmark = pytest.mark.slow  # CI builds the zip and installs it anyway
 MOST = 160_000_000
 """bytes that an artist downloads"""
 

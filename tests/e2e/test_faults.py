@@ -62,6 +62,7 @@ def records(output: Path) -> dict[Path, tuple[int, int]]:
     return {path: (stat.st_ino, stat.st_mtime_ns) for path, stat in found}
 
 
+@pytest.mark.slow
 def test_a_batch_killed_at_random_moments_ends_as_if_it_was_not(take_file, tmp_path):
     takes = [take_file(f"wave{number}", frames=5 + number) for number in range(INPUTS)]
     calm, out = tmp_path / "calm", tmp_path / "out"

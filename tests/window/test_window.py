@@ -61,34 +61,50 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
 }
 
 
-@pytest.mark.parametrize("scenario", SCENARIOS)
+ARTISTS_PATH = (
+    *("capture.photo", "capture.clip", "finding.chosen", "refine.keypoint_dragged"),
+    *("refine.range_refitted", "character.applied", "posing.exported", "live.recorded"),
+)
+"""Scenarios that are played for every change; the others are slow together"""
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [name if name in ARTISTS_PATH else pytest.param(name, marks=pytest.mark.slow) for name in SCENARIOS],
+)
 def test_scenario(blender: BlenderWindow, inputs: Inputs, scenario: str):
     blender.play(scenario, **SCENARIOS[scenario](inputs))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("blank_from", "word"), [(0, "hand"), (None, "picture")])
 def test_a_failure_is_a_sentence(blender: BlenderWindow, inputs: Inputs, blank_from: int | None, word: str):
     source = inputs.words if blank_from is None else inputs.clip(CLIP, blank_from)
     blender.play("capture.fails", source=source, word=word)
 
 
+@pytest.mark.slow
 def test_a_small_window_frames_all_of_the_picture(small_blender: BlenderWindow, inputs: Inputs):
     small_blender.play("addon.whole_picture", source=inputs.portrait)
 
 
+@pytest.mark.slow
 def test_a_rigify_character_follows_live(small_blender: BlenderWindow, inputs: Inputs):
     small_blender.play("live.on_rigify", source=inputs.clip(VERY_LONG_CLIP))
 
 
+@pytest.mark.slow
 def test_both_hands_act_live(small_blender: BlenderWindow, inputs: Inputs):
     small_blender.play("live.acted", source=inputs.two_hands_acting, take=inputs.take)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["capture.unhindered", "refine.follows_the_mouse"])
 def test_the_window_never_freezes(small_blender: BlenderWindow, inputs: Inputs, scenario: str):
     small_blender.play(scenario, source=inputs.clip(60))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", ["capture.left_running", "live.left_running"])
 def test_quitting_meanwhile_leaves_no_process(make_window: MakeWindow, inputs: Inputs, scenario: str):
     own = make_window((640, 480))

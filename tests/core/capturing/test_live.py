@@ -525,6 +525,7 @@ def test_recorded_clip_is_captured_as_the_file(tmp_path):
     assert found.fps == pytest.approx(23 / times[-1], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_full_disk_keeps_what_was_written_and_captures_it(tmp_path):
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))

@@ -112,6 +112,7 @@ def test_the_hands_of_a_photo_have_their_bodies(networks, samples, name, people,
     assert all(body.score[0] > 0.6 for body in bodies)
 
 
+@pytest.mark.slow
 def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks, samples, tmp_path):
     """A painted woman, then somebody else, over three chunks; no hand is in the frames in between."""
     path, size, cut = tmp_path / "clip.avi", (300, 300), 130

@@ -136,6 +136,7 @@ def test_a_still_has_test_time_augmentation(stills, plain, monkeypatch):
     assert distance(mean, once) < 0.05
 
 
+@pytest.mark.slow
 def test_a_picture_of_100_megapixels(tmp_path):
     """Palms are searched in a smaller copy; the hand is a tenth of it."""
     whole = np.full((10_000, 10_000, 3), 120, dtype=np.uint8)
@@ -206,6 +207,7 @@ def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(networks, mo
     np.testing.assert_array_equal(hand.keypoints_2020, once.keypoints_2020)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_finds_the_same():
     rgb, found = four_hands()[..., ::-1], []
     for threads in (1, 3):

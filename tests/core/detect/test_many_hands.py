@@ -34,6 +34,7 @@ def listed(hand: HandDetection, hands: list[dict]) -> dict | None:
     return None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("landmark_model")
 def test_most_hands_are_found_and_hardly_any_others(samples):
     wanted = found = detected = false = 0

@@ -93,6 +93,7 @@ def test_a_hand_needs_a_size(knuckle: tuple[float, float]) -> None:
         laid(model_of("left"), CAMERA, np.array([30.0, 40.0]), np.array(knuckle))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", SIDES)
 def test_more_points_better_poses(side: Side) -> None:
     truth, pictures = points_of(true_hands(side)), shown(true_hands(side))

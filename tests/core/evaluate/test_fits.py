@@ -33,6 +33,7 @@ def test_goes_on_where_an_earlier_run_ended(cache: Path) -> None:
     assert second.items() >= first.items()  # the first was not made again
 
 
+@pytest.mark.slow
 def test_several_processes_find_the_same(cache: Path) -> None:
     wanted = tasks("paper-b", 2)
     together = [result.points_3d for result in fit_all(wanted, "strict", jobs=2)]

@@ -115,6 +115,7 @@ def test_what_was_deleted_is_made_again_and_what_was_changed_stays(tmp_path: Pat
     assert warning.startswith("b.take.npz: changed since")
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_its_process_is_lost_after_three_tries(tmp_path: Path) -> None:
     shop = Shop(tmp_path, ["dies", "slow1", "slow2", "slow3", "b"])
     shop.run("--jobs", "2", code=1)
@@ -142,6 +143,7 @@ def test_what_fails_is_one_sentence(tmp_path: Path, name: str, jobs: str) -> Non
     assert shop.unfinished == []
 
 
+@pytest.mark.slow
 def test_an_input_that_takes_too_long_is_ended_and_the_rest_goes_on(tmp_path: Path) -> None:
     shop = Shop(tmp_path, ["hangs", *(f"slow{number}" for number in range(4))])
     shop.run("--jobs", "2", "--timeout", "8", code=1)
@@ -185,6 +187,7 @@ def wait_until(done: Any) -> None:
 needs_proc = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 
 
+@pytest.mark.slow
 @needs_proc
 @pytest.mark.parametrize("what", ["worker", "leader", "group", signal.SIGINT, signal.SIGTERM])
 def test_a_killed_batch_goes_on(tmp_path: Path, what: Any) -> None:

@@ -62,6 +62,7 @@ def test_a_cluster_started_here(tmp_path: Path) -> None:
     assert shop.report["dies"]["attempts"][-1]["kind"] == "WorkerDied"
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_and_a_cluster_that_goes(tmp_path: Path) -> None:
     names = [f"slow{number}" for number in range(8)]
     shop = Shop(tmp_path, names)
@@ -79,6 +80,7 @@ def test_a_worker_that_is_killed_and_a_cluster_that_goes(tmp_path: Path) -> None
     assert shop.statuses == dict.fromkeys(names, "ok")
 
 
+@pytest.mark.slow
 def test_a_worker_of_another_version_that_joins_later_leaves(tmp_path: Path) -> None:
     shop, preload = Shop(tmp_path, ["a", "waits"]), tmp_path / "other_version.py"
     preload.write_text("from handfit_core import version\nversion.__version__ = '0.0.0'\n")
@@ -96,6 +98,7 @@ def test_a_worker_of_another_version_that_joins_later_leaves(tmp_path: Path) -> 
     assert shop.statuses == {"a": "ok", "waits": "ok"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificate")
 def test_encrypted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"

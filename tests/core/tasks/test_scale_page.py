@@ -63,6 +63,7 @@ def all_done(shop: Path) -> bool:
 needs_shell = pytest.mark.skipif(sys.platform == "win32", reason="needs a shell")
 
 
+@pytest.mark.slow
 @needs_shell
 def test_slurms_script(shop: Path) -> None:
     (shop / "job.sh").write_text(job_file("SLURM"))
@@ -72,6 +73,7 @@ def test_slurms_script(shop: Path) -> None:
     assert all_done(shop)
 
 
+@pytest.mark.slow
 @needs_shell
 def test_open_job_description(shop: Path) -> None:
     if importlib.util.find_spec("openjd") is None:
@@ -81,6 +83,7 @@ def test_open_job_description(shop: Path) -> None:
     assert all_done(shop)
 
 
+@pytest.mark.slow
 @needs_shell
 def test_snakemake(shop: Path) -> None:
     if (program := os.environ.get("HANDFIT_SNAKEMAKE") or shutil.which("snakemake")) is None:
