@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from functools import lru_cache
 from pathlib import Path
 
 PYTHON_VARIABLE = "HANDFIT_PYTHON"
@@ -34,19 +33,10 @@ def unquoted(text: str) -> str:
     return text
 
 
-@lru_cache(maxsize=16)
 def is_current_interpreter(python: str) -> bool:
-    """Whether a path names this process's interpreter, maybe by another name, with the same packages."""
-    python = shutil.which(python) or python
-    if _normalised(python) == _normalised(sys.executable):
-        return True
-    # A virtual environment's interpreter is often only a link, and has packages of its own all the same.
-    if _in_virtual_environment(python) or _in_virtual_environment(sys.executable):
-        return False
-    try:
-        return Path(python).samefile(sys.executable)
-    except OSError:
-        return False
+    """True if a path names this process's interpreter. Links count as others: a virtual environment's
+    interpreter often is one, and has packages of its own."""
+    return _normalised(shutil.which(python) or python) == _normalised(sys.executable)
 
 
 def worker_command(python: str, *words: str) -> list[str]:
@@ -91,8 +81,3 @@ def _brought_by_launcher() -> bool:
 def _normalised(python: str) -> str:
     """The absolute path without "..", with links kept, unlike Path.resolve."""
     return os.path.normcase(os.path.abspath(python))  # noqa: PTH100
-
-
-def _in_virtual_environment(python: str) -> bool:
-    """Whether an interpreter belongs to a virtual environment."""
-    return any((folder / "pyvenv.cfg").is_file() for folder in list(Path(_normalised(python)).parents)[:2])

@@ -37,14 +37,6 @@ def test_an_interpreter_that_does_not_exist(registered, tmp_path, monkeypatch):
     assert str(tmp_path) not in text, "the user's home"
 
 
-def test_what_a_process_said_before_it_died_is_in_the_report(registered, peer):
-    preferences.get().python = peer("sys.stderr.write('out of paper\\n'); sys.exit(3)")
-    bpy.ops.manient.check_installation()
-    text = content("Hand Capture Check")
-    assert "cannot capture (out of paper)" in text
-    assert "exit code 3" in text
-
-
 def test_details_are_replaced_complete_and_printed(registered, tmp_path, capfd):
     """A linked text of their name is left alone; without a window they are printed."""
     with pytest.raises(RuntimeError, match="nothing was written yet"):
