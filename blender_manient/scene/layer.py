@@ -18,7 +18,7 @@ from ..common.wording import with_note
 from ..rigs.character import CharacterBones
 from ..rigs.rig import bone_path
 from .actions import BELOW, channels_of, curves_in, is_tweaked, own_action, push_down, strip_below, use_action
-from .corrections import marks_renewed
+from .corrections import adding_to_keys
 from .editable import check_keyable
 from .keys import (
     PoseKeys,
@@ -87,7 +87,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
     if found:
         own_action(armature)
         on_top = channels(layer, layer_slot)
-        with changed_alike(armature), marks_renewed(armature, all_actions(armature)):
+        with changed_alike(armature), adding_to_keys(armature, all_actions(armature)):
             for one in found:
                 _write(*one)
             for holder in [channels(*kept) for kept in own_kept_actions(armature)]:

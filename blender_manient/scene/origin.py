@@ -13,13 +13,11 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from handfit_core.edit.corrections import CorrectionField
-
 from ..common.blender_versions import channels, used_actions
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import bone_path
 from .actions import curves_in, is_layered, is_tweaked, own_action, strips_of
-from .corrections import corrections_of, keep_turned
+from .corrections import change_corrections, corrections_of
 from .editable import check, check_editable
 from .keys import change_places
 from .own_scene import object_mode
@@ -37,7 +35,7 @@ def origin_to_wrist(hand: CapturedHand) -> None:
     armature, wrist = hand.armature, hand.rig.bones[0]
     check_editable(armature)
     check(armature, why_not_at_wrist(armature))
-    field = corrections_of(armature)  # before anything is changed: they may not be readable
+    corrections_of(armature)  # before anything is changed: they may not be readable
     with object_mode():
         bpy.context.view_layer.update()
         shown = shown_now(armature)
@@ -52,11 +50,9 @@ def origin_to_wrist(hand: CapturedHand) -> None:
                 _shift_keys(armature, shoulder, turn.T @ place)
         armature.manient.origin = np.array(armature.manient.origin) + place
         _move_origin(armature, Matrix.Translation(place))
-    moved = {
-        frame: replace(c, place=c.place - along) if np.any(c.place) else c
-        for frame, c in field.corrections.items()
-    }
-    keep_turned(armature, CorrectionField(moved), all_actions(armature))
+    change_corrections(
+        all_actions(armature), lambda c: replace(c, place=c.place - along) if np.any(c.place) else c
+    )
     armature.update_tag()
 
 
