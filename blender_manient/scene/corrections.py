@@ -342,6 +342,8 @@ def _keyed_poses(
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """What the present keys, or those of a `holder`, say on corrected frames: the source frame, (16, 4) and
     (3,)."""
+    if not field.corrected:
+        return []
     places = timing_of(armature).scene_frames(np.array(field.corrected, dtype=np.float64))
     return list(zip(field.corrected, *pose_at(rig_of(armature), places, holder=holder), strict=True))
 
