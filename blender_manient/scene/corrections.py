@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -302,34 +302,19 @@ def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) 
         _keep(*user, field.having(new))
 
 
-@dataclass(frozen=True, eq=False)
-class HeldCorrection:
-    """A correction that the keys hold."""
-
-    frame: float
-    """The source frame"""
-    correction: Correction
-    quats: np.ndarray
-    """(16, 4) the frame's pose"""
-    location: np.ndarray
-    """(3,) metres, along the wrist bone's axes"""
-
-
-def held_corrections(armature: bpy.types.Object) -> list[HeldCorrection]:
-    """The corrections that the present keys hold, with the poses of their frames."""
+@contextlib.contextmanager
+def corrections_carried(armature: bpy.types.Object) -> Iterator[None]:
+    """Within, the armature gets another action. Frames that are corrected otherwise in that one get the poses
+    and corrections that they have now."""
     field = readable_corrections(armature)
-    found = [HeldCorrection(g, field.corrections[g], *pose) for g, *pose in _keyed_poses(armature, field)]
-    return [each for each in found if each.correction.is_in(each.quats, each.location)]
-
-
-def correct_alike(armature: bpy.types.Object, held: Iterable[HeldCorrection]) -> None:
-    """Give frames that are corrected otherwise in the present action the poses and corrections of another."""
-    for each in held:
-        one, before = each.correction, corrections_of(armature).corrections.get(each.frame)
+    held = [(g, *pose) for g, *pose in _keyed_poses(armature, field) if field.corrections[g].is_in(*pose)]
+    yield
+    for g, quats, location in held:
+        one, before = field.corrections[g], corrections_of(armature).corrections.get(g)
         if before is None or _without_pose(before) != _without_pose(one):
             of_frame = {name: [getattr(one, name)] for name in ("pins", "touches", "second_pins")}
-            pose = each.quats[None], each.location[None]
-            correct_frames(armature, [each.frame], *pose, one.spread, posed=one.posed, **of_frame)
+            pose = quats[None], location[None]
+            correct_frames(armature, [g], *pose, one.spread, posed=one.posed, **of_frame)
 
 
 def _without_pose(one: Correction) -> str:

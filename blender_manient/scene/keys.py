@@ -80,8 +80,8 @@ def read_pose_keys(
     """All keys of the bones from frame `first` to `last`, both included."""
     curves = _Curves(rig.armature, holder)
     names = _bones(rig)
-    own = [_frames_of(curves.rotation(name)) for name in names]
-    placed = _frames_of(curves.location(names[0]))
+    own = [frames_of(curves.rotation(name)) for name in names]
+    placed = frames_of(curves.location(names[0]))
     frames = union([*own, placed])
     frames = frames[(frames >= first - SAME_FRAME) & (frames <= last + SAME_FRAME)]
     quats, locations = pose_at(rig, frames, holder=holder)
@@ -354,7 +354,7 @@ class _Curves:
         parts = [self._found.get((path, i)) for i in range(count)]
         if make and self._holder is not None and any(part is None for part in parts):
             present = self._armature.path_resolve(path)
-            frames = _frames_of(parts)
+            frames = frames_of(parts)
             for i in range(count):
                 if parts[i] is not None:
                     continue
@@ -366,7 +366,7 @@ class _Curves:
         return parts
 
 
-def _frames_of(parts: list[Any]) -> np.ndarray:
+def frames_of(parts: list[Any]) -> np.ndarray:
     """The frames on which any of the curves has a key."""
     return union([_read(c, ("co",))["co"][:, 0].astype(np.float64) for c in parts if c is not None])
 

@@ -26,15 +26,17 @@ from .keys import (
     channel_values,
     check_unlocked,
     frames_between,
+    frames_of,
     is_smooth,
-    read_pose_keys,
+    nearest,
     replace_keys,
     rotation_path,
+    union,
     write_pose_keys,
 )
 from .own_scene import object_mode, shown_in_pose, unseen_scene
 from .sampling import stepped
-from .simplify import changed_alike, own_kept_actions, remove_unused
+from .simplify import keeping_simplified, own_kept_actions, remove_unused
 
 _Merged = tuple[CharacterBones, PoseKeys, list[Channels]]
 """A bone, its keys, and what they say on all frames"""
@@ -100,7 +102,7 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
     if merged:
         own_action(armature)
         changed = [((data.action, action_slot(data)), merged), *behind]
-        with changed_alike(armature), adding_to_keys(armature, [user for user, _ in changed]):
+        with keeping_simplified(armature), adding_to_keys(armature, [user for user, _ in changed]):
             for user, parts in changed:
                 for part in parts:
                     _write(*part, channels(*user))
@@ -125,14 +127,15 @@ def _check_mergeable(armature: bpy.types.Object, strip: Any) -> None:
 
 def _merged(armature: bpy.types.Object, strip: Any) -> list[_Merged]:
     """The keys of the bones that Blender shows otherwise than the strip's action alone has them."""
-    below, top = (channels_of(user, make=True) for user in (strip, armature.animation_data))
-    keyed: dict[str, np.ndarray] = {}
-    for bone in armature.pose.bones:
-        rig = CharacterBones(armature, [bone.name])
-        own = np.union1d(*(read_pose_keys(rig, holder=holder).frames for holder in (below, top)))
-        if len(own):
-            keyed[bone.name] = own
-    frames = frames_between(np.unique(np.concatenate([[], *keyed.values()])))
+    names = {bone_path(bone.name): bone.name for bone in armature.pose.bones}
+    below, top = (channels_of(user) for user in (strip, armature.animation_data))
+    curves: dict[str, list[Any]] = {}
+    for curve in (*curves_in(below), *curves_in(top)):
+        path, _, attribute = curve.data_path.rpartition(".")
+        if path in names and attribute.startswith(("rotation", "location")):
+            curves.setdefault(names[path], []).append(curve)
+    keyed = {bone: found for bone, own in curves.items() if len(found := frames_of(own))}
+    frames = frames_between(union(list(keyed.values())))
     found = []
     for bone, (turned, placed) in _shown(armature, list(keyed), frames).items():
         rig, mode = CharacterBones(armature, [bone]), armature.pose.bones[bone].rotation_mode
@@ -140,7 +143,7 @@ def _merged(armature: bpy.types.Object, strip: Any) -> list[_Merged]:
         quats = channels_to_quat(turned, mode)
         rotated = np.abs(correction_between(channels_to_quat(values, mode), quats)).max() > _SAME
         located = np.abs(placed - places).max() > _SAME
-        tracks, own = [], np.isin(frames, keyed[bone])
+        tracks, own = [], nearest(keyed[bone], frames)[1]
         if rotated:
             tracks.append(Channels(unflip_quats(turned) if mode == "QUATERNION" else turned, mode))
         if located:

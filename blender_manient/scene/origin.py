@@ -22,7 +22,7 @@ from .editable import check, check_editable
 from .keys import change_places
 from .own_scene import object_mode
 from .sampling import shown_now
-from .simplify import all_actions, changed_alike
+from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand
 
 _MOVING = ("location", "rotation", "scale", "delta_")
@@ -42,7 +42,7 @@ def origin_to_wrist(hand: CapturedHand) -> None:
         place = shown.pose[0, shown.names.index(wrist), :3, 3]
         own_action(armature, nla=True)
         along = hand.rig.rest.frames[0].T @ place
-        with changed_alike(armature):
+        with keeping_simplified(armature):
             _shift_keys(armature, wrist, along)
             if has_arm(armature):
                 shoulder = ArmBones(armature).bones[0]

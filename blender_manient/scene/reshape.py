@@ -41,7 +41,7 @@ from .editable import check_editable
 from .keys import pose_at, read_pose_keys, set_pose, write_pose_keys
 from .mesh import corrective_names
 from .own_scene import object_mode
-from .simplify import all_actions, changed_alike
+from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
@@ -202,7 +202,7 @@ def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     old = rig.rest
     rig.follow(shaped)
     new = rig.rest
-    with changed_alike(rig.armature):
+    with keeping_simplified(rig.armature):
         for holder, keys in kept:
             turned = keys.turned(old, new)
             write_pose_keys(rig, turned, holder=holder)

@@ -257,7 +257,7 @@ def all_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]
 
 
 @contextlib.contextmanager
-def changed_alike(armature: bpy.types.Object) -> Iterator[None]:
+def keeping_simplified(armature: bpy.types.Object) -> Iterator[None]:
     """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
     motion that was not changed since it was simplified still counts as not changed afterwards."""
     user = motion_user(armature)
@@ -291,9 +291,8 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
     data = armature.animation_data
     present, slot = data.action, action_slot(data)
     note, changed = _note(present), not _is_unchanged(data)
-    held = corrections.held_corrections(armature)
-    use_action(data, dense, slot)
-    corrections.correct_alike(armature, held)
+    with corrections.corrections_carried(armature):
+        use_action(data, dense, slot)
     dense.use_fake_user = note["fake_user"]
     if changed:
         present.name = with_note(note["name"], "(fewer keys)")
