@@ -289,7 +289,7 @@ def change_corrections(used: Iterable[tuple[Any, Any]], change: Callable[[Correc
 def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
     """Within, something is added on purpose to the keys of these (action, slot): corrections that were known
     by their keys' poses are known by the new ones afterwards."""
-    known = []
+    known: list[tuple[tuple[Any, Any], CorrectionField, set[float]]] = []
     for user in used:
         with contextlib.suppress(TakeError):
             field = _read(_text(*user))

@@ -87,23 +87,23 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
         check_unlocked(
             rig, joints=[0] if keys.rotation_keyed.any() else [], location=bool(keys.location_keyed.any())
         )
-    behind = []
+    written: list[tuple[Any, list[_Merged]]] = []
     for kept in own_kept_actions(armature) if merged else ():
         use_action(strip, *kept)
-        behind.append((kept, _merged(armature, strip)))
+        written.append((kept, _merged(armature, strip)))
     for track in data.nla_tracks:
         if strip in list(track.strips):
             track.strips.remove(strip)
             if not len(track.strips):
                 data.nla_tracks.remove(track)
             break
-    data.action_blend_type = "REPLACE"
+    data.action_blend_type, data.action_influence = "REPLACE", 1.0
     use_action(data, motion, slot)
     if merged:
         own_action(armature)
-        changed = [((data.action, action_slot(data)), merged), *behind]
-        with keeping_simplified(armature), adding_to_keys(armature, [user for user, _ in changed]):
-            for user, parts in changed:
+        written.append(((data.action, action_slot(data)), merged))
+        with keeping_simplified(armature), adding_to_keys(armature, [user for user, _ in written]):
+            for user, parts in written:
                 for part in parts:
                     _write(*part, channels(*user))
     remove_unused(layer)

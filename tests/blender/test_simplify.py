@@ -371,6 +371,7 @@ def test_what_blender_shows_is_merged(armature, track, strip):
     for owner, changes in ((above, track), (above.strips[0], strip)):
         for name, value in changes.items():
             setattr(owner, name, value)
+    armature.animation_data.action_influence = 0.7
     names, frames = bone_names("right"), np.append(np.arange(1.0, 81.0, 6.0), 31.5)
     shown = evaluated(armature, frames, names)
     end_layer(armature, merge=True)
