@@ -197,15 +197,11 @@ class MANIENT_OT_clear_corrections(HandOperator, bpy.types.Operator):
 
     @staticmethod
     def why_not(armature):
-        none = None if armature.manient.corrections else "This hand has no corrections"
+        none = None if corrections.corrections_text(armature) else "This hand has no corrections"
         return why_not_editable(armature) or none
 
     def run(self, context):
         armature, scene, everything = polled_hand(context).armature, context.scene, self.scope == "ALL"
-        if everything and corrections.why_elsewhere(armature) is not None:
-            corrections.forget_corrections(armature)
-            lost = "The corrections were in another action: they are gone, its keys stay"
-            return self._done(lost, kind="WARNING")
         try:
             frames = np.array(corrections.corrections_of(armature).corrected, dtype=np.float64)
             places = corrections.timing_of(armature).scene_frames(frames)

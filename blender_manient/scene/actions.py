@@ -64,6 +64,12 @@ def strip_below(armature: bpy.types.Object) -> Any:
     return next((strip for strip in strips_of(armature) if motion and strip.action == motion), None)
 
 
+def motion_user(armature: bpy.types.Object) -> Any:
+    """What uses the action with the armature's motion: a strip below a layer, else its animation data, else
+    its topmost strip; None where there is none."""
+    return strip_below(armature) or next(iter(users_of(armature)), None)
+
+
 def same_slot(action: bpy.types.Action, slot: Any) -> Any:
     """The slot of an action that is called like this one; None where there is none."""
     return next((s for s in action.slots if s.identifier == slot.identifier), None) if slot else None

@@ -21,7 +21,7 @@ from ..rigs.rig import Rig
 from .editable import check, why_not_bakeable
 from .keys import PoseKeys, writing_pose_keys
 from .own_scene import object_mode
-from .simplify import changed_alike, own_kept_actions
+from .simplify import keeping_simplified, own_kept_actions
 from .store import CapturedHand, captured_take, hand_of, keep_take, keeping_take, kept_take, scene_frames
 
 
@@ -57,7 +57,7 @@ def add_arm(hand: CapturedHand) -> None:
             armature.data = armature.data.copy()
         hand.rig.add_arm(arm.lengths)
     frames = scene_frames(hand.collection, hand.take)
-    with changed_alike(armature):
+    with keeping_simplified(armature):
         run_to_completion(keying_arm(hand.rig, arm, frames))
         for kept in own_kept_actions(armature):
             run_to_completion(keying_arm(hand.rig, arm, frames, holder=channels(*kept, make=True)))

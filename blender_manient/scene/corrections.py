@@ -1,17 +1,14 @@
-"""Corrections of a captured hand: kept on its armature, and carried into its keys.
+"""Corrections of a captured hand: kept on the action whose keys hold them, and carried into these keys.
 
 `handfit_core.edit.corrections` has the mathematics. Only keys within reach of a changed correction are ever
 touched; what they hold besides the correction, by capture or by hand, stays on them.
-
-Actions can be exchanged, so each notes the fingerprint of the corrections that its keys hold. In another
-action than that, corrections are neither changed nor cleared; they can only be forgotten.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -32,13 +29,13 @@ from handfit_core.edit.corrections import (
     kept_frame,
 )
 
-from ..common.blender_versions import action_slot, property_group
+from ..common.blender_versions import action_slot, channels, property_group
 from ..common.block_reference import BlockReference
 from ..rigs import rig_of
 from ..rigs.rig import Rig
 from . import store
-from .actions import own_action
-from .editable import check, check_keyable
+from .actions import motion_user, own_action
+from .editable import check_keyable
 from .keys import (
     SAME_FRAME,
     PoseKeys,
@@ -53,8 +50,8 @@ from .keys import (
 from .timing import Timing
 
 MARK = "manient_corrections"
-"""An action's custom property: slot handle (0 before Blender 4.4) -> fingerprint of the corrections its keys
-hold"""
+"""An action's custom property: slot handle (0 before Blender 4.4) -> the corrections that its keys hold, as
+JSON"""
 _IDLE = 2e-3
 """radians and metres. A key that is no further from the line between its neighbours says nothing"""
 _SNAP = 2e-3
@@ -81,7 +78,7 @@ def corrected_frames(armature: bpy.types.Object) -> list[int]:
 
 def corrections_of(armature: bpy.types.Object) -> CorrectionField:
     """The hand's corrections. Raises TakeError where they cannot be read."""
-    return _read(armature.manient.corrections)
+    return _read(corrections_text(armature))
 
 
 def readable_corrections(armature: bpy.types.Object) -> CorrectionField:
@@ -101,53 +98,41 @@ def _read(text: str) -> CorrectionField:
     return CorrectionField.from_json(text)
 
 
-def why_elsewhere(armature: bpy.types.Object) -> str | None:
-    """Why the hand's corrections are not in its keys: a sentence for a tooltip; None where they are."""
-    wanted = fingerprint(armature)
-    if not wanted:
-        return None
-    action, slot = _present(armature)
-    if action is not None and _marks(action).get(_slot_key(slot)) == wanted:
-        return None
-    there = next((a.name for a in bpy.data.actions if wanted in _marks(a).values()), None)
-    where = "are in another action" if there is None else f"are in the action {there}"
-    return f"The corrections {where}: assign it again, or clear all, which leaves the keys as they are"
+def corrections_text(armature: bpy.types.Object) -> str:
+    """The corrections that the hand's motion holds, as JSON; empty where there are none."""
+    user = motion_user(armature)
+    return "" if user is None else _text(user.action, action_slot(user))
 
 
-def fingerprint(armature: bpy.types.Object) -> str:
-    """What tells the hand's corrections from all others; empty where there are none."""
-    text = armature.manient.corrections
-    return hashlib.sha256(text.encode()).hexdigest()[:16] if text else ""
+def _text(action: bpy.types.Action, slot: Any) -> str:
+    texts = property_group(action, MARK)
+    # With slots or without, depending on the Blender that wrote it, one hand has one text.
+    only = next(iter(texts.values()), "") if _has_one_slot(action) else ""
+    return str(texts.get(_slot_key(slot), only))
 
 
-def _present(armature: bpy.types.Object) -> tuple[Any, Any]:
-    data = armature.animation_data
-    return (None, None) if data is None else (data.action, action_slot(data))
+def _keep(action: bpy.types.Action, slot: Any, field: CorrectionField) -> None:
+    texts = {} if _has_one_slot(action) else property_group(action, MARK)
+    texts[_slot_key(slot)] = field.to_json()
+    texts = {key: text for key, text in texts.items() if text}
+    if texts:
+        action[MARK] = texts
+    elif MARK in action:
+        del action[MARK]
 
 
 def _slot_key(slot: Any) -> str:
     return str(slot.handle) if slot is not None else "0"
 
 
-def _marks(action: bpy.types.Action) -> dict[str, str]:
-    return property_group(action, MARK)
-
-
-def _mark(action: bpy.types.Action, slot: Any, wanted: str) -> None:
-    marks = {key: value for key, value in _marks(action).items() if key != _slot_key(slot)}
-    if wanted:
-        marks[_slot_key(slot)] = wanted
-    if marks:
-        action[MARK] = marks
-    elif MARK in action:
-        del action[MARK]
+def _has_one_slot(action: bpy.types.Action) -> bool:
+    return len(getattr(action, "slots", ())) < 2
 
 
 def check_writable(armature: bpy.types.Object) -> None:
     """Raises OptionError where corrections cannot be put into the hand's keys, HandModelError where it
     lacks bones."""
     check_keyable(armature)
-    check(armature, why_elsewhere(armature))
     check_unlocked(rig_of(armature))
 
 
@@ -256,7 +241,7 @@ def displaced(armature: bpy.types.Object) -> list[float]:
 
 def forget_corrections(armature: bpy.types.Object) -> None:
     """Keep no corrections any more, and leave all keys as they are."""
-    armature.manient.corrections = ""
+    keep_field(armature, CorrectionField())
 
 
 def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
@@ -284,70 +269,68 @@ def change_field(armature: bpy.types.Object, new: CorrectionField) -> None:
 
 
 def keep_field(armature: bpy.types.Object, new: CorrectionField) -> None:
-    """Keep the field on the hand, and its fingerprint on its action, without touching keys: they hold what
-    changed already."""
+    """Keep the field on the hand's action without touching keys: they hold what changed already."""
     own_action(armature)
-    armature.manient.corrections = new.to_json()
-    action, slot = _present(armature)
-    if action is not None:
-        _mark(action, slot, fingerprint(armature))
+    user = motion_user(armature)
+    if user is not None:
+        _keep(user.action, action_slot(user), new)
 
 
-def keep_turned(armature: bpy.types.Object, new: CorrectionField, used: Iterable[tuple[Any, Any]]) -> None:
-    """`keep_field` for the same corrections about other axes, or in other poses, with all (action, slot)
-    whose keys have changed alike."""
-    before = fingerprint(armature)
-    holding = [(action, slot) for action, slot in used if _marks(action).get(_slot_key(slot)) == before]
-    armature.manient.corrections = new.to_json()
-    for action, slot in holding:
-        _mark(action, slot, fingerprint(armature))
+def change_corrections(used: Iterable[tuple[Any, Any]], change: Callable[[Correction], Correction]) -> None:
+    """Change all corrections in these (action, slot), whose keys have changed alike. What cannot be read
+    stays as it is."""
+    for user in used:
+        with contextlib.suppress(TakeError):
+            field = _read(_text(*user))
+            _keep(*user, CorrectionField({g: change(c) for g, c in field.corrections.items()}))
 
 
 @contextlib.contextmanager
-def carried_over(armature: bpy.types.Object, held: str) -> Iterator[None]:
-    """Within, the armature gets another action, whose keys hold the present corrections, or else those that
-    `held` says. Frames that are corrected otherwise now get the pose that they have now."""
-    field = readable_corrections(armature)
-    poses = _known_poses(armature)
+def adding_to_keys(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
+    """Within, something is added on purpose to the keys of these (action, slot): corrections that were known
+    by their keys' poses are known by the new ones afterwards."""
+    known: list[tuple[tuple[Any, Any], CorrectionField, set[float]]] = []
+    for user in used:
+        with contextlib.suppress(TakeError):
+            field = _read(_text(*user))
+            poses = _keyed_poses(armature, field, holder=channels(*user))
+            known.append((user, field, {g for g, *pose in poses if field.corrections[g].is_in(*pose)}))
     yield
-    if armature.manient.corrections and why_elsewhere(armature) is None:
-        return
-    armature.manient.corrections = held
-    for g, quats, location in poses:
+    for user, field, frames in known:
+        poses = _keyed_poses(armature, field, holder=channels(*user))
+        new = {g: replace(field.corrections[g], pose=q, place=p) for g, q, p in poses if g in frames}
+        _keep(*user, field.having(new))
+
+
+@contextlib.contextmanager
+def corrections_carried(armature: bpy.types.Object) -> Iterator[None]:
+    """Within, the armature gets another action. Frames that are corrected otherwise in that one get the poses
+    and corrections that they have now."""
+    field = readable_corrections(armature)
+    held = [(g, *pose) for g, *pose in _keyed_poses(armature, field) if field.corrections[g].is_in(*pose)]
+    yield
+    for g, quats, location in held:
         one, before = field.corrections[g], corrections_of(armature).corrections.get(g)
-        if before is None or CorrectionField({g: before}).to_json() != CorrectionField({g: one}).to_json():
+        if before is None or _without_pose(before) != _without_pose(one):
             of_frame = {name: [getattr(one, name)] for name in ("pins", "touches", "second_pins")}
             pose = quats[None], location[None]
             correct_frames(armature, [g], *pose, one.spread, posed=one.posed, **of_frame)
 
 
-@contextlib.contextmanager
-def marks_renewed(armature: bpy.types.Object, used: Iterable[tuple[Any, Any]]) -> Iterator[None]:
-    """Something is added on purpose to the keys of all these (action, slot) within: corrections that were
-    known by their keys' poses are known by the new ones afterwards."""
-    known = [g for g, *_ in _known_poses(armature)]
-    yield
-    if known:
-        field = corrections_of(armature)
-        poses = {g: pose for g, *pose in _keyed_poses(armature, field) if g in known}
-        new = {g: replace(field.corrections[g], pose=q, place=at) for g, (q, at) in poses.items()}
-        keep_turned(armature, field.having(new), used)
-
-
-def _known_poses(armature: bpy.types.Object) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """`_keyed_poses` of the corrections that the present keys hold."""
-    field = readable_corrections(armature)
-    if not field.corrected or why_elsewhere(armature) is not None:
-        return []
-    return [found for found in _keyed_poses(armature, field) if field.corrections[found[0]].is_in(*found[1:])]
+def _without_pose(one: Correction) -> str:
+    unknown = replace(one, pose=np.zeros_like(one.pose), place=np.zeros_like(one.place))
+    return CorrectionField({0: unknown}).to_json()
 
 
 def _keyed_poses(
-    armature: bpy.types.Object, field: CorrectionField
+    armature: bpy.types.Object, field: CorrectionField, holder: Any = None
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """What the keys say on corrected frames: the source frame, (16, 4) and (3,)."""
+    """What the present keys, or those of a `holder`, say on corrected frames: the source frame, (16, 4) and
+    (3,)."""
+    if not field.corrected:
+        return []
     places = timing_of(armature).scene_frames(np.array(field.corrected, dtype=np.float64))
-    return list(zip(field.corrected, *pose_at(rig_of(armature), places), strict=True))
+    return list(zip(field.corrected, *pose_at(rig_of(armature), places, holder=holder), strict=True))
 
 
 def without_field(armature: bpy.types.Object, keys: PoseKeys) -> PoseKeys:
@@ -371,14 +354,10 @@ def end_corrections(
     """Call this before source frames are keyed anew: corrections end there, and their frames' own go.
 
     The arguments are those of `CorrectionField.keyed_anew`. Keys around that hold a part of a correction
-    which ends sooner now are changed. Corrections that cannot be read, or are in another action than the
-    present one, stay as they are.
+    which ends sooner now are changed. Corrections that cannot be read stay as they are.
     """
-    if not armature.manient.corrections or why_elsewhere(armature) is not None:
-        return
-    try:
-        field = corrections_of(armature)
-    except TakeError:
+    field, data = readable_corrections(armature), armature.animation_data
+    if not field.corrections or data.action is None:
         return
     change_field(
         armature, field.keyed_anew(frames, whole=whole, joints=joints, location=location, keep_pins=keep_pins)
@@ -453,3 +432,23 @@ def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:
     turned = np.abs(correction_between(quats, quats_without)).max()
     if max(turned, np.abs(locations - locations_without).max()) > _IDLE:
         write_pose_keys(rig, PoseKeys.everywhere(place, quats, locations))
+
+
+def _move_to_actions(*_: Any) -> None:
+    """Earlier versions kept the text on the armature, and on actions whose keys hold it only its digest."""
+    armatures = [o for o in bpy.data.objects if o.type == "ARMATURE" and o.manient.corrections]
+    if not armatures:
+        return
+    actions = list(bpy.data.actions)
+    texts = [armature.manient.corrections for armature in armatures]
+    texts += [str(property_group(action, "manient_simplified").get("corrections", "")) for action in actions]
+    by_digest = {hashlib.sha256(text.encode()).hexdigest()[:16]: text for text in texts}
+    for action in actions:
+        marks = property_group(action, MARK)
+        if marks:
+            action[MARK] = {key: by_digest.get(str(mark), mark) for key, mark in marks.items()}
+    for armature in armatures:
+        armature.manient.corrections = ""
+
+
+HANDLERS = dict.fromkeys(("load_post", "blend_import_post"), _move_to_actions)

@@ -80,8 +80,8 @@ def read_pose_keys(
     """All keys of the bones from frame `first` to `last`, both included."""
     curves = _Curves(rig.armature, holder)
     names = _bones(rig)
-    own = [_frames_of(curves.rotation(name)) for name in names]
-    placed = _frames_of(curves.location(names[0]))
+    own = [frames_of(curves.rotation(name)) for name in names]
+    placed = frames_of(curves.location(names[0]))
     frames = union([*own, placed])
     frames = frames[(frames >= first - SAME_FRAME) & (frames <= last + SAME_FRAME)]
     quats, locations = pose_at(rig, frames, holder=holder)
@@ -109,7 +109,7 @@ def channel_values(
     frames = np.asarray(frames, dtype=np.float64)
     bones = [rig.armature.pose.bones[name] for name in _bones(rig)]
     values = [
-        _values_at(curves.rotation(bone.name), getattr(bone, _rotation_path(bone)), frames) for bone in bones
+        _values_at(curves.rotation(bone.name), getattr(bone, rotation_path(bone)), frames) for bone in bones
     ]
     return values, _values_at(curves.location(bones[0].name), bones[0].location, frames)
 
@@ -342,7 +342,7 @@ class _Curves:
 
     def rotation(self, bone: str, *, make: bool = False) -> list[Any]:
         """The 3 or 4 curves of a bone's rotation in its own mode; None for those it lacks."""
-        path = _rotation_path(self._armature.pose.bones[bone])
+        path = rotation_path(self._armature.pose.bones[bone])
         return self._parts(bone, path, 3 if path == "rotation_euler" else 4, make)
 
     def location(self, bone: str, *, make: bool = False) -> list[Any]:
@@ -354,7 +354,7 @@ class _Curves:
         parts = [self._found.get((path, i)) for i in range(count)]
         if make and self._holder is not None and any(part is None for part in parts):
             present = self._armature.path_resolve(path)
-            frames = _frames_of(parts)
+            frames = frames_of(parts)
             for i in range(count):
                 if parts[i] is not None:
                     continue
@@ -366,7 +366,7 @@ class _Curves:
         return parts
 
 
-def _frames_of(parts: list[Any]) -> np.ndarray:
+def frames_of(parts: list[Any]) -> np.ndarray:
     """The frames on which any of the curves has a key."""
     return union([_read(c, ("co",))["co"][:, 0].astype(np.float64) for c in parts if c is not None])
 
@@ -407,7 +407,7 @@ def _values_at(parts: list[Any], present: Any, frames: np.ndarray) -> np.ndarray
     return values
 
 
-def _rotation_path(bone: bpy.types.PoseBone) -> str:
+def rotation_path(bone: bpy.types.PoseBone) -> str:
     """The name of the property that holds a bone's rotation in its own mode."""
     other = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
     return other.get(bone.rotation_mode, "rotation_euler")
@@ -422,12 +422,12 @@ def _from_quats(
     before = co[co[:, 0] < frames[0] - SAME_FRAME, 0]
     if len(before):
         earlier = float(before[-1])
-    start = _values_at(parts, getattr(bone, _rotation_path(bone)), np.array([earlier]))
+    start = _values_at(parts, getattr(bone, rotation_path(bone)), np.array([earlier]))
     if bone.rotation_mode == "QUATERNION":
         turned = unflip_quats(np.concatenate([start, quats]))[1:]
         # Keys that lie far apart may be more than half a turn from each other: the sign of one that exists
         # stays if it turns much the same way, and so does that of what is keyed as the curve has it already.
-        there = _values_at(parts, getattr(bone, _rotation_path(bone)), frames)
+        there = _values_at(parts, getattr(bone, rotation_path(bone)), frames)
         alike = np.sum(turned * there, axis=-1) / np.maximum(np.linalg.norm(there, axis=-1), 1e-9)
         same = _contains(co[:, 0].astype(np.float64), frames)
         told = np.abs(alike) > np.where(same, 0.7, 1.0 - 1e-6)

@@ -23,6 +23,7 @@ from ..rigs.captured_hand import build_rig
 from ..rigs.rig import Rig, bone_path
 from .actions import channels_of, curves_in
 from .arms import add_arm
+from .corrections import forget_corrections
 from .editable import check_unlayered
 from .keys import change_places, displayed_pose, read_pose_keys, set_pose, write_pose_keys
 from .mesh import adding_correctives, build_mesh
@@ -161,6 +162,7 @@ def _mirrored_action(source: Rig, rig: Rig) -> Any:
                 action.slots.remove(slot)
         armature.animation_data.action_slot = action.slots[0]
         action.slots[0].name_display = armature.name
+    forget_corrections(armature)
     holder = channels_of(armature.animation_data)
     if holder is None:
         return assign_action(armature, action)

@@ -13,18 +13,16 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from handfit_core.edit.corrections import CorrectionField
-
 from ..common.blender_versions import channels, used_actions
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import bone_path
 from .actions import curves_in, is_layered, is_tweaked, own_action, strips_of
-from .corrections import corrections_of, keep_turned
+from .corrections import change_corrections, corrections_of
 from .editable import check, check_editable
 from .keys import change_places
 from .own_scene import object_mode
 from .sampling import shown_now
-from .simplify import all_actions, changed_alike
+from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand
 
 _MOVING = ("location", "rotation", "scale", "delta_")
@@ -37,14 +35,14 @@ def origin_to_wrist(hand: CapturedHand) -> None:
     armature, wrist = hand.armature, hand.rig.bones[0]
     check_editable(armature)
     check(armature, why_not_at_wrist(armature))
-    field = corrections_of(armature)  # before anything is changed: they may not be readable
+    corrections_of(armature)  # before anything is changed: they may not be readable
     with object_mode():
         bpy.context.view_layer.update()
         shown = shown_now(armature)
         place = shown.pose[0, shown.names.index(wrist), :3, 3]
         own_action(armature, nla=True)
         along = hand.rig.rest.frames[0].T @ place
-        with changed_alike(armature):
+        with keeping_simplified(armature):
             _shift_keys(armature, wrist, along)
             if has_arm(armature):
                 shoulder = ArmBones(armature).bones[0]
@@ -52,11 +50,9 @@ def origin_to_wrist(hand: CapturedHand) -> None:
                 _shift_keys(armature, shoulder, turn.T @ place)
         armature.manient.origin = np.array(armature.manient.origin) + place
         _move_origin(armature, Matrix.Translation(place))
-    moved = {
-        frame: replace(c, place=c.place - along) if np.any(c.place) else c
-        for frame, c in field.corrections.items()
-    }
-    keep_turned(armature, CorrectionField(moved), all_actions(armature))
+    change_corrections(
+        all_actions(armature), lambda c: replace(c, place=c.place - along) if np.any(c.place) else c
+    )
     armature.update_tag()
 
 

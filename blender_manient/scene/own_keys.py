@@ -34,9 +34,9 @@ from .corrections import check_writable, corrections_of, keep_field, without_fie
 from .keys import PoseKeys, nearest, pose_at, read_pose_keys, writing_pose_keys
 from .store import CapturedHand, hand_of, scene_frames
 
-_SAME_TURN = 0.01
+_SAME_TURN = 1e-4
 """radians. Rotations that are nearer than this are the same"""
-_SAME_PLACE = 0.001
+_SAME_PLACE = 1e-5
 """metres"""
 _POSE = 3 + 45 + 3
 """Numbers of a pose: global_orient and hand_pose as axis-angle in radians, and where the wrist is in the

@@ -26,7 +26,7 @@ import numpy as np
 
 from handfit_core.common.errors import HandfitError, HandModelError, OptionError
 from handfit_core.common.skeleton import NUM_BETAS
-from handfit_core.edit.corrections import CorrectionField
+from handfit_core.edit.corrections import Correction
 from handfit_core.hand_model import HandModel, ShapedHand, axes
 from handfit_core.hand_model.axes import RestPose
 from handfit_core.hand_model.files import kept_model
@@ -36,12 +36,12 @@ from handfit_core.hand_model.shape_names import shape_names
 from ..common.blender_versions import channels
 from ..rigs.rig import Rig
 from .actions import own_action
-from .corrections import corrections_of, keep_turned
+from .corrections import change_corrections, corrections_of
 from .editable import check_editable
 from .keys import pose_at, read_pose_keys, set_pose, write_pose_keys
 from .mesh import corrective_names
 from .own_scene import object_mode
-from .simplify import all_actions, changed_alike
+from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand, hand_of
 
 APPLIED = "betas"
@@ -126,7 +126,7 @@ def reshape(armature: bpy.types.Object) -> None:
             f"the mesh {mesh.name!r} has {len(mesh.data.vertices)} vertices, its hand model "
             f"{len(model.v_template)}; undo what changed them, or move the modifiers that you applied back"
         )
-    field = corrections_of(armature)  # before anything is changed: they may not be readable
+    corrections_of(armature)  # before anything is changed: they may not be readable
     before = old_model.shaped(np.array(armature[APPLIED]))
     betas = hand.betas
     after = model.shaped(betas)
@@ -137,7 +137,7 @@ def reshape(armature: bpy.types.Object) -> None:
         rest = hand.rig.rest
         if mesh is not None:
             _reshape_mesh(mesh, hand.rig, (old_model, before, old_rest), (model, after, rest))
-    _turn_corrections(armature, field, old_rest, rest)
+    _turn_corrections(armature, old_rest, rest)
     armature[APPLIED] = [float(b) for b in betas]
     armature.manient.wrist = wrist
     armature.update_tag()
@@ -202,7 +202,7 @@ def _reshape_rig(rig: Rig, shaped: ShapedHand) -> None:
     old = rig.rest
     rig.follow(shaped)
     new = rig.rest
-    with changed_alike(rig.armature):
+    with keeping_simplified(rig.armature):
         for holder, keys in kept:
             turned = keys.turned(old, new)
             write_pose_keys(rig, turned, holder=holder)
@@ -214,13 +214,12 @@ _NOTHING = SimpleNamespace(fcurves=())
 """An action's channels without any: what the bones say beside their keys"""
 
 
-def _turn_corrections(
-    armature: bpy.types.Object, field: CorrectionField, old: RestPose, new: RestPose
-) -> None:
+def _turn_corrections(armature: bpy.types.Object, old: RestPose, new: RestPose) -> None:
     """Corrections are kept about the bones' axes too; else they could not be taken out of the keys again."""
     turn = np.swapaxes(new.frames, -1, -2) @ old.frames
-    turned = {
-        frame: replace(
+
+    def turned(c: Correction) -> Correction:
+        return replace(
             c,
             rotation=(turn @ c.rotation[..., None])[..., 0],
             location=turn[0] @ c.location,
@@ -229,9 +228,8 @@ def _turn_corrections(
             pose=old.turned_to(new, c.pose) if np.any(c.pose) else c.pose,
             place=np.zeros(3),  # measured from another wrist; the rotations tell enough
         )
-        for frame, c in field.corrections.items()
-    }
-    keep_turned(armature, CorrectionField(turned), all_actions(armature))
+
+    change_corrections(all_actions(armature), turned)
 
 
 def _own_data(armature: bpy.types.Object, mesh: bpy.types.Object | None) -> None:

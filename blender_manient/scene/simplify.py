@@ -29,7 +29,7 @@ from ..rigs.arm import ArmBones, has_arm
 from ..rigs.character import CharacterBones
 from ..rigs.rig import PosedBones
 from . import corrections
-from .actions import curves_in, same_slot, strip_below, use_action
+from .actions import curves_in, motion_user, same_slot, use_action
 from .characters import active_character, table_of
 from .editable import check_keyable
 from .keys import (
@@ -186,7 +186,7 @@ def state_of(hand: Hand) -> str:
     pose = armature.pose.bones
     modes = [pose[name].rotation_mode for name in hand.rig.bones if name in pose]
     betas = [] if hand.captured is None else hand.captured.betas.tolist()
-    state = [*(_digest(*user) for user in users), armature.manient.corrections, modes, betas]
+    state = [*(_digest(*user) for user in users), corrections.corrections_text(armature), modes, betas]
     return hashlib.sha256(repr(state).encode()).hexdigest()
 
 
@@ -212,8 +212,7 @@ def write(armature: bpy.types.Object, thinned: Sequence[Thinned]) -> None:
     present, (dense, _) = data.action, _source(armature)
     note = _note(present)
     if dense is present:
-        corrected = armature.manient.corrections
-        note = {"name": dense.name, "fake_user": dense.use_fake_user, "corrections": corrected}
+        note = {"name": dense.name, "fake_user": dense.use_fake_user}
     action = present.copy()  # other parts may have been simplified before
     use_action(data, action, action_slot(data))
     for one in thinned:
@@ -239,7 +238,7 @@ def kept_action(armature: bpy.types.Object) -> bpy.types.Action | None:
 def own_kept_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]]:
     """All actions with more keys behind the motion, each with the armature's slot. Those that something else
     uses too are copied first."""
-    user, found = _motion(armature), []
+    user, found = motion_user(armature), []
     action = user.action if user is not None else None
     while (dense := _dense_action(action)) is not None and dense not in [one for one, _ in found]:
         assert action is not None
@@ -258,21 +257,15 @@ def all_actions(armature: bpy.types.Object) -> list[tuple[bpy.types.Action, Any]
 
 
 @contextlib.contextmanager
-def changed_alike(armature: bpy.types.Object) -> Iterator[None]:
+def keeping_simplified(armature: bpy.types.Object) -> Iterator[None]:
     """What is done within to the keys of an armature's motion is done to those of the actions behind it too:
     motion that was not changed since it was simplified still counts as not changed afterwards."""
-    user = _motion(armature)
+    user = motion_user(armature)
     same = user is not None and _dense_action(user.action) is not None and _is_unchanged(user)
     yield
     if same:
-        user = _motion(armature)
+        user = motion_user(armature)
         user.action[_NOTE]["digest"] = _digest(user.action, action_slot(user))
-
-
-def _motion(armature: bpy.types.Object) -> Any:
-    """What uses the action with the armature's motion: a strip below a layer, else its animation data; None
-    where there is neither."""
-    return strip_below(armature) or armature.animation_data
 
 
 def _is_unchanged(user: Any) -> bool:
@@ -298,7 +291,7 @@ def restore(armature: bpy.types.Object) -> bpy.types.Action | None:
     data = armature.animation_data
     present, slot = data.action, action_slot(data)
     note, changed = _note(present), not _is_unchanged(data)
-    with corrections.carried_over(armature, note["corrections"]):
+    with corrections.corrections_carried(armature):
         use_action(data, dense, slot)
     dense.use_fake_user = note["fake_user"]
     if changed:
@@ -344,7 +337,6 @@ def _note(action: bpy.types.Action) -> dict[str, Any]:
     return {
         "name": str(noted.get("name", action.name)),
         "fake_user": bool(noted.get("fake_user", True)),
-        "corrections": str(noted.get("corrections", "")),
         "digest": str(noted.get("digest", "")),
     }
 

@@ -640,7 +640,7 @@ class ManientHand(bpy.types.PropertyGroup):
         default="open", description="How the mesh ends now: open, cap or forearm"
     )
     corrections: StringProperty(  # type: ignore
-        description="Corrected frames, as JSON (scene/corrections.py)"
+        description="Corrected frames in files of earlier versions (scene/corrections.py)"
     )
     fitted: StringProperty(  # type: ignore
         description="Poses that Re-fit Range has keyed, as base64 text (scene/own_keys.py)"

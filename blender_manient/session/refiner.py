@@ -353,7 +353,7 @@ def why_not(context: bpy.types.Context, hand: CapturedHand | None) -> str | None
     """Why a hand cannot be refined now: a sentence for a tooltip; None where it can."""
     if hand is None:
         return "Select a captured hand: its armature or its mesh"
-    why = why_not_keyable(hand.armature) or corrections.why_elsewhere(hand.armature)
+    why = why_not_keyable(hand.armature)
     if why is not None:
         return why
     why = why_not_refinable(hand.track)

@@ -13,7 +13,7 @@ from blender_manient.rigs import rig_of
 from blender_manient.scene import build, corrections
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, write_pose_keys
-from blender_manient.scene.own_keys import keyed_by_hand, note_fitted
+from blender_manient.scene.own_keys import captured_poses, keyed_by_hand, note_fitted, smoothed
 from blender_manient.scene.store import hand_of
 from blender_manient.scene.timing import timing_in
 from handfit_core.common.skeleton import NUM_JOINTS
@@ -73,6 +73,20 @@ def test_keys_that_were_changed_or_set_where_there_were_none_are_the_artists(arm
     turned(armature, ROW + 2, joints=(5, 6))
     turned(armature, UNSEEN, joints=(9,))
     assert sorted(own(armature)) == sorted([(ROW + 2, 5), (ROW + 2, 6), (UNSEEN, 9)])
+
+
+def test_a_key_that_was_changed_by_a_fifth_of_a_degree_stays(armature):
+    """It is kept when the motion is smoothed; and so is one that was moved by a tenth of a millimetre."""
+    turned(armature, by=np.radians(0.2) / np.sqrt(3.0))
+    frame, rig = np.array([place(armature, ROW + 3)]), rig_of(armature)
+    quats, locations = pose_at(rig, frame)
+    write_pose_keys(rig, PoseKeys(frame, quats, locations + 6e-5, np.zeros((1, 16), bool), np.array([True])))
+    assert own(armature) == [(ROW, 5), (ROW + 3, 16)]
+    hand = hand_of(armature)
+    keys = smoothed(hand, ROWS, np.ones(len(ROWS), bool), *captured_poses(hand, ROWS), 2.0).keys
+    assert not keys.rotation_keyed[ROW, 5]
+    assert not keys.location_keyed[ROW + 3]
+    assert keys.rotation_keyed[ROW + 1].all()
 
 
 def correct(armature, row: int = ROW, spread: float = 4, by: float = 0.2) -> None:

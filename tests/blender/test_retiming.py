@@ -11,7 +11,7 @@ import pytest
 from blender_manient.exporters.take import retaken
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.arm import ArmBones
-from blender_manient.scene import store
+from blender_manient.scene import own_keys, store
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.background import load_plate
 from blender_manient.scene.build import build_take
@@ -24,6 +24,7 @@ from blender_manient.session import source_info
 from blender_manient.session.refiner import Refiner
 from handfit_core.capturing.retiming import shown_numbers
 from handfit_core.common.errors import OptionError
+from handfit_core.geometry.rotations import quat_multiply, rotvec_to_quat
 from tests.takes import with_arms
 
 from .conftest import movie
@@ -193,9 +194,9 @@ def corrected(armature, frame: int):
 
 
 def turn_key(rig, frame: int) -> np.ndarray:
-    """A key that an artist has set: a bone is turned by 0.4 radians about z."""
+    """A key that an artist has changed: a bone is turned by 0.2 degrees about z."""
     quats, places = pose_at(rig, [frame])
-    quats[0, 4] = [np.cos(0.2), 0.0, 0.0, np.sin(0.2)]
+    quats[0, 4] = quat_multiply(quats[0, 4], rotvec_to_quat(np.array([0.0, 0.0, np.radians(0.2)])))
     keyed = np.isin(np.arange(16), [4])[None]
     write_pose_keys(rig, PoseKeys(np.array([float(frame)]), quats, places, keyed, np.array([False])))
     return quats[0, 4]
@@ -211,7 +212,7 @@ def test_another_rate_is_noticed_and_put_right(take, rate, matched):
     was, first = (30.0, FRAMES[0]) if matched else (24.0, FIRST)
     assert not other_rate(scene, collection)
     pose = corrected(armature, first + 10)
-    by_hand = turn_key(rig_of(armature), first + 3)
+    by_hand = turn_key(rig_of(armature), first + 4)
     scene.render.fps, scene.render.fps_base = round(rate), 1.0
     assert other_rate(scene, collection) == pytest.approx(was)
     retime(armature, rate)
@@ -227,8 +228,9 @@ def test_another_rate_is_noticed_and_put_right(take, rate, matched):
     np.testing.assert_allclose(now[1], pose[1], atol=1e-6)
     refiner = Refiner(armature)
     assert refiner.pins(refiner.row_at(moved)) == {8: (10.0, 20.0)}
-    if (3 * rate / was).is_integer():
-        rotated_alike(pose_at(hand.rig, [first + 3 * rate / was])[0][0, 4], by_hand)
+    if (4 * rate / was).is_integer():
+        rotated_alike(pose_at(hand.rig, [first + 4 * rate / was])[0][0, 4], by_hand)
+        assert own_keys.keyed_by_hand(hand, np.array([round(4 * rate / was)]))[0, 4]
     # Hand, rows and picture are in step.
     for frame in range(first, int(keys[-1]) + 1):
         moment = FRAMES[0] + (frame - first) * CLIP_FPS / rate

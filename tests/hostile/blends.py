@@ -57,6 +57,11 @@ def _blend(name: str, *changes: tuple[str, str, Any], known: bool = False) -> Ca
     return Case(f"blend-{name}", "blender.blend", lambda _: {"changes": changes}, known=known)
 
 
+def _corrections(text: str) -> tuple[str, str, Any]:
+    """The change that gives the hand's action this text for corrections."""
+    return "action", "[manient_corrections]", {"0": text}
+
+
 def _holding(case: Case) -> Case:
     """A file that keeps the take of another case, which is called x-NAME."""
 
@@ -68,13 +73,15 @@ def _holding(case: Case) -> Case:
 
 def cases() -> Iterator[Case]:
     for owner, names, values in (
-        ("hand", "side corrections own_colors", TEXTS), ("capture", "take digest", TEXTS),
+        ("hand", "side own_colors", TEXTS), ("capture", "take digest", TEXTS),
         ("scene", "source model_path", TEXTS), ("hand", "track", NUMBERS), ("capture", "frame_offset frame_scale", NUMBERS),
     ):  # fmt: skip
         for name in names.split():
             shown = [("hand", "show_confidence", True)] if name == "own_colors" else []
             for kind, value in values.items():
                 yield _blend(f"{owner}-{name}-{kind}", *shown, (owner, name, value))
+    for kind, text in TEXTS.items():
+        yield _blend(f"corrections-{kind}", _corrections(text))
     yield _blend("betas-huge", ("hand", "betas", [1e30] * 10))
     yield _blend("betas-nan", ("hand", "betas", [float("nan")] * 10), known=True)
     yield _blend("no-capture", ("hand", "capture", None))
@@ -90,8 +97,7 @@ def cases() -> Iterator[Case]:
     of_frame = ("pins", "touches", "spread", "rotation", "location", "start_rotation", "start_location")
     for path in (("version",), ("frames",), ("frames", "3"), *(("frames", "3", name) for name in of_frame)):
         for lie, text in VALUES.items():
-            changes = [("hand", "corrections", told(CORRECTION, path, text))]
-            yield _blend(f"correction-{path[-1]}-{lie}", *changes)
+            yield _blend(f"correction-{path[-1]}-{lie}", _corrections(told(CORRECTION, path, text)))
     kept = ("x", "core.take", takes.one_hand, "take.npz")
     for case in (*lies(*kept), *header_lies(*kept, takes.HEADER)):
         if case.known or some(case.name, 6):
