@@ -51,7 +51,6 @@ run capture manient capture photo.jpg clip.mp4 nowhere.jpg --output results --fo
 cp -r results again
 run again manient capture photo.jpg clip.mp4 --output again --format blend,bvh --frames 1-20 --jobs 2
 run take manient capture results/photo/photo.take.npz --output take --format bvh
-run gone_command manient plan photo.jpg --output planned
 blender -b -P hero.py
 run apply manient apply results/photo/photo.take.npz --to hero.blend --output applied --format blend,fbx
 
@@ -134,7 +133,6 @@ def commands(zipped: Path, samples: Path, without_network, tmp_path_factory) -> 
         ("wrong", 2, "", "--output"),
         ("check", 0, "Everything works.", ""),
         ("check", 0, "hand_landmarks_2020.tflite in ", ""),
-        ("gone_command", 2, "", "there is no command plan any more; "),
         ("stopped", 130, "", "what was finished is kept"),
         ("damaged", 1, "", "error: "),
         ("damaged_capture", 1, "", "error: "),
@@ -203,7 +201,6 @@ def test_a_damaged_installation_says_so_once_and_makes_nothing(commands):
         (error,) = [line for line in commands[step].err.splitlines() if line.startswith("error: ")]
         assert "handfit" in error
     assert not (commands.folder / "damaged").exists()
-    assert not (commands.folder / "planned").exists()
 
 
 def test_removing_it_leaves_no_file_and_no_command(commands):
