@@ -7,7 +7,6 @@ is wrong with it.
 from __future__ import annotations
 
 import argparse
-import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -59,10 +58,6 @@ def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     else:
         for name, said in COMMANDS.items():
             commands.add_parser(name, help=said)
-        with contextlib.suppress(ImportError):  # it is only for a better sentence
-            from handfit_core.tasks.arguments import check_command
-
-            check_command(parser, argv)
     check = commands.add_parser(
         "check",
         help="check the installation",

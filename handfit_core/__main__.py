@@ -33,7 +33,6 @@ from handfit_core.common.version import __version__
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.media.commands import add_lens_command
 from handfit_core.take.fit_quality import IN_PICTURE, NOT_KNOWN, expected_scale
-from handfit_core.tasks.arguments import check_command
 from handfit_core.tasks.commands import add_batch_command
 
 EXIT_FAILED = 1
@@ -43,7 +42,6 @@ EXIT_INTERRUPTED = 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. User errors are one line on stderr."""
     parser, words = _parser(), sys.argv[1:] if argv is None else argv
-    check_command(parser, words)
     for word in words:
         if re.fullmatch(r"(-\w|--[\w-]+=)--", word):  # of which argparse makes an empty list
             parser.error(f"argument {word[:-2].rstrip('=')}: expected one argument")

@@ -67,16 +67,11 @@ def parse_arguments(
 
     from blender_manient.batch.arguments import add_commands
     from blender_manient.batch.commands import COMMANDS
-    from handfit_core.tasks.arguments import GONE_COMMANDS, check_command
 
     # A folder may be called as a command, and no command for people does without another word.
     alone = len(argv) < 2 or argv[1].startswith("-")
-    is_command = (
-        bool(argv) and argv[0] in (*COMMANDS, *GONE_COMMANDS) and not (alone and Path(argv[0]).exists())
-    )
-    if is_command:
-        check_command(parser, argv)
-    elif argv[:1] not in (["--help"], ["-h"]):
+    is_command = bool(argv) and argv[0] in COMMANDS and not (alone and Path(argv[0]).exists())
+    if not is_command and argv[:1] not in (["--help"], ["-h"]):
         argv = ["capture", *argv]
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     add_commands(commands, argv[:1], default_inputs)

@@ -15,7 +15,7 @@ from handfit_core.worker.interpreter import unquoted
 ADDON = ".".join(__name__.split(".")[: 3 if __name__.startswith("bl_ext.") else 1])
 """The name of the add-on in Blender's preferences; of an extension it is bl_ext.REPOSITORY.ID"""
 
-# A .blend and the preferences keep the numbers: Fast was 0 and Best, which is Standard now, was 1.
+# A .blend and the preferences keep the numbers.
 PRESETS = (
     (
         "DRAFT",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import blf
 import bpy
 
@@ -32,19 +30,13 @@ def sentence(
     icon: str = "NONE",
     alert: bool = False,
     width: int | None = None,
-    reserve_for: Sequence[str] = (),
-    rows: int = 1,
 ) -> None:
     """A text of any length, wrapped to the region's width; in a dialog, which has none, to `width` pixels at
-    scale 1. It takes at least the room that any text of `reserve_for` would, and so many rows."""
+    scale 1."""
     column = layout.column(align=True)
     column.alert = alert
     column.scale_y = 0.8
-    room = _room(context, width)
-    lines = wrapped(text, room)
-    rows = max([rows, *(len(wrapped(other, room)) for other in reserve_for)])
-    lines += [""] * (rows - len(lines))
-    for number, line in enumerate(lines):
+    for number, line in enumerate(wrapped(text, _room(context, width))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
 
 

@@ -56,10 +56,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
     def begin(self, context):
         """Queue the capture, and follow the queue where nobody does."""
         if not self.queued:
-            job = new_job(context, only_frame=self.only_frame, ask_if_many=True)
-            if jobs.is_repeated(job):
-                return self._nothing_done("This is being captured already")
-            jobs.submit(job)
+            jobs.submit(new_job(context, only_frame=self.only_frame, ask_if_many=True))
         if type(self).bl_idname in self.running:
             return self._done("It is captured after the one before")
         self._seen: set[int] = {id(j) for j in jobs.jobs() if j.finished}

@@ -1,4 +1,4 @@
-"""Leave: ends what a button has begun, from the same place in the panel."""
+"""Leave: ends what a button has begun."""
 
 from __future__ import annotations
 

@@ -25,11 +25,6 @@ from .base import ModalState, StepsOperator, Waiting, polled_hand, show_frame_ag
 
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
-_LONGEST_SUMMARY = (
-    "Fits 1000 frames again. Replaces 1000 keys set by hand, on 100 frames and 10 applied poses. The points "
-    "of 100 corrected frames stay"
-)
-"""The dialog reserves room for this summary, so that its buttons stay where they are"""
 _MARGIN = 0.5
 """seconds before and after the range that are fitted too, so that motion leads smoothly into it, but not
 written"""
@@ -143,9 +138,7 @@ class RangeFitOperator(StepsOperator):
         if self._summary is None or self._summary[0] != asked:
             self._summary = asked, self.summary(context)
         text, alert = self._summary[1]
-        reserve = [_LONGEST_SUMMARY]
-        icon = "ERROR" if alert else "INFO"
-        sentence(self.layout, context, text, icon, alert=alert, width=_WIDTH, reserve_for=reserve)
+        sentence(self.layout, context, text, "ERROR" if alert else "INFO", alert=alert, width=_WIDTH)
 
     def run(self, context):
         """Fit and wait for it. From the dialog: an operator cannot go on running from its own dialog, so

@@ -13,7 +13,6 @@ from ..operators.modes import find_hands as find_mode
 from ..scene.matching import scene_sentence
 from ..scene.store import active_hand
 from ..session import jobs, shared_worker, source_info
-from .steady import is_pressable
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
 
@@ -36,51 +35,45 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
 
         info = source_info.of(settings)
-        own, others = "", [""]
+        own = ""
         if settings.target == "NEW":
             column.prop(settings, "matching")
             text, own = _scene_messages(context, info)
-            texts, others = zip(
-                *(_scene_messages(context, i) for i in source_info.layout_variants(info)), strict=True
-            )
-            sentence(layout, context, text, "SCENE_DATA", reserve_for=texts)
+            sentence(layout, context, text, "SCENE_DATA")
         searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
         told = info.files is not None and not source_info.lacks_size(settings, info)
         ready = told and (settings.target == "NEW" or hand is not None)
         choosing = find_mode.current
         buttons = layout.column(align=True)
         if not _draw_stop(buttons, "capture", 1.5):
-            row = _row(buttons, "capture", "found" if choosing else "capture", ready, 1.5)
+            row = _row(buttons, ready, 1.5)
             if choosing is not None:
                 count = counted(len(choosing.choice.chosen), "Hand")
                 row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
             else:
                 row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
         if searched:
-            row = _row(buttons, "find", "leave" if choosing else "find", ready)
+            row = _row(buttons, ready)
             if choosing is not None:
                 row.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
             else:
                 row.operator("manient.find_hands", icon="VIEWZOOM")
         if info.files is not None and info.files.kind != "photo":
-            if own or any(others):
-                sentence(buttons, context, own, "SCENE_DATA" if own else "NONE", reserve_for=others)
+            if own:
+                sentence(buttons, context, own, "SCENE_DATA")
             if not _draw_stop(buttons, "frame"):
-                row = _row(buttons, "frame", "capture", ready and choosing is None)
+                row = _row(buttons, ready and choosing is None)
                 shown = source_info.shown_frame(context, info.files)
                 row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
         if searched:
             parts = layout.split(factor=0.36, align=True)
             if not _draw_stop(parts, "add"):
-                adding = add_hand.running()
-                row = _row(parts, "add", "leave" if adding else "add", choosing is None)
-                if adding:
+                row = _row(parts, choosing is None)
+                if add_hand.running():
                     row.operator("manient.leave", icon="CANCEL").what = "ADD"
                 else:
                     row.operator("manient.add_hand", icon="ADD")
-            row = parts.row(align=True)
-            row.enabled = choosing is None
-            row.prop(settings, "added_side", expand=True)
+            _row(parts, choosing is None).prop(settings, "added_side", expand=True)
         self._queue(context, ready)
 
     def _queue(self, context, ready: bool) -> None:
@@ -113,18 +106,17 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 if job.state == "failed":
                     box.operator("manient.show_details", text="Details", icon="TEXT")
         if queue:
-            row = _row(layout, "queue", "add" if jobs.busy() else "clear", ready or not jobs.busy())
+            row = _row(layout, ready or not jobs.busy())
             if jobs.busy():
                 row.operator("manient.capture", text="Add to Queue", icon="ADD")
             else:
                 row.operator("manient.clear_captures", text="Clear List")
 
 
-def _row(layout, place: str, button: str, ready: bool = True, scale: float = 1.0):
-    """A row for a button that shares its place with others."""
+def _row(layout, enabled: bool, scale: float = 1.0):
     row = layout.row(align=True)
     row.scale_y = scale
-    row.enabled = is_pressable(f"capture {place}", button) and ready
+    row.enabled = enabled
     return row
 
 
@@ -134,8 +126,8 @@ def _draw_stop(layout, button: str, scale: float = 1.0) -> bool:
     if job is None or job.button != button:
         return False
     text, ready = job.stop_button
-    row = _row(layout, button, f"{job.key} {text}", ready, scale)
-    row.operator("manient.cancel_capture", text=text, icon="CANCEL").index = jobs.jobs().index(job)
+    stop = _row(layout, ready, scale).operator("manient.cancel_capture", text=text, icon="CANCEL")
+    stop.index = jobs.jobs().index(job)
     return True
 
 

@@ -10,7 +10,6 @@ from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised
 from ..session import live
 from ..session.live_takes import takes
-from .steady import is_pressable
 
 _PICTURE = 10.0
 """height of the small picture, in buttons"""
@@ -37,7 +36,6 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         column.prop(settings, "folder")
         row = layout.row(align=True)
         row.scale_y = 1.5
-        row.enabled = is_pressable("live", "stop" if session else "start")
         if session is None:
             row.operator("manient.live", icon="RADIOBUT_ON")
             if live.current is not None and live.current.error is not None:

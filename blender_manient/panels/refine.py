@@ -11,7 +11,6 @@ from ..operators.base import ModalOperator
 from ..scene import corrections
 from ..scene.store import CapturedHand, active_hand
 from ..session.refiner import why_not_refinable, why_not_smoothable
-from .steady import is_pressable
 
 
 class MANIENT_PT_refine(Section, bpy.types.Panel):
@@ -64,9 +63,8 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""
         work = ModalOperator.running.get(operator)
-        ready = is_pressable(operator, "begin" if work is None else "stop")
-        row.enabled = ready and (work is None or work.can_stop)
         if work is not None:
+            row.enabled = work.can_stop
             row.operator("manient.leave", text=stop, icon="CANCEL").what = "FIT"
         else:
             row.operator(operator, icon=icon, **shown)

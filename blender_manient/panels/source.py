@@ -20,8 +20,6 @@ _PICTURE = 4.0
 """height of the thumbnail, in buttons"""
 _FRAME = 8.0
 """height of a frame's picture, in buttons"""
-_PICTURE_LINES = 5
-"""lines of a sentence that are as high"""
 
 
 class MANIENT_PT_source(Section, bpy.types.Panel):
@@ -40,7 +38,6 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             return
         self._describe(context, info)
         if info.unsized:
-            # The sentence stays once it is answered: nothing moves away under the mouse.
             sentence(layout, context, "How large are its pictures? The file does not say", "QUESTION")
             size = layout.row(align=True)
             size.alert = source_info.lacks_size(settings, info)
@@ -78,17 +75,15 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         assert info.files is not None
         kind, icon = _KINDS[info.files.kind]
         lines = [name or kind]
-        # Their places are kept until they are known.
-        if info.files.kind != "data":
-            lines.append(f"{info.width} × {info.height} px" if info.width else "")
-        if info.files.kind != "photo":
+        if info.files.kind != "data" and info.width:
+            lines.append(f"{info.width} × {info.height} px")
+        if info.files.kind != "photo" and info.frames:
             rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind in ("video", "data") else ""
-            lines.append(f"Frames {info.first}-{info.last}{rate}" if info.frames else "")
-        picture = source_info.thumbnail(info)
+            lines.append(f"Frames {info.first}-{info.last}{rate}")
         if info.problem:
-            rows = _PICTURE_LINES if picture else len(lines)
-            sentence(layout, context, info.problem, "ERROR", alert=True, rows=rows)
+            sentence(layout, context, info.problem, "ERROR", alert=True)
             return
+        picture = source_info.thumbnail(info)
         row = layout.row()
         if picture:
             row.template_icon(icon_value=picture, scale=_PICTURE)

@@ -200,15 +200,6 @@ def current_or_next() -> Job | None:
     return next((job for job in _queue if not job.finished), None)
 
 
-def is_repeated(job: Job) -> bool:
-    """Whether an equal job is not finished yet, as after a double click."""
-    return any(
-        (other.files, other.options, other.building) == (job.files, job.options, job.building)
-        for other in _queue
-        if not other.finished
-    )
-
-
 def submit(job: Job) -> None:
     """Put a job behind the others."""
     job._replaces = tuple(old for old in _queue if old.state == "failed")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -199,14 +199,6 @@ def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
 def lacks_size(settings, info: SourceInfo) -> bool:
     """Whether the artist has yet to say how large the source's pictures are."""
     return info.unsized and not all(settings.picture_size)
-
-
-def layout_variants(info: SourceInfo) -> tuple[SourceInfo, SourceInfo]:
-    """The source without the worker's answer and with the longest answer, for a layout with room for both."""
-    times = {"fps": 23.976, "first": 10000, "last": 20000}
-    if info.files is None or info.files.kind == "photo":
-        times = {}
-    return replace(info, width=0), replace(info, width=3840, height=2160, **times)
 
 
 def dropped_footage(settings, path: Path) -> Footage | None:

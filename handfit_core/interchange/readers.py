@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from handfit_core.common.errors import InputError, OptionError
+from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
 from handfit_core.common.registry import Registry
 from handfit_core.interchange.document import Document
@@ -63,18 +63,9 @@ READERS: Final = Registry(
 takes whatever has 21 points a hand"""
 
 
-DATA_SETS: Final = ("dex-ycb", "hot3d", "grab", "arctic", "interhand")
-"""Names of readers that were given up"""
-
-
 def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:
     """The reader of a document, and its name. Raises InputError where none recognises it, OptionError for a
     name that there is not."""
-    if name in DATA_SETS:
-        raise OptionError(
-            f"--reader {name}: data sets are evaluated and not read any more; write their hands with smplx's "
-            "names, as docs/interchange.md shows, and read these with --reader smplx-keywords"
-        )
     if name is not None:
         return name, READERS.get(name)
     for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] == "mediapipe"):

@@ -1,11 +1,11 @@
-"""The options of a batch that do not depend on Blender, and sentences for those that went."""
+"""The options of a batch that do not depend on Blender."""
 
 from __future__ import annotations
 
 import argparse
 import math
 from collections.abc import Sequence
-from typing import Any, Final, NoReturn
+from typing import Final
 
 from handfit_core.capturing.options import add_options
 from handfit_core.common.files import path_of
@@ -15,34 +15,6 @@ from handfit_core.tasks.inputs import PAIRS
 _MOST_A_CORE: Final = 4
 """Processes that --jobs may ask for: more would only fill the memory and wait for each other"""
 STYLES: Final = ("text", "json", "none")
-
-_SHARE: Final = "give each machine a batch of its share of the inputs (docs/scale.md)"
-_GONE_OPTIONS: Final = {
-    "--split": "a clip is captured by one process, with --processes threads; leave --split out",
-    "--cluster": "--scheduler ADDRESS uses a Dask cluster that runs, and --scheduler local starts one",
-    "--tls": "a tls:// address is enough: Dask finds its certificates in its own configuration",
-    "--map": "inputs are named as they are called on the machine that captures; leave --map out",
-    "--command": "the workers of a Dask cluster capture by themselves; leave --command out",
-    "--accept-failed": "exit code 1 says that some inputs failed, and report.json which; leave it out",
-}
-GONE_COMMANDS: Final = {
-    "detect": "a clip is captured by one process: use capture, with --processes threads",
-    "solve": "a clip is captured by one process: use capture, with --processes threads",
-    "plan": f"nothing has to be planned: {_SHARE}, and --dry-run tells what is left",
-    "task": f"a task is a batch of one input: {_SHARE}",
-    "work": f"whoever gives the same line again goes on: {_SHARE}, or use --scheduler ADDRESS",
-    "run": f"whoever gives the same line again goes on: {_SHARE}, or use --scheduler ADDRESS",
-    "collect": "give the line of the whole batch once more: it does what is left, and writes the report",
-    "farm-template": "docs/scale.md has the job file of each farm, to be copied",
-    "slot": "the batch starts processes that capture by itself",
-}
-"""Commands that went, and what does now what they did"""
-
-
-def check_command(parser: argparse.ArgumentParser, words: Sequence[str]) -> None:
-    """End with a sentence where the first word is a command that went."""
-    if words and words[0] in GONE_COMMANDS:
-        parser.error(f"there is no command {words[0]} any more; {GONE_COMMANDS[words[0]]}")
 
 
 def add_batch_arguments(
@@ -91,38 +63,11 @@ def add_batch_arguments(
         "--retry-failed", action="store_true", help="also try inputs that failed for reasons of their own"
     )
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
-    parser.add_argument(
-        "--progress", type=_style, choices=STYLES, default="text", help="how to tell (default: text)"
-    )
-    for name, said in _GONE_OPTIONS.items():
-        parser.add_argument(name, action=_Gone, nargs="?", help=argparse.SUPPRESS, said=said)
+    parser.add_argument("--progress", choices=STYLES, default="text", help="how to tell (default: text)")
 
 
 WITH_PARENT: Final = "--with-parent"
 """Has a batch end itself once its stdin ends, as it does with the process that has started it"""
-
-
-class _Gone(argparse.Action):
-    """An option that went: refused with a sentence that says what does now what it did."""
-
-    def __init__(self, *arguments: Any, said: str, **named: Any) -> None:
-        super().__init__(*arguments, **named)
-        self._said = said
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, _namespace: object, _values: object, option: str | None = None
-    ) -> NoReturn:
-        parser.error(f"there is no option {option} any more; {self._said}")
-
-
-def _style(text: str) -> str:
-    """How to tell what becomes of inputs."""
-    if text == "openjd":
-        raise argparse.ArgumentTypeError(
-            "there is no style openjd any more; leave it out: docs/scale.md has a job file for Open Job "
-            "Description, in which each input is a task of its own, and a farm counts these"
-        )
-    return text
 
 
 def _seconds(text: str) -> float:

@@ -12,11 +12,13 @@ import pytest
 from bpy_extras.object_utils import world_to_camera_view
 
 from blender_manient.operators.capture import new_job
+from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, shared_worker
 from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import FINGERS
 from tests.capturing import needs_capture
+from tests.drawn import drawn
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -45,6 +47,21 @@ def submitted():
     job = new_job(bpy.context, only_frame=False)
     jobs.submit(job)
     return job
+
+
+def test_what_began_a_capture_stops_it_and_not_while_hands_are_built(photo, settings):
+    settings.source = str(photo)
+    job = submitted()
+    try:
+        for state, said in (("capturing", "Stop"), ("capturing", "Stopping"), ("building", "Building Hands")):
+            vars(job).update(state=state, _stopping=said != "Stop")
+            page = drawn(MANIENT_PT_capture)
+            assert said in page.rows
+            assert "Capture" not in page.rows
+            assert (said in page.grey) == (said != "Stop")
+    finally:
+        job.state = "done"
+        jobs.abandon()
 
 
 def tick_until(condition, seconds: float = 60.0) -> None:

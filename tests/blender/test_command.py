@@ -49,8 +49,6 @@ def test_help(arguments, capfd):
     [
         ([], "COMMAND"),
         (["fetch"], "fetch"),
-        (["work", "out"], "there is no command work any more; "),
-        (["capture", "a.jpg", "-o", "out", "--split", "100"], "there is no option --split any more; "),
         (["capture"], "INPUT"),
         (["capture", "a.jpg", "-o", "out", "--nonsense"], "--nonsense"),
         (["capture", "a.jpg", "-o", "out", "--format", "obj"], "there is no export format 'obj'"),

@@ -22,15 +22,14 @@ from blender_manient.operators.review import MANIENT_OT_jump_worst
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result
-from blender_manient.panels.shape import MANIENT_PT_other_proportions, MANIENT_PT_proportions
-from blender_manient.scene import confidence, reshape, store
+from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
 from blender_manient.session import jobs, refiner
 from blender_manient.session.jobs import Building, Job
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.media.source import Source
-from handfit_core.take.fit_quality import EXPECTED, mean_relative_error, relative_errors
+from handfit_core.take.fit_quality import relative_errors
 from tests.drawn import drawn
 
 LONG = "entrevista con la señora Muñoz en el taller, segunda toma, cámara B, mano izquierda"
@@ -91,53 +90,27 @@ def test_hands_are_named_after_their_capture_and_its_program(take, tmp_path):
     assert len(f"mesh of {named_after(LONG, 'right hand 12')}.001".encode()) <= NAME_BYTES
 
 
-# The list of captures
-
-
 def a_job(name: str) -> Job:
     scene = BlockReference.of("scenes", bpy.context.scene)
     return Job(name, (f"/shots/{name}",), CaptureOptions(), Building(scene))
 
 
-def fails(job: Job, sentence: str) -> str:
-    job.state = "capturing"
-    jobs._fail(job, sentence, "")
-    return job.message
-
-
-def succeeds(job: Job) -> None:
+def test_old_failures_go_when_a_newer_capture_succeeds_which_can_be_undone(registered):
     def built():
         return (), [], "1 hand in 1 frame"
         yield 1.0
 
-    job.state, job._builder = "building", built()
-    assert jobs.tick()
-    assert job.state == "done"
-
-
-@pytest.mark.parametrize(
-    ("sentence", "said"),
-    [
-        ("/shots/my clip.mp4: not a video", "Not a video"),
-        ("my clip: not a video", "Not a video"),
-        ("not a video", "Not a video"),
-        ("hand_model.npz: no hand model", "hand_model.npz: no hand model"),
-    ],
-)
-def test_a_failure_says_the_files_name_once_and_as_it_is(registered, sentence, said):
-    assert fails(a_job("my clip.mp4"), sentence) == said
-
-
-def test_old_failures_go_when_a_newer_capture_succeeds_which_can_be_undone(registered):
     old, beside, new = (a_job(f"{name}.mp4") for name in ("old", "beside", "new"))
     new.warnings = ["4 hands were seen, and the 2 surest were captured"]
     for job in (old, new, beside):
         jobs.submit(job)
         if job != new:
-            fails(job, "not a video")
+            job.state = "capturing"
+            jobs._fail(job, "not a video", "")
     assert jobs.jobs() == (old, new, beside)
     bpy.ops.ed.undo_push(message="Before")
-    succeeds(new)
+    new.state, new._builder = "building", built()
+    assert jobs.tick()
     # What failed while it waited is news, and stays.
     assert jobs.jobs() == (new, beside)
     captured = f"new.mp4: 1 hand in 1 frame {new.warnings[0]}"
@@ -147,59 +120,11 @@ def test_old_failures_go_when_a_newer_capture_succeeds_which_can_be_undone(regis
         assert f"{said} " in drawn(MANIENT_PT_capture).said
 
 
-# What is said of a hand
-
-
-def expecting(metres: float):
-    return lambda track: {"expected_error": np.full((len(track.detected), 5), metres)}
-
-
-def erring(pixels: float, doubtful: int):
-    return lambda track: {
-        "doubtful": np.arange(len(track.detected)) < doubtful,
-        "reprojection_error": np.where(track.detected, pixels, np.nan),
-    }
-
-
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        (erring(0.1, 0), ["of the hand: good ", " No doubtful frames "]),
-        (erring(2.1, 1), ["of the hand: fair ", " 1 doubtful frame "]),
-        (erring(9.0, 3), ["of the hand: poor ", " 3 doubtful frames "]),
-        (expecting(0.0093), ["Likely error 9.3 mm: fair "]),
-        (expecting(np.nan), ["Likely error not known "]),
-    ],
-)
-def test_a_hands_block_has_units_and_a_word(take, fields, said):
-    track = replace(take.hands[0], **fields(take.hands[0]))
-    hand = store.hand_of(build_take(replace(take, hands=(track,))).hands[0].armature)
-    block = drawn(MANIENT_PT_result).said
-    assert all(part in block for part in said)
-    assert "px" not in block
-    if "of the hand" in said[0]:
-        assert f"Error {100 * mean_relative_error(hand.track, hand.take.intrinsics):.1f} % {said[0]}" in block
-    if "not known" in said[0]:
-        assert not any(word in block for word in ("good", "fair", "poor", "doubtful"))
-        colors = confidence.colors_of(confidence.errors_of(hand).bones, EXPECTED.levels)
-        assert (colors == confidence.UNSEEN_COLOR).all()
-
-
 @pytest.mark.parametrize("larger", [1.0, 1.01])
 def test_a_hands_block_says_that_its_model_has_changed(take, larger):
     track = replace(take.hands[0], joints_3d=larger * take.hands[0].joints_3d)
     build_take(replace(take, hands=(track,), model_digests={"right": "0" * 16}))
     assert ("another version of the hand model" in drawn(MANIENT_PT_result).loud) == (larger > 1.0)
-
-
-def test_proportions_without_a_name_are_folded_away(take):
-    bpy.context.view_layer.objects.active = armature = build_take(take).hands[0].armature
-    names = reshape.shape_names_of(store.hand_of(armature))
-    named = " ".join(name for name in names if name)
-    others = " ".join(f"Shape {number}" for number, name in enumerate(names, start=1) if name is None)
-    assert drawn(MANIENT_PT_proportions).said == f"{named} manient.reset_shape"
-    assert drawn(MANIENT_PT_other_proportions).said == others
-    assert "DEFAULT_CLOSED" in MANIENT_PT_other_proportions.bl_options
 
 
 def test_a_mirrored_hand_is_not_told_to_be_captured_again(take):

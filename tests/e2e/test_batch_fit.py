@@ -183,7 +183,6 @@ def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path, monkey
         (["--hand-length=5"], "between 50 and 300 mm"),
         (["--format=blend,obj"], "there is no export format 'obj'; choose from blend"),
         (["--python=no-python"], "cannot start the Python 'no-python'"),
-        (["--cluster=slurm"], "there is no option --cluster any more; "),
     ],
 )
 def test_wrong_options_are_refused_before_any_work(wheel, tmp_path, options, expected):
@@ -197,12 +196,10 @@ def test_wrong_options_are_refused_before_any_work(wheel, tmp_path, options, exp
 
 @pytest.mark.slow
 def test_a_folder_may_be_called_as_a_command(wheel, tmp_path):
-    assert wheel("plan", "a.jpg", "-o", "out").returncode == 2
-    for name in ("plan", "capture"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "a.jpg").write_bytes(b"no photo")
-        done = wheel(name, "-o", "out", "--format", "", "--dry-run")
-        assert (done.returncode, "1 of 1 to do" in done.stdout) == (0, True), done.stderr
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture" / "a.jpg").write_bytes(b"no photo")
+    done = wheel("capture", "-o", "out", "--format", "", "--dry-run")
+    assert (done.returncode, "1 of 1 to do" in done.stdout) == (0, True), done.stderr
 
 
 @pytest.mark.slow

@@ -203,7 +203,7 @@ def cases() -> Iterator[Case]:
             yield _line(f"command-{verb[0]}-{name}", [*verb, text])
     for name, option in (("long", "--output=--"), ("short", "-o--")):
         yield _line(f"command-output-{name}-dashes", ["capture", "kept.npz", option], refused=False)
-    for reader in ("hawor", "points-table", "freemocap", "bvh", "smplx", "hot3d"):
+    for reader in ("hawor", "points-table", "freemocap", "bvh", "smplx"):
         file = "a.npz" if reader == "hawor" else "a.points.json"
         yield _line(f"command-info-as-{reader}", ["info", file, "--reader", reader], {file: _points})
     for name, (file, data) in MODELS.items():

@@ -51,7 +51,6 @@ run capture manient capture photo.jpg clip.mp4 nowhere.jpg --output results --fo
 cp -r results again
 run again manient capture photo.jpg clip.mp4 --output again --format blend,bvh --frames 1-20 --jobs 2
 run take manient capture results/photo/photo.take.npz --output take --format bvh
-run gone_command manient plan photo.jpg --output planned
 blender -b -P hero.py
 run apply manient apply results/photo/photo.take.npz --to hero.blend --output applied --format blend,fbx
 
@@ -132,8 +131,8 @@ def commands(zipped: Path, samples: Path, without_network, tmp_path_factory) -> 
         ("install", 0, "Installed", ""),
         ("help", 0, "usage: blender --command manient capture", ""),
         ("wrong", 2, "", "--output"),
-        ("check", 0, "Everything works\n", ""),
-        ("gone_command", 2, "", "there is no command plan any more; "),
+        ("check", 0, "Everything works
+", ""),
         ("stopped", 130, "", "what was finished is kept"),
         ("damaged", 1, "handfit_core not loaded", "error: "),
         ("damaged_capture", 1, "", "error: "),
@@ -201,7 +200,6 @@ def test_a_damaged_installation_says_so_once_and_makes_nothing(commands):
         (error,) = [line for line in commands[step].err.splitlines() if line.startswith("error: ")]
         assert "The add-on is not whole: remove it and install the zip again" in error
     assert not (commands.folder / "damaged").exists()
-    assert not (commands.folder / "planned").exists()
 
 
 def test_removing_it_leaves_no_file_and_no_command(commands):

@@ -30,7 +30,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.photo": lambda i: {"source": i.photo},
     "capture.clip": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.escaped": lambda i: {"source": i.clip(VERY_LONG_CLIP), "frames": VERY_LONG_CLIP},
-    "capture.double_clicked": lambda i: {"source": i.clip(VERY_LONG_CLIP), "frames": VERY_LONG_CLIP},
     "capture.queued": lambda i: {
         "sources": [i.clip(LONG_CLIP), i.photo, shutil.copy(i.photo, i.folder / "second.jpg")]
     },

@@ -71,31 +71,6 @@ def test_any_number_of_threads_finds_the_same(clip, alone):
     assert_same(*parts)
 
 
-def test_hands_are_tracked_into_neighbouring_chunks(clip, alone, monkeypatch):
-    """Palms are detected in the second chunk alone; the others have what is tracked from there, as far as
-    that goes, and no farther."""
-    search = chunks.ClipFinder._search
-    monkeypatch.setattr(
-        chunks.ClipFinder, "_search", lambda finder, *given: search(finder, *given) if active else []
-    )
-    chunk = chunks.ClipDetector.chunk
-    active = False
-
-    def only_the_second(detector, index: int, *given):
-        nonlocal active
-        active = index == 1
-        return chunk(detector, index, *given)
-
-    monkeypatch.setattr(chunks.ClipDetector, "chunk", only_the_second)
-    found = detect_frames(open_media(clip), CaptureOptions(processes=1))
-    counts = counts_of(found).tolist()
-    end = chunks.MEDIA.chunk_frames
-    back = end - chunks.TRACKING.backtrack_frames
-    assert counts[:back] == [0] * back
-    assert counts[back:end] == [1 + (i >= 90) for i in range(back, end)]
-    assert min(counts[end:]) == 1
-
-
 def test_an_error_in_another_thread_is_raised_here(tmp_path):
     for i in range(200):
         cv2.imwrite(

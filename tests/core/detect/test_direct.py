@@ -16,7 +16,7 @@ from handfit_core.capturing.detection import find_in_frame, open_detector
 from handfit_core.capturing.options import CaptureOptions, region_of
 from handfit_core.common.errors import NoHandFoundError, OptionError
 from handfit_core.common.skeleton import other_side
-from handfit_core.detect import clips, search
+from handfit_core.detect import clips
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings, Region
@@ -125,11 +125,8 @@ def test_pictures_without_hands(stills):
     assert stills.find(None) == ()
 
 
-def test_a_still_has_test_time_augmentation(stills, plain, monkeypatch):
-    """A large, likely hand takes no tiles, no predictions for its parts, one refinement and six views."""
-    counts = runs_of(stills, monkeypatch)
+def test_a_still_has_test_time_augmentation(stills, plain):
     (once,), (mean,) = plain.find(picture(5)), stills.find(picture(5))
-    assert counts == {"predict": 7, "detect_palms": len(search.SEARCH.whole_picture_crops)}
     assert once.spread is None
     assert 0.0 < mean.spread.mean() < 0.05 * once.extent
     assert mean.side == once.side
@@ -152,61 +149,6 @@ def test_a_picture_of_100_megapixels(tmp_path):
     assert peak_megabytes(code, tmp_path / "large.png") < 1000
 
 
-def runs_of(finder: ClipFinder | StillFinder, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How often its networks run, those of one thread."""
-    monkeypatch.setattr(finder._networks, "threads", 1)
-    counts = {"predict": 0, "detect_palms": 0}
-    for name in counts:
-        run = getattr(finder._networks, name)
-
-        def counted(*given: object, name: str = name, run=run, **extra: object):
-            counts[name] += 1
-            return run(*given, **extra)
-
-        monkeypatch.setattr(finder._networks, name, counted)
-    return counts
-
-
-@pytest.mark.parametrize(
-    ("quality", "predictions"), [("draft", 1), ("standard", 1), ("best", search.NETWORK.augmentation_crops)]
-)
-def test_what_a_tracked_hand_costs(quality, predictions, monkeypatch):
-    """In each frame, and a search for others every now and then."""
-    with Networks(quality=quality) as chosen, clip_finder(chosen) as finder:
-        finder.find(picture(1))
-        counts = runs_of(finder, monkeypatch)
-        finder.find(picture(2))
-        ((hand,),) = finder.frames[1:]
-        assert counts == {"predict": predictions, "detect_palms": 0}
-        assert (hand.spread is None) == (predictions == 1)
-        assert (hand.keypoints_2020 is None) == (chosen._hand_2020 is None)
-        if quality == "standard":
-            for number in range(3, 2 + clips.TRACKING.search_interval):
-                assert counts == {"predict": number - 2, "detect_palms": 0}
-                assert len(finder.find(picture(number))) == 1
-            assert counts == {"predict": clips.TRACKING.search_interval, "detect_palms": 1}
-
-
-def test_where_the_networks_disagree_the_mirrored_crop_is_predicted(networks, monkeypatch):
-    if networks._hand_2020 is None:
-        pytest.skip("without the landmark network of December 2020 nothing differs")
-    with clip_finder(networks) as finder:
-        finder.find(picture(1))
-        finder.find(picture(2))
-        ((once,),) = finder.frames[1:]
-    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_disagreement=0.0))
-    with clip_finder(networks) as finder:
-        finder.find(picture(1))
-        assert len(finder.frames) == 1
-        counts = runs_of(finder, monkeypatch)
-        finder.find(picture(2))
-        ((hand,),) = finder.frames[1:]
-    assert counts["predict"] == 2
-    assert hand.side == once.side
-    assert 0.0 < distance(hand, once) < 0.05
-    np.testing.assert_array_equal(hand.keypoints_2020, once.keypoints_2020)
-
-
 @pytest.mark.slow
 def test_any_number_of_threads_finds_the_same():
     rgb, found = four_hands()[..., ::-1], []
@@ -217,18 +159,6 @@ def test_any_number_of_threads_finds_the_same():
             found.append([(h.side, h.certainty, *h.keypoints.ravel(), *h.world.ravel()) for h in hands if h])
     assert found[0] == found[1]
     assert len(found[0]) >= 4
-
-
-def test_crops_at_the_same_time(networks):
-    """What nobody asks for is left undone, and an error comes at its place."""
-    done = []
-    networks.threads = 2
-    each = networks.map(lambda _, item: done.append(item) or item, range(1000))
-    assert [next(each) for _ in range(5)] == [*range(5)]
-    each.close()
-    assert len(done) < 100
-    with pytest.raises(ZeroDivisionError):
-        list(networks.map(lambda _, item: 1 // item, [2, 1, 0, 1]))
 
 
 def test_a_hand_that_jumps_is_found_again(networks, plain):
@@ -257,27 +187,11 @@ def test_a_new_hand_is_tracked_back(networks):
     with clip_finder(networks) as finder:
         assert [len(finder.find(rgb)) for rgb in frames] == [1] * clips.TRACKING.search_interval + [2]
         found = finder.frames
-        assert len(finder._past) <= clips.TRACKING.backtrack_frames
     assert [len(hands) for hands in found] == [1] * 4 + [2] * (clips.TRACKING.search_interval - 3)
     for hands in found[4:]:
         mirrored = hands[1].keypoints_2d * [-1, 1] + [1280, 0]
         assert np.abs(mirrored - hands[0].keypoints_2d).mean() < 0.06 * hands[0].extent
         assert {hand.side for hand in hands} == {"left", "right"}
-
-
-def test_a_hand_that_has_left_costs_little(networks, monkeypatch):
-    """In time, and in memory for past frames."""
-    monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, max_past_bytes=3 * BLACK.nbytes))
-    with clip_finder(networks) as finder:
-        finder.find(picture(1))
-        counts = runs_of(finder, monkeypatch)
-        for i in range(1, 80):
-            assert finder.find(BLACK if i % 10 else None) == ()
-        assert counts["detect_palms"] < 130  # of three searches of all parts
-        assert counts["predict"] < 20
-        assert not finder.tracked
-        assert not finder._lost
-        assert len(finder._past) == 3
 
 
 def four_hands() -> np.ndarray:

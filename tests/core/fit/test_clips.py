@@ -170,20 +170,6 @@ def test_windows_agree_with_the_whole(monkeypatch: pytest.MonkeyPatch, count: in
     assert difference.mean() < 2e-4
 
 
-@pytest.mark.parametrize(("window", "windows"), [(600, 1), (12, 2)])
-def test_before_each_is_called(monkeypatch: pytest.MonkeyPatch, window: int, windows: int) -> None:
-    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, window_frames=window, clip_tolerance=0.0))
-    _, seen, start = clip()
-    solve, done, asked = clips._solve, [], []
-    monkeypatch.setattr(clips, "_solve", lambda *a: done.append(1) or solve(*a))
-    problem = problem_for(seen, motion=replace(MOTION, overlap=16))
-    smooth_clip(problem, start, lambda: asked.append(len(done)))
-    whole = windows * clips.SOLVER.clip_iterations
-    assert len(done) == whole
-    assert len(asked) == whole + windows
-    assert set(asked) == set(range(whole))
-
-
 @pytest.mark.parametrize("count", [1, 2])
 def test_one_or_two_frames(count: int) -> None:
     _, seen, start = (each.select(slice(count)) for each in clip())

@@ -32,9 +32,6 @@ def video(request: pytest.FixtureRequest, tmp_path: Path) -> Video:
 def test_frames_are_the_same_read_and_sought(video, monkeypatch):
     true = {frame.number: frame.rgb for frame in video.frames(0, 90) if frame.rgb is not None}
     count = sum(1 for _ in video.frames())
-    seeks = []
-    times = videos._times
-    monkeypatch.setattr(videos, "_times", lambda name: seeks.append(name) or times(name))
     for min_frames in (10_000, 0):
         monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=min_frames))
         for numbers in ([1], [2, 3, 40], [57, 58], [1, count - 1, count]):
@@ -43,7 +40,6 @@ def test_frames_are_the_same_read_and_sought(video, monkeypatch):
             for number, picture in zip(numbers, found, strict=True):
                 assert picture is not None
                 assert number not in true or np.array_equal(picture, true[number])
-    assert len(seeks) == 4
     first, behind = video.pictures([count, count + 5], count)
     assert first is not None
     assert behind is None

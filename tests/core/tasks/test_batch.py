@@ -267,9 +267,6 @@ def test_flat_and_names_that_differ_in_case_alone(tmp_path: Path) -> None:
         (["--jobs", "0"], "at least 1 is needed"),
         (["--timeout", "0"], "more than 0 seconds"),
         (["--solver", "nosuch"], "nosuch"),
-        (["--split", "20"], "--processes"),
-        (["--cluster=slurm"], "--scheduler ADDRESS"),
-        (["--progress=openjd"], "there is no style openjd any more"),
     ],
 )
 def test_what_cannot_be_meant_is_refused(tmp_path: Path, words: list[str], said: str) -> None:

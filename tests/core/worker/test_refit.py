@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,6 @@ from handfit_core.common.errors import Cancelled, HandfitError, OptionError, Pro
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineHand, to_message
 from handfit_core.edit.messages import answer, from_message
-from handfit_core.fit import clips
 from handfit_core.fit.solvers import never
 from tests.conftest import ROOT
 from tests.core.fit.detections import columns
@@ -44,22 +42,6 @@ def hand() -> RefineHand:
         transl=track.transl[:COUNT],
         locked=np.zeros(16, dtype=bool),
     )
-
-
-@pytest.mark.parametrize("iterations", [4, 1], ids=["between iterations", "before answering"])
-def test_a_range_is_stopped_once_smoothing_began(
-    hand: RefineHand, monkeypatch: pytest.MonkeyPatch, iterations: int
-) -> None:
-    monkeypatch.setattr(clips, "SOLVER", replace(clips.SOLVER, clip_iterations=iterations))
-    solve, solved = clips._solve, []
-    monkeypatch.setattr(clips, "_solve", lambda *a: solved.append(1) or solve(*a))
-    message = {"mode": "range", "hand": to_message(hand)}
-    assert "result" in answer(message, never)
-    assert solved
-    solved.clear()
-    with pytest.raises(Cancelled, match="nothing was changed"):
-        answer(message, lambda: bool(solved))
-    assert len(solved) == 1
 
 
 def test_a_drag_is_stopped_before_answering(hand: RefineHand) -> None:

@@ -98,31 +98,6 @@ def escaped(stage, source, frames):
     assert 0 < hand["detected"] < frames / 2
 
 
-def double_clicked(stage, source, frames):
-    """A double click on Capture does not stop it; then a click on the button that stands there does."""
-    yield from stage.open_sidebar()
-    bpy.context.scene.manient.source = source
-    yield from stage.until(
-        lambda: part("session.source_info").of(bpy.context.scene.manient).width, 30.0, "its size"
-    )
-    start = yield from stage.find_button("bpy.ops.manient.capture(")
-    yield from stage.click(start)
-    yield from stage.key("LEFTMOUSE")
-    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture to begin")
-    yield from stage.key("LEFTMOUSE")
-    yield from looking(stage, job)
-    assert len(jobs()) == 1
-    assert job.stop_button == ("Stop", True)
-    yield from stage.move_to(stage.region())
-    stop = yield from stage.find_button("bpy.ops.manient.cancel_capture(")
-    assert stop == start
-    yield from stage.click(start)
-    yield from finish(stage, job)
-    done(job)
-    assert "stopped" in job.message
-    assert 5 <= summary()[0]["frames"] < frames
-
-
 def queued(stage, sources):
     """Captures that wait for each other are a list in their scene; its first row is clicked."""
     with opened_by_default("MANIENT_PT_result"):

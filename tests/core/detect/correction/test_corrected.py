@@ -1,14 +1,12 @@
 """The network's judgement of sides beside the detector's."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
-from handfit_core.common.skeleton import SIDES, Side
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.correction import corrected as corrected_module
-from handfit_core.detect.correction.canonical import Canonical
 from handfit_core.detect.correction.corrected import TRUST, corrected, landmarked, with_side_judged
-from handfit_core.detect.correction.network import Correction
 from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 POINTS = landmarks_of("right", *poses(12, seed=3))
@@ -33,31 +31,6 @@ def test_the_detectors_word_counts_more():
     assert none.corrected.shape == (0, 21, 6)
 
 
-def test_what_was_said_is_not_asked_again(monkeypatch):
-    """The network runs once for a detection, and again only where the hand is taken for the other."""
-    judged = with_side_judged(DETECTIONS)
-    expected = {side: landmarked(DETECTIONS, side) for side in SIDES}
-    asked: list[int] = []
-    network = corrected_module.landmark_network()
-
-    def counted(seen: Canonical) -> Correction:
-        asked.append(len(seen.fused))
-        return network(seen)
-
-    monkeypatch.setattr(corrected_module, "landmark_network", lambda: counted)
-    cases: list[tuple[Side, list[int]]] = [("right", []), ("left", [12])]
-    for side, count in cases:
-        found = landmarked(judged, side)
-        for field in fields(found):
-            if field.name != "pinned":
-                aim = getattr(expected[side], field.name)
-                np.testing.assert_allclose(getattr(found, field.name), aim, atol=1e-9)
-        assert asked == count
-    some = np.where(np.arange(12) < 5, judged.corrected_side, -1)
-    landmarked(replace(judged, corrected_side=some), "right")
-    assert asked == [12, 7]
-
-
 def test_points_where_another_hand_is_are_believed_less():
     covered = (np.arange(21) > 16) & (np.arange(12) == 1)[:, None]
     detections = replace(DETECTIONS, overlapped=covered)
@@ -71,3 +44,11 @@ def test_points_where_another_hand_is_are_believed_less():
         times[covered] = corrected_module.TRUST.overlapped
         np.testing.assert_array_equal(doubted.pixel_sigma, before.pixel_sigma * times[..., None])
         np.testing.assert_array_equal(doubted.depth_sigma, before.depth_sigma * times)
+
+
+def test_what_the_network_has_said_before_changes_no_landmarks():
+    judged = with_side_judged(DETECTIONS)
+    for side in SIDES:
+        found, aim = landmarked(judged, side), landmarked(DETECTIONS, side)
+        for name in ("pixels", "pixel_sigma", "depth_sigma"):
+            np.testing.assert_allclose(getattr(found, name), getattr(aim, name), atol=1e-9)
