@@ -131,8 +131,7 @@ def commands(zipped: Path, samples: Path, without_network, tmp_path_factory) -> 
         ("install", 0, "Installed", ""),
         ("help", 0, "usage: blender --command manient capture", ""),
         ("wrong", 2, "", "--output"),
-        ("check", 0, "Everything works
-", ""),
+        ("check", 0, "Everything works\n", ""),
         ("stopped", 130, "", "what was finished is kept"),
         ("damaged", 1, "handfit_core not loaded", "error: "),
         ("damaged_capture", 1, "", "error: "),
