@@ -107,7 +107,7 @@ def _own_command() -> tuple[str, ...]:
 def _check(args: argparse.Namespace) -> int:
     if installation.why_not:
         print_error(installation.why_not)
-        print(f"{installation.versions()}\n{installation.details}")
+        print(installation.without_home(f"{installation.versions()}\n{installation.details}"))
         return EXIT_SOME_FAILED
     # Needs handfit_core.
     from .operators.base import finish

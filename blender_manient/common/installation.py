@@ -54,5 +54,11 @@ def versions() -> str:
     )
 
 
+def without_home(text: str) -> str:
+    """The text of a bug report, which need not tell the user's name."""
+    home = str(Path.home())
+    return text.replace(home, "~") if len(home) > 1 else text
+
+
 def _loaded_version(name: str) -> str:
     return str(getattr(sys.modules.get(name), "__version__", "not loaded"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from pathlib import Path
 
 import bpy
 
@@ -60,6 +59,4 @@ def checking(python: str | None = None) -> Generator[Waiting, None, tuple[str, s
     finally:
         worker.stop()
     parts = [sentence, installation.versions(), f"The Python that captures, {worker.python}:", said]
-    text, home = "\n\n".join(parts) + "\n", str(Path.home())
-    # A bug report need not tell the user's name.
-    return sentence, text.replace(home, "~") if len(home) > 1 else text
+    return sentence, installation.without_home("\n\n".join(parts) + "\n")

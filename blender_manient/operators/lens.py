@@ -59,9 +59,7 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
 
     @classmethod
     def poll_reason(cls, context):
-        if context.scene is None or not context.scene.is_editable:
-            return LINKED_SCENE
-        return None
+        return LINKED_SCENE if context.scene is None or not context.scene.is_editable else None
 
     def invoke(self, context, event):
         """Ask for the film and the name, or measure while the window stays free."""

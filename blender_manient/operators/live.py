@@ -36,9 +36,7 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
     def poll_reason(cls, context):
         if context.scene is None or not context.scene.is_editable:
             return LINKED_SCENE
-        if live.running() is not None:
-            return "Live runs already"
-        return None
+        return "Live runs already" if live.running() is not None else None
 
     def run(self, context):
         raise OptionError("Live needs Blender's window")
