@@ -9,11 +9,11 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.common.blender_versions import channels
 from blender_manient.operators.export import MANIENT_OT_export_hand
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections, reshape
+from blender_manient.scene.actions import push_down
 from blender_manient.scene.apply import apply_track
 from blender_manient.scene.build import build_take
 from blender_manient.scene.editable import why_not_editable, why_not_keyable
@@ -24,6 +24,7 @@ from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.edit.corrections import changed_quats, correction_between
 
 from .conftest import FRAMES, UNSEEN
+from .looking import chosen, curves_of
 
 pytestmark = pytest.mark.usefixtures("registered")
 
@@ -38,10 +39,7 @@ def made(make_take):
 @pytest.fixture
 def armature(made):
     """One right hand, active and selected."""
-    armature = build_take(made.take).hands[0].armature
-    bpy.context.view_layer.objects.active = armature
-    armature.select_set(True)
-    return armature
+    return chosen(build_take(made.take).hands[0].armature)
 
 
 def all_keys(armature) -> PoseKeys:
@@ -203,8 +201,7 @@ def reopened(armature, path) -> bpy.types.Object:
     name = armature.name
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     bpy.ops.wm.open_mainfile(filepath=str(path))
-    bpy.context.view_layer.objects.active = bpy.data.objects[name]
-    return bpy.data.objects[name]
+    return chosen(bpy.data.objects[name])
 
 
 def test_corrections_go_with_their_action(armature, tmp_path):
@@ -237,7 +234,7 @@ def test_corrections_go_with_their_action(armature, tmp_path):
     assert corrections.corrected_frames(armature) == [6]
     give(armature, bpy.data.actions[pushed])
     assert corrections.corrected_frames(armature) == [8]
-    pushed_down(armature)
+    push_down(armature.animation_data)
     assert corrections.corrected_frames(armature) == [8]
 
 
@@ -281,15 +278,13 @@ def test_a_hand_that_is_removed_while_its_keys_are_written(armature):
 def test_keys_that_were_moved_or_replaced_are_left_alone(armature, what):
     correct(armature, 6, spread=4.0)
     correct(armature, 16, spread=0.0)
-    data = armature.animation_data
-    holder = channels(data.action, getattr(data, "action_slot", None))
     keys = all_keys(armature)
     if what == "replaced":
         rows = (keys.frames > 3) & (keys.frames < 9)
         quats = np.tile([0.6, 0.8, 0.0, 0.0], (rows.sum(), 16, 1))
         write_pose_keys(rig_of(armature), PoseKeys.everywhere(keys.frames[rows], quats))
     else:
-        for curve in holder.fcurves:
+        for curve in curves_of(armature):
             for point in curve.keyframe_points:
                 if point.co.x < 10:
                     point.co.x -= 2
@@ -330,25 +325,9 @@ def shown(armature, frames=(4, 8, 16)) -> np.ndarray:
     return np.array(found)
 
 
-def pushed_down(armature) -> bpy.types.Action:
-    data = armature.animation_data
-    action = data.action
-    slot = getattr(data, "action_slot", None)
-    strip = data.nla_tracks.new().strips.new("motion", int(action.frame_range[0]), action)
-    if slot is not None:
-        strip.action_slot = slot
-    data.action = None
-    return action
-
-
-def curves(armature):
-    data = armature.animation_data
-    return channels(data.action, getattr(data, "action_slot", None)).fcurves
-
-
 def test_motion_in_the_nla_is_not_hidden_by_a_key(armature, made):
     before = shown(armature)
-    pushed_down(armature)
+    push_down(armature.animation_data)
     assert "NLA" in (why_not_keyable(armature) or "")
     assert why_not_editable(armature) is None
     assert refuses("apply_pose refit_range edit_keypoints")
@@ -408,7 +387,7 @@ def test_a_linked_action_says_so(armature, tmp_path):
 @pytest.mark.parametrize("what", ["curves", "group"])
 def test_locked_channels_are_not_overwritten(armature, made, what):
     before, bone = read_pose_keys(rig_of(armature)), bone_names("right")[5]
-    own = [curve for curve in curves(armature) if f'"{bone}"' in curve.data_path]
+    own = [curve for curve in curves_of(armature) if f'"{bone}"' in curve.data_path]
     for locked in own if what == "curves" else [own[0].group]:
         locked.lock = True
     bpy.context.scene.frame_set(6)
