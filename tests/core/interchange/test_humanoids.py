@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 
 from handfit_core.__main__ import main
+from handfit_core.capturing.live import send
 from handfit_core.capturing.live.send import VmcMotion, host_and_port, osc_message
 from handfit_core.common.errors import OptionError, OutputError
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.axes import REST_FROM_MODEL, bone_frames
-from handfit_core.interchange import send
 from handfit_core.interchange.formats.vrma import vrm_animation
 from handfit_core.interchange.humanoid import BODY, HumanoidHand, hands_of
 from handfit_core.interchange.writers import writer_for
