@@ -12,8 +12,6 @@ import pytest
 
 from handfit_core.__main__ import main
 from handfit_core.common.skeleton import other_side
-from handfit_core.interchange import commands
-from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.writers import writer_for
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.take import Take, chosen, is_take
@@ -117,19 +115,3 @@ def test_an_input_is_not_written_over(points: Path, capsys: pytest.CaptureFixtur
         assert main([verb, str(points), "-o", str(points)]) == 1
         assert "this is an input, which stays" in capsys.readouterr().err
     assert points.read_bytes() == good
-
-
-@pytest.mark.parametrize(
-    ("name", "writer", "again"),
-    [("w.CSV", "points-table", 1), ("w.bvh", "bvh", 1), ("w.dat", "points-table", 0), ("w", "bvh", 0)],
-)
-def test_what_is_written_is_read_again(
-    name: str, writer: str, again: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """If it has its format's ending: a reader goes by that, too."""
-    opened: list[Path] = []
-    monkeypatch.setattr(commands, "read_recording", lambda *of: opened.append(of[0]) or read_recording(*of))
-    take, out = TRUTH.save(tmp_path / "a.take.npz"), tmp_path / name
-    assert main(["convert", str(take), "-o", str(out), "--to", writer, "--progress", "none"]) == 0
-    assert out.stat().st_size > 0
-    assert len(opened) == again
