@@ -50,14 +50,6 @@ def test_numbers(tmp_path: Path) -> None:
     assert label.joints_3d.dtype == label.mesh.vertices().dtype == np.float64
 
 
-def test_pictures_may_stand_beside_the_labels(tmp_path: Path) -> None:
-    write_split(tmp_path, "evaluation", 1, [0])
-    (tmp_path / "evaluation" / "rgb").rename(tmp_path / "rgb")
-    (entry,) = open_dataset(tmp_path).entries
-    assert entry.picture == tmp_path / "rgb" / "00000000.jpg"
-    np.testing.assert_allclose(entry.read_labels().hands[0].joints_3d, hand(0), atol=1e-12)
-
-
 def test_training_labels_serve_four_pictures_each(tmp_path: Path) -> None:
     dataset = open_dataset(write_split(tmp_path, "training", 3, list(range(12)), verts=None))
     assert dataset.problems == ()

@@ -83,15 +83,6 @@ def test_the_list_decides_and_what_it_misses_is_reported(tmp_path: Path) -> None
     ]
 
 
-def test_a_frame_without_joints_is_a_missing_label(tmp_path: Path) -> None:
-    write_frame(tmp_path, "train", "SM1/0000", meta(None))
-    write_frame(tmp_path, "train", "SM1/0001", meta(hand(), camMat=None))
-    first, second = (entry.read_labels() for entry in open_dataset(tmp_path).entries)
-    assert np.isnan(first.hands[0].joints_3d).all()
-    assert np.isnan(first.hands[0].keypoints_2d).all()
-    assert second.intrinsics is None
-
-
 def test_evaluation_takes_its_labels_by_line(tmp_path: Path) -> None:
     names = ["SM1/0003", "AP10/0000", "SM1/0001"]
     for name in names:

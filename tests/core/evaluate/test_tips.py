@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.common.errors import DatasetError, OptionError
+from handfit_core.common.errors import DatasetError
 from handfit_core.evaluate.datasets import open_dataset
 from tests.core.evaluate.dataset_files import labels_of, touch, write_tips
 
@@ -126,10 +126,6 @@ def test_both_variants_of_dexter_object(tmp_path: Path, inside: bool) -> None:
     (tmp_path / ("data/Rigid" if inside else "") / "annotations" / "my_Rigid3D.txt").unlink()
     # Labels are not mixed: one sequence without cleaned labels, and the original ones are taken.
     assert open_dataset(tmp_path).name == "Dexter+Object (original labels)"
-    with pytest.raises(DatasetError, match=r"my_Rigid3D\.txt \(cleaned labels\) is missing"):
-        open_dataset(tmp_path, labels="cleaned")
-    with pytest.raises(OptionError, match=r"'my' does not exist here; choose from cleaned, original"):
-        open_dataset(tmp_path, labels="my")
 
 
 def test_pixels_of_the_depth_picture_are_not_taken_for_points(tmp_path: Path) -> None:

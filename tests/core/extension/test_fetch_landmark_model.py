@@ -68,8 +68,3 @@ def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, ca
         assert second.read_bytes() == b"network"
     assert landmark_model.cached_path().read_bytes() == b"first"
     assert capsys.readouterr().out.count("already there") == 7
-    output = tmp_path / "first.task"
-    output.touch()
-    output.with_name(landmark_model.BODY.name).write_bytes(b"body")
-    assert fetch(monkeypatch, "--package", package, "-o", output) == 0
-    assert (tmp_path / landmark_model.NETWORK_2020.name).read_bytes() == b"network"

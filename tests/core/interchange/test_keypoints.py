@@ -177,13 +177,6 @@ def test_counts_are_no_sides(tmp_path: Path, key: str) -> None:
     assert seen_in(read(path, reader="apple-vision")).left.tolist() == [True, False, False]
 
 
-def test_hands_of_unknown_side_without_depth(tmp_path: Path) -> None:
-    path = saved(tmp_path / "a.json", of_mmpose(TOLD.pixels["left"][0].tolist(), [0.8] * 21))
-    assert seen_in(read(path, hands="left")).left.tolist() == [True]
-    assert seen_in(read(path)).left.tolist() == [False]
-    assert says(read(path), "--hands left for a left one")
-
-
 # People and points that are missing
 
 
@@ -457,14 +450,6 @@ def test_our_own_comes_back(tmp_path: Path, name: str, reader: str, left_out: li
         assert worst_in_space(recording) < 1e-6
         assert all(hand.on_joints for hand in recording.points)
     assert not recording.assumed
-
-
-def test_the_least_that_a_table_of_our_own_has(tmp_path: Path) -> None:
-    rows = [[12, "left", i, *xy] for i, xy in enumerate(TOLD.pixels["left"][0].tolist()) if i != 8]
-    path = table(tmp_path / "c.csv", ["frame", "side", "point", "x_px", "y_px"], rows)
-    recording = read(path, picture_size=(WIDTH, HEIGHT))
-    assert (recording.size, recording.frame_numbers.tolist()) == ((WIDTH, HEIGHT), [12])
-    assert np.isnan(seen_in(recording).keypoints[0, 8]).all()
 
 
 # Beside the table

@@ -13,8 +13,6 @@ import pytest
 from handfit_core.capturing.pipeline import capture
 from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.skeleton import NUM_BETAS, SIDES, other_side
-from handfit_core.common.values import Unfit
-from handfit_core.detect.keypoints import MOST_IN_FRAME
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
@@ -23,7 +21,7 @@ from handfit_core.interchange.opening import is_recording
 from handfit_core.interchange.recording import Asked, usual_place
 from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import writer_for
-from handfit_core.take import TAKE_LIMITS, Take
+from handfit_core.take import Take
 from tests.conftest import ROOT
 from tests.core.interchange import mano_files as files
 from tests.core.interchange.known_hands import (
@@ -231,20 +229,6 @@ def test_each_hand_goes_to_the_nearest_that_is_free() -> None:
         np.testing.assert_allclose(track.transl[track.present, 0], xs)
 
 
-def test_hands_and_persons_are_bounded() -> None:
-    most = TAKE_LIMITS.max_hands
-    crowd = [(1, float(x)) for x in range(most + 1)]
-    assert len(followed(right_hands(*crowd[1:]), np.array([1]), Asked(), [])) == most
-    for hands, said in (
-        (right_hands(*crowd), "more than 200 hands"),
-        (right_hands(*crowd, persons=list(range(len(crowd)))), "more than 200 hands"),
-        (right_hands(*[(1, 0.0)] * (MOST_IN_FRAME + 1)), "4001 hands in frame 1, and at most 4000"),
-        (right_hands((1, 0.0), (1, 1.0), persons=[0, 0]), "twice in one frame"),
-    ):
-        with pytest.raises((Unfit, ValueError), match=said):
-            followed(hands, np.array([1]), Asked(), [])
-
-
 # Cameras
 
 
@@ -307,16 +291,6 @@ def test_every_point_of_dyn_hamr(tmp_path: Path) -> None:
         points = right.keypoints(None, *pose) * (MIRROR if hand.side == "left" else 1.0)
         seen = (turned[:, None] @ points[..., None])[..., 0] + moved[:, None]
         np.testing.assert_allclose(hand.joints_3d, seen, atol=EXACT)
-
-
-def test_other_layouts_of_dyn_hamr(tmp_path: Path) -> None:
-    """One camera for all tracks, another name of poses, and no camera, of which is told."""
-    turned, moved = files.cameras()
-    poses = np.stack([HANDS["left"].mirrored[1], HANDS["right"].hand_pose])
-    for changes in ({"cam_R": turned, "cam_t": moved}, {"pose_body": None, "latent_pose": poses}):
-        recording = read(dyn(tmp_path / "a.npz", **changes))
-        assert_same_hand(hand_of(recording, "left"), HANDS["left"])
-    assert says(read(dyn(tmp_path / "a.npz", cam_R=None)), "the camera is not told")
 
 
 # Bodies
@@ -462,15 +436,6 @@ def test_smplx_as_amass_tools_read_it(take: Take, tmp_path: Path) -> None:
     # A hand whose camera frame is the world's upside down: its wrist's y is minus the camera's.
     right = rotvec_to_rotmat(poses[:, 63:66])
     np.testing.assert_allclose(right[:, 1], -matrices(HANDS["right"].global_orient)[:, 0, 1], atol=1e-9)
-
-
-def test_holes_and_steps(take: Take, tmp_path: Path) -> None:
-    """Every second frame of a source at 25 a second, one of them missing: 12.5 a second, the hole held."""
-    numbers = np.array([2, 4, 6, 10, 12, 14, 16])
-    recording = read(wrote(replace(take, frame_numbers=numbers), tmp_path / "out.mano.npz"))
-    assert recording.fps == 12.5
-    assert recording.frame_numbers.tolist() == list(range(2, 17, 2))
-    assert np.flatnonzero(~hand_of(recording, "right").present).tolist() == [3]
 
 
 # What is wrong

@@ -104,15 +104,6 @@ def test_bad_files_are_named_in_a_sentence(tmp_path: Path, change: dict[str, Any
         read(tmp_path / "a.npz")
 
 
-def test_people_and_frames_that_are_not_one_each(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(HandfitError, match="no person 3; there are 2"):
-        read(folder, person=3)
-    for name in ("a_1_person0", "b_1_person0"):
-        np.savez(tmp_path / f"{name}.npz", **person())
-    with pytest.raises(HandfitError, match="one frame and person"):
-        read(tmp_path)
-
-
 def test_real_files(samples: Path) -> None:
     """Four people of one picture; the points are Meta's own joints to the last digit."""
     folder = samples / "other_trackers"
