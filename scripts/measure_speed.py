@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure how fast solvers and whole captures are, and how much memory a capture takes.
+"""Measure how fast solvers and whole captures are.
 
     python scripts/measure_speed.py                            the bundled pictures, about a minute
     python scripts/measure_speed.py clip.mp4 --frames 1-300    a part of a clip
@@ -16,7 +16,6 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -32,7 +31,7 @@ if str(ROOT) not in sys.path:
 from handfit_core.capturing.detection import detect_frames
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
-from handfit_core.common.errors import HandfitError, InputError, OptionError
+from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.detect.keypoints import Track
 from handfit_core.detect.tracks import link_tracks
 from handfit_core.fit.fast import fitter_of
@@ -68,7 +67,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             ("captures", captures(args.input, frames)),
         ):
             print(table(title, timed, paired_times(timed, args.rounds)), end="\n\n", flush=True)
-        print(f"peak memory of a capture: {peak_memory(args.input, args.frames):.0f} MB")
     except HandfitError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -127,30 +125,6 @@ def table(title: str, timed: Timed, seconds: np.ndarray) -> str:
             f"({ratio.min():.3g} to {ratio.max():.3g})"
         )
     return "\n".join(lines)
-
-
-def peak_memory(source: str, frames: str | None = None) -> float:
-    """The most resident memory in MB (10^6 bytes) that a capture in a process of its own takes; Linux only.
-
-    Raises InputError.
-    """
-    # Not getrusage, which starts with the parent's peak.
-    code = (
-        "import sys; from handfit_core.media.frame_range import FrameRange; "
-        "from handfit_core.capturing.pipeline import capture; "
-        "capture(sys.argv[1], frames=FrameRange.parse(sys.argv[2]) if sys.argv[2] else None); "
-        "print(next(line for line in open('/proc/self/status') if line.startswith('VmHWM')))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, source, frames or ""],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise InputError(f"the capture failed: {(done.stderr.strip().splitlines() or ['?'])[-1]}")
-    return int(done.stdout.split()[-2]) * 1024 / 1e6
 
 
 if __name__ == "__main__":

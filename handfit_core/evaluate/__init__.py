@@ -1,5 +1,5 @@
 """How accurate and how fast solvers are, on any labelled data set: `python -m handfit_core evaluate`. A line
-here may import anything, pandas and matplotlib too; no capture imports it."""
+here may import anything, pandas too; no capture imports it."""
 
 from typing import Final, Literal
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from handfit_core.capturing.options import CaptureOptions, add_options
 from handfit_core.capturing.pipeline import Progress
@@ -13,7 +14,7 @@ from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_writable, path_of
 from handfit_core.evaluate import CAMERA_CHOICES, ProtocolName
 
-REPORTS_NEED = ("pandas", "matplotlib", "jinja2", "joblib")
+REPORTS_NEED = ("pandas", "jinja2", "joblib")
 DEFAULT_METHODS = ("raw", "fused", CaptureOptions.solver)
 
 
@@ -64,8 +65,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     # Other commands need none of these, and reports need the packages of above.
     from handfit_core.evaluate.datasets import open_dataset
     from handfit_core.evaluate.flat import Flat
-    from handfit_core.evaluate.report import write_report
-    from handfit_core.evaluate.report.tables import main_table
+    from handfit_core.evaluate.report import as_text, main_table, write_report
     from handfit_core.evaluate.run import EvaluationOptions, evaluate
     from handfit_core.evaluate.views import KIND, is_two_cameras
 
@@ -91,18 +91,10 @@ def _evaluate(args: argparse.Namespace) -> int:
         published_frame=args.protocol == "paper",
     )
     folder = args.output or Path("out", "evaluation", f"{args.dataset.resolve().name}-{args.protocol}")
-    if folder.is_file():
-        raise OptionError(f"{folder}: this is a file; name a folder for the report")
     check_writable(folder / "index.html")  # now, not after an hour of fitting
-    report = args.reporter
-
-    def progress(stage, done: int, total: int) -> None:
-        if args.progress != "none":
-            report.progress(Progress(stage, done, total))
-
-    evaluation = evaluate(dataset, options, progress)
+    evaluation = evaluate(dataset, options, _progress(args))
     files = write_report(folder, evaluation)
-    report.evaluated(
+    args.reporter.evaluated(
         {
             "output": str(folder / "index.html"),
             "files": [str(file) for file in files],
@@ -111,7 +103,7 @@ def _evaluate(args: argparse.Namespace) -> int:
             "problems": {kind: len(where) for kind, where in evaluation.problems.items()},
             "summaries": evaluation.summaries.to_dict("index"),
         },
-        main_table(evaluation).markdown(),
+        as_text(main_table(evaluation)).set_index("method").T.to_string(),
     )
     return 0
 
@@ -123,14 +115,14 @@ def _evaluate_views(args: argparse.Namespace) -> int:
     folder = args.output or Path("out", "evaluation", f"{args.dataset.resolve().name}-views")
     path = folder / "views.csv"
     check_writable(path)
-    report = args.reporter
-
-    def progress(stage, done: int, total: int) -> None:
-        if args.progress != "none":
-            report.progress(Progress(stage, done, total))
-
-    rows = evaluate_views(args.dataset, CaptureOptions.of_arguments(args), progress)
+    rows = evaluate_views(args.dataset, CaptureOptions.of_arguments(args), _progress(args))
     folder.mkdir(parents=True, exist_ok=True)
     rows.to_csv(path, index=False)
-    report.evaluated({"output": str(path), "problems": {}, "pairs": len(rows)}, views_table(rows))
+    args.reporter.evaluated({"output": str(path), "problems": {}, "pairs": len(rows)}, views_table(rows))
     return 0
+
+
+def _progress(args: argparse.Namespace) -> Callable[[Any, int, int], None]:
+    if args.progress == "none":
+        return lambda *_: None
+    return lambda stage, done, total: args.reporter.progress(Progress(stage, done, total))

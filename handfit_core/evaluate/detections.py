@@ -8,7 +8,6 @@ the detector's settings and model, and the detector's code: change one and it is
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,8 +38,6 @@ class UnitDetections:
     """Of all pictures"""
     sizes: np.ndarray
     """(T, 2) int: width and height in pixels; UNREADABLE where the picture could not be read"""
-    milliseconds: np.ndarray
-    """(T,) spent in the detector"""
 
     @property
     def readable(self) -> np.ndarray:
@@ -82,19 +79,15 @@ class UnitDetector:
         """The hands in a unit's pictures, found now."""
         if unit.is_clip:
             clip = _Clip(unit, on_picture)
-            started = time.perf_counter()
             hands = detect_frames(clip, self._options).hands
-            each = 1000 * (time.perf_counter() - started) / len(unit.entries)
-            return UnitDetections(hands, np.array(clip.sizes), np.full(len(unit.entries), each))
+            return UnitDetections(hands, np.array(clip.sizes))
         if self._stills is None:
             self._stills = open_detector(self._options)
         (entry,) = unit.entries
         rgb, size = _read(entry)
-        started = time.perf_counter()
         hands = Detections.of([self._stills.find(rgb, entry.time)])
-        spent = 1000 * (time.perf_counter() - started)
         on_picture()
-        return UnitDetections(hands, np.array([size]), np.array([spent]))
+        return UnitDetections(hands, np.array([size]))
 
 
 def _find(

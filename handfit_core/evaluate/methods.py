@@ -152,12 +152,8 @@ def _seen_from_afar(points: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
     return np.concatenate([intrinsics.project(points), depth], axis=-1)
 
 
-_RAW: Final = {
-    "raw-image": (image_landmarks, "detector, image landmarks"),
-    "raw-world": (world_landmarks, "detector, world landmarks"),
-    "fused": (fused_landmarks, "detector, both landmark sets fused"),
-}
-"""What the detector alone says: landmarks, and a title for people"""
+_RAW: Final = {"raw-image": image_landmarks, "raw-world": world_landmarks, "fused": fused_landmarks}
+"""What the detector alone says"""
 
 _GROUPS: Final[dict[str, tuple[str, ...]]] = {
     "raw": ("raw-image", "raw-world"),
@@ -177,15 +173,10 @@ def method_names(asked: list[str]) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def method_title(name: str) -> str:
-    """For people."""
-    return _RAW[name][1] if name in _RAW else name
-
-
 def get_method(name: str, protocol: ProtocolName) -> Method:
     """The method of that name, as the protocol runs it."""
     if name in _RAW:
-        return partial(raw, _RAW[name][0])
+        return partial(raw, _RAW[name])
     if protocol == "paper" and SOLVERS.get(name).published:
         return partial(published, name)
     return partial(solved, name)

@@ -1,13 +1,12 @@
-"""Errors of points and surfaces, shares of correct points, and how steady a hand is over a clip. These are
-pure functions that name their alignment.
+"""Errors of points and surfaces, shares of correct points, and how much a hand trembles over a clip. These
+are pure functions that name their alignment.
 
 Points are (P, 3) or (..., P, 3), most often (21, 3). Distances come in the unit of the input. A point is
 labelled where the truth has no NaN; where it is not, the result is NaN. Every label counts the same.
 A prediction that is NaN at a labelled point (a miss) gives NaN wherever it takes part in an alignment.
 
 A clip is (T, 21, 3) points of one hand in the order of time, NaN in the frames where it was missed or is
-not labelled. Only frames without a gap between them are compared: a gap is left out, never bridged, so
-read its numbers beside the detection rate.
+not labelled. Frames around a gap are left out, never bridged.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from handfit_core.common.skeleton import KEYPOINT_PARENTS, WRIST_KEYPOINT
+from handfit_core.common.skeleton import WRIST_KEYPOINT
 from handfit_core.geometry.similarity import align
 
 PCK_THRESHOLDS_MM: Final = np.linspace(20.0, 50.0, 100)
@@ -153,37 +152,6 @@ def auc(curve: np.ndarray, thresholds: np.ndarray) -> float:
     return float(trapezoid(curve, thresholds) / (thresholds[-1] - thresholds[0]))
 
 
-def bone_length_variation(points: np.ndarray) -> float:
-    """Percent by which the 20 bones of (T, 21, 3) points change over time. Alignment: none needed.
-
-    Standard deviation over mean of each bone's length over the frames that have it, averaged over the
-    bones. 0 for a rigid skeleton, whatever it does. NaN with fewer than two frames.
-    """
-    points = np.asarray(points, dtype=np.float64)
-    lengths = np.linalg.norm(points[:, 1:] - points[:, KEYPOINT_PARENTS[1:]], axis=-1)  # (T, 20)
-    mean = mean_of_labelled(lengths, axis=0)
-    deviation = np.sqrt(mean_of_labelled((lengths - mean) ** 2, axis=0))
-    enough = ((~np.isnan(lengths)).sum(axis=0) >= 2) & (mean > 0.0)
-    ratio = np.divide(deviation, mean, out=np.full(len(mean), np.nan), where=enough)
-    return 100.0 * float(mean_of_labelled(ratio))
-
-
-def acceleration_error(points: np.ndarray, truth: np.ndarray, times: np.ndarray) -> float:
-    """Mean length of the difference between predicted and true acceleration, in unit/s^2.
-
-    points, truth (T, 21, 3); times (T,) seconds. Acceleration is the second divided difference over
-    three neighbouring frames, all of them valid in both; steps may be unequal. Alignment: each wrist at
-    the origin, and the wrist left out of the mean. NaN without such frames, or without a labelled wrist.
-    """
-    steps = np.diff(np.asarray(times, dtype=np.float64))
-    # The difference of the accelerations is the acceleration of the difference.
-    error = _prediction_error(points, truth)
-    velocity = np.diff(error, axis=0) / steps[:, None, None]
-    spans = 0.5 * (steps[1:] + steps[:-1])
-    acceleration = np.diff(velocity, axis=0) / spans[:, None, None]
-    return float(mean_of_labelled(np.linalg.norm(acceleration, axis=-1)))
-
-
 def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
     """RMS, in the unit, of that part of the prediction error that is faster than 5 Hz (spectral jitter).
 
@@ -198,7 +166,8 @@ def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
 
     if fps <= 2.0 * JITTER_ABOVE_HZ:
         return float("nan")
-    error = _prediction_error(points, truth)
+    error = np.asarray(points, dtype=np.float64) - truth
+    error = np.delete(error - error[:, [WRIST_KEYPOINT]], WRIST_KEYPOINT, axis=1)  # (T, 20, 3)
     valid = labelled_points(error)  # (T, P)
     power, frames = 0.0, 0
     for point in range(error.shape[1]):
@@ -218,12 +187,6 @@ def jitter_spectrum(points: np.ndarray, truth: np.ndarray, fps: float) -> float:
             power += length * fast
             frames += length
     return float(np.sqrt(power / frames)) if frames else float("nan")
-
-
-def _prediction_error(points: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """(T, 20, 3) points - truth about the wrists, without these, whose error is always 0."""
-    error = np.asarray(points, dtype=np.float64) - truth
-    return np.delete(error - error[:, [WRIST_KEYPOINT]], WRIST_KEYPOINT, axis=1)
 
 
 def _runs(valid: np.ndarray) -> list[slice]:

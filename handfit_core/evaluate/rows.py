@@ -5,7 +5,6 @@ Everything that cannot become a row is counted as a problem, with its reason.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -137,7 +136,7 @@ def _strict_rows(
         found.extra_hands += len(present) - sum(m is not None for m in matched)
         for index, which in zip(hands, matched, strict=True):
             track = -1 if which is None else present[which][0]
-            found.listed.append(_row(entry, labels, index, seen.milliseconds[t], found, track, t))
+            found.listed.append(_row(entry, labels, index, found, track, t))
 
 
 def _fps(unit: Unit) -> float:
@@ -166,12 +165,10 @@ def _paper_rows(frames: Sequence[Frame], seen: UnitDetections, intrinsics: Intri
             found.tracks.append(TrackInView(Track(PAPER_SIDE, first, frame_count=1), intrinsics))
         else:
             found.problems.append(Problem("no hand detected: dropped as in the paper", entry.name))
-        found.listed.append(_row(entry, labels, with_tips[0], seen.milliseconds[t], found, track, 0))
+        found.listed.append(_row(entry, labels, with_tips[0], found, track, 0))
 
 
-def _row(
-    entry: Entry, labels: Labels, index: int, detect_ms: float, found: Rows, track: int, frame: int
-) -> dict[str, Any]:
+def _row(entry: Entry, labels: Labels, index: int, found: Rows, track: int, frame: int) -> dict[str, Any]:
     """One labelled hand in one picture."""
     hand = labels.hands[index]
     side = found.tracks[track].track.side if track >= 0 else None
@@ -180,15 +177,11 @@ def _row(
         "hand": index,
         "clip": entry.clip,
         "time": entry.time,
-        # How the camera sees the palm
-        "view": view_of(hand.joints_3d, hand.side),
-        "picture": entry.picture,
         "tags": entry.tags,
         "label": hand,
         "label_2d": label_pixels(hand, labels.intrinsics),
         # The true camera, None where the set does not give it
         "camera": labels.intrinsics,
-        "detect_ms": float(detect_ms),
         # Place among the tracks, -1 for a miss; and in the track
         "track": track,
         "frame": frame,
@@ -241,23 +234,3 @@ def _distance(pixels: np.ndarray, keypoints: np.ndarray) -> float:
     # One labelled point has no size, and a few may lie close together: the detection's then decides.
     size = max(*(float(np.ptp(points, axis=0).max()) for points in (pixels[known], keypoints)), 1e-9)
     return float(distance) / size
-
-
-def view_of(joints_3d: np.ndarray, side: Side | None) -> str:
-    """How the camera sees the palm of (21, 3) labels in its frame: `palm`, `back`, `edge` or `unknown`.
-
-    The palm's plane is that of wrist, index knuckle and little finger's knuckle; `unknown` where one of
-    them has no label or the side is not known.
-    """
-    wrist, index, little = joints_3d[[0, 5, 17]]
-    # Out of the palm, for a right hand.
-    normal = np.cross(index - wrist, little - wrist)
-    sight = (wrist + index + little) / 3.0
-    size = np.linalg.norm(normal) * np.linalg.norm(sight)
-    if side is None or not np.isfinite(size) or size == 0.0:
-        return "unknown"
-    towards_camera = -float(normal @ sight) / size * (1.0 if side == "right" else -1.0)
-    # The palm's plane within so many degrees of the line of sight is an edge.
-    if abs(towards_camera) < math.sin(math.radians(30.0)):
-        return "edge"
-    return "palm" if towards_camera > 0.0 else "back"

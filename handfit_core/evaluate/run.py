@@ -21,7 +21,7 @@ from handfit_core.evaluate.fits import fit_all
 from handfit_core.evaluate.flat import Flat, flattened
 from handfit_core.evaluate.kept import versions
 from handfit_core.evaluate.labels import Dataset, Problem, Unit, units_of
-from handfit_core.evaluate.methods import TrackResult, method_names, method_title
+from handfit_core.evaluate.methods import TrackResult, method_names
 from handfit_core.evaluate.rows import Rows, rows_of
 from handfit_core.evaluate.scores import Evaluation
 from handfit_core.evaluate.scoring import Models, baselines, results_of_rows, score
@@ -88,14 +88,12 @@ def evaluate(dataset: Dataset, options: EvaluationOptions, progress: ReportProgr
     sides: set[Side] = {view.track.side for view in rows.tracks}
     models: Models = {side: load_model(options.model, side) for side in sides}
     results = _fitted(rows, names, options, progress)
-    judged = [
-        *((*baseline, True) for baseline in baselines(rows, protocol, options.model)),
-        *((name, method_title(name), results_of_rows(rows, results[name]), False) for name in names),
-    ]
+    null = baselines(rows, protocol, options.model)
+    judged = null | {name: results_of_rows(rows, results[name]) for name in names}
     of_meshes: dict[Problem, None] = {}
     scores = {}
-    for name, title, found, is_baseline in judged:
-        scores[name] = score(name, title, found, rows, protocol, models, of_meshes, is_baseline=is_baseline)
+    for name, found in judged.items():
+        scores[name] = score(name, found, rows, protocol, models, of_meshes, is_baseline=name in null)
         progress("score", len(scores), len(judged))
     return Evaluation(
         dataset=dataset.name,

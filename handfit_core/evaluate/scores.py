@@ -23,26 +23,17 @@ class Scores:
 
     method: str
     """The name that the command line takes: `paper-a`, `fused`, `null-centroid`"""
-    title: str
-    """For people"""
     is_baseline: bool
     """True for the null baselines, which know the truth and are there to compare with"""
     hands: pd.DataFrame
-    """N rows. What each hand is: `sample`, `hand` (which of the picture's), `clip`, `time` (seconds), `view`
-    (`palm`, `back`, `edge` or `unknown`), `picture`, `tags`. What was found: `detected`; `side_correct` (1 or
-    0); `penetration` (mm that its deepest two parts stand in each other), `expected_error` (mm of PA-MPJPE
-    that the solver expects), `pa_mpvpe` (mm), `f5` and `f15` (F-scores of the aligned surfaces), `detect_ms`
-    (of the picture) and `fit_ms`; NaN where there is none"""
+    """N rows. What each hand is: `sample`, `hand` (which of the picture's), `clip`, `time` (seconds), `tags`.
+    What was found: `detected`; `side_correct` (1 or 0); `penetration` (mm that its deepest two parts stand in
+    each other), `expected_error` (mm of PA-MPJPE that the solver expects), `pa_mpvpe` (mm), `f5` (F-score of
+    the aligned surfaces) and `fit_ms`; NaN where there is none"""
     labels_3d: np.ndarray
     """(N, 21, 3) metres, camera frame"""
-    labels_2d: np.ndarray
-    """(N, 21, 2) pixels"""
     points_3d: np.ndarray
     """(N, 21, 3) metres, camera frame, before any alignment"""
-    points_2d: np.ndarray
-    """(N, 21, 2) pixels"""
-    camera_error: np.ndarray
-    """(N, 21) mm, no alignment: positions in the camera frame, through whatever camera was assumed"""
     epe: np.ndarray
     """(N, 21) mm, after moving the centroid of the scored points to the truth's (the paper's alignment)"""
     root_error: np.ndarray
@@ -74,11 +65,6 @@ class Comparison(NamedTuple):
     hands: int
     units: int
     """What was resampled: stills one by one, clips as wholes (frames of one clip are not independent)"""
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the interval excludes zero."""
-        return self.low > 0.0 or self.high < 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,6 @@ def results_of_rows(rows: Rows, results: Sequence[TrackResult]) -> TrackResult:
 
 def score(
     method: str,
-    title: str,
     found: TrackResult,
     rows: Rows,
     protocol: ProtocolName,
@@ -63,44 +62,37 @@ def score(
     detected = np.asarray(hands["track"].to_numpy() >= 0)
     if is_baseline:
         detected = np.asarray(np.isfinite(found.points_3d).any(axis=(1, 2)))
+        hands = hands.assign(side_correct=np.nan)
     points = np.where(detected[:, None, None], found.points_3d, np.nan)
-    points_2d = np.where(detected[:, None, None], found.picture_points[..., :2], np.nan)
-    labels_2d = np.stack(hands["label_2d"].to_list())
-    errors = {
-        name: np.full((len(hands), NUM_KEYPOINTS), np.nan)
-        for name in ("camera_error", "epe", "root_error", "pa_error", "error_2d")
-    }
-    surfaces = pd.DataFrame(np.nan, hands.index, ["pa_mpvpe", "f5", "f15"])
+    nothing = np.full((len(hands), NUM_KEYPOINTS), np.nan)
+    errors = {name: nothing.copy() for name in ("epe", "root_error", "pa_error", "error_2d")}
+    surfaces = pd.DataFrame(np.nan, hands.index, ["pa_mpvpe", "f5"])
     if protocol == "paper":
         for i in np.flatnonzero(detected):
             camera = hands["camera"][i]
             assert camera is not None, "rows of the paper's protocol have a camera"
             errors["epe"][i] = published_error(found.picture_points[i], rows.labels_3d[i], camera)
     else:
+        labels_2d = np.stack(hands["label_2d"].to_list())
+        points_2d = np.where(detected[:, None, None], found.picture_points[..., :2], np.nan)
         errors = {
-            "camera_error": camera_distances(MM * points, truth),
             "epe": centroid_aligned_distances(MM * points, truth),
             "root_error": root_aligned_distances(MM * points, truth),
             "pa_error": similarity_aligned_distances(MM * points, truth),
             "error_2d": distances_2d(points_2d, labels_2d),
         }
         surfaces = _surfaces(rows, found, models or {}, {} if problems is None else problems)
-    unknown = {"side_correct": np.nan, "detect_ms": np.nan} if is_baseline else {}
     return Scores(
         method=method,
-        title=title,
         is_baseline=is_baseline,
         hands=hands.assign(
             detected=detected,
             penetration=MM * _penetration(rows, found, models or {}),
             expected_error=MM * found.expected_error,
             fit_ms=found.milliseconds,
-            **unknown,
         ).join(surfaces),
         labels_3d=rows.labels_3d,
-        labels_2d=labels_2d,
         points_3d=points,
-        points_2d=points_2d,
         **errors,
     )
 
@@ -152,8 +144,8 @@ def _penetration(rows: Rows, found: TrackResult, models: Models) -> np.ndarray:
 
 
 def _surfaces(rows: Rows, found: TrackResult, models: Models, problems: dict[Problem, None]) -> pd.DataFrame:
-    """(N) PA-MPVPE and F-scores, where both sides have a surface."""
-    scores = pd.DataFrame(np.nan, rows.hands.index, ["pa_mpvpe", "f5", "f15"])
+    """(N) PA-MPVPE and F-score, where both sides have a surface."""
+    scores = pd.DataFrame(np.nan, rows.hands.index, ["pa_mpvpe", "f5"])
     for model, fitted in _fitted(rows, found, models):
         for i in fitted:
             label = rows.hands["label"][i]
@@ -172,14 +164,14 @@ def _surfaces(rows: Rows, found: TrackResult, models: Models, problems: dict[Pro
             # Of another topology, only the labelled joints tell how the surfaces lie on each other.
             joints = MM * found.points_3d[i], MM * label.joints_3d
             aligned = aligned_vertices(vertices, *((vertices, truth) if same else joints))
-            scores.loc[i, ["f5", "f15"]] = [f_score(aligned, truth, within) for within in (5.0, 15.0)]
+            scores.loc[i, "f5"] = f_score(aligned, truth, 5.0)
             if same:
                 scores.loc[i, "pa_mpvpe"] = camera_distances(aligned, truth).mean()
     return scores
 
 
-def baselines(rows: Rows, protocol: ProtocolName, model: str | None) -> list[tuple[str, str, TrackResult]]:
-    """The null baselines, which look at the truth instead of the picture: (method, title, its results).
+def baselines(rows: Rows, protocol: ProtocolName, model: str | None) -> dict[str, TrackResult]:
+    """The null baselines, which look at the truth instead of the picture.
 
     Whatever a protocol gives them for nothing, it gives to every method.
     Under the paper's protocol they see only what was detected, as the methods do.
@@ -198,10 +190,7 @@ def baselines(rows: Rows, protocol: ProtocolName, model: str | None) -> list[tup
         pixels = [in_picture(*seen) for seen in zip(points, hands["camera"], strict=True)]
         return TrackResult.of_points(np.array(points), np.array(pixels))
 
-    return [
-        ("null-centroid", "null: all points at their centroid", result(centroid)),
-        ("null-mean-pose", "null: relaxed hand at the true orientation", result(mean_pose)),
-    ]
+    return {"null-centroid": result(centroid), "null-mean-pose": result(mean_pose)}
 
 
 def collapsed_to_centroid(labels_3d: np.ndarray) -> np.ndarray:

@@ -6,20 +6,16 @@ a miss, so read it beside the detection rate.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import TIP_KEYPOINTS, WRIST_KEYPOINT
 from handfit_core.evaluate import ProtocolName
 from handfit_core.evaluate.metrics import (
     PCK_THRESHOLDS_MM,
-    acceleration_error,
     auc,
-    bone_length_variation,
     jitter_spectrum,
     labelled_points,
     mean_of_labelled,
@@ -29,62 +25,42 @@ from handfit_core.evaluate.scores import Comparison, Scores
 from handfit_core.fit.doubt import DOUBT
 
 
-@dataclass(frozen=True)
-class Metric:
+class Metric(NamedTuple):
     """What a number in a table is."""
 
-    key: str
     title: str
-    unit: str
-    """Empty for a share of 0..1"""
+    """With the unit; without one for a share of 0..1"""
+    digits: int
+    """Shown behind the point"""
     alignment: str
     """In words: what was made to meet before measuring, and what the mean is over"""
-    lower_is_better: bool
 
 
 METRICS: Final[dict[str, Metric]] = {
-    metric.key: metric
-    for metric in (
-        Metric("detection_rate", "Detected", "%", "share of labelled hands", False),
-        Metric("handedness", "Side right", "%", "share of detected hands whose side is labelled", False),
-        Metric("epe", "EPE", "mm", "centroids of the scored points made to meet; mean over points", True),
-        Metric("epe_median", "EPE, median hand", "mm", "centroids made to meet; median over hands", True),
-        Metric("auc", "AUC 20-50 mm", "", "of EPE's PCK; points of missed hands count as wrong", False),
-        Metric("mpjpe", "MPJPE", "mm", "wrists made to meet; mean over hands, wrist included", True),
-        Metric("auc_root", "AUC 20-50 mm, wrist", "", "of MPJPE's PCK; misses count as wrong", False),
-        Metric("pa_mpjpe", "PA-MPJPE", "mm", "similarity (Procrustes); mean over hands", True),
-        Metric("pa_mpjpe_median", "PA-MPJPE, median hand", "mm", "similarity; median over hands", True),
-        Metric("pa_mpvpe", "PA-MPVPE", "mm", "similarity over vertices; mean over hands", True),
-        Metric("f5", "F@5 mm", "", "surfaces aligned by similarity; mean over hands", False),
-        Metric("f15", "F@15 mm", "", "surfaces aligned by similarity; mean over hands", False),
-        Metric("camera_error", "Camera error", "mm", "none, in the camera frame; mean over hands", True),
-        Metric("error_2d", "2D error", "% of hand", "none; share of the hand's size; mean over hands", True),
-        Metric("deeper_2", "In itself > 2 mm", "%", "none needed; share of hands, by their capsules", True),
-        Metric("deeper_4", "In itself > 4 mm", "%", "none needed; share of hands, by their capsules", True),
-        Metric("penetration_95", "In itself, 95 %", "mm", "none needed; 95th percentile of hands", True),
-        Metric("doubt_rank", "Doubt, rank", "", "Spearman's, of expected error and PA-MPJPE of hands", False),
-        Metric("doubted_wrong", "Wrong, doubted", "%", "of hands with PA-MPJPE beyond 15 mm", False),
-        Metric("doubted_right", "Others, doubted", "%", "of all other hands", True),
-        Metric("bone_variation", "Bone variation", "%", "none needed; deviation over a clip", True),
-        Metric("acceleration_error", "Acceleration error", "m/s²", "wrists made to meet; clips", True),
-        Metric("jitter", "Jitter above 5 Hz", "mm", "wrists made to meet; RMS over clips", True),
-        Metric("detect_ms", "Detection", "ms", "median over pictures", True),
-        Metric("fit_ms", "Fit", "ms", "median over hands", True),
-    )
+    "detection_rate": Metric("Detected, %", 1, "share of labelled hands"),
+    "handedness": Metric("Side right, %", 1, "share of detected hands whose side is labelled"),
+    "epe": Metric("EPE, mm", 2, "centroids of the scored points made to meet; mean over points"),
+    "auc": Metric("AUC 20-50 mm", 3, "of EPE's PCK; points of missed hands count as wrong"),
+    "mpjpe": Metric("MPJPE, mm", 2, "wrists made to meet; mean over hands, wrist included"),
+    "auc_root": Metric("AUC 20-50 mm, wrist", 3, "of MPJPE's PCK; misses count as wrong"),
+    "pa_mpjpe": Metric("PA-MPJPE, mm", 2, "similarity (Procrustes); mean over hands"),
+    "pa_mpjpe_median": Metric("PA-MPJPE, median hand, mm", 2, "similarity; median over hands"),
+    "pa_mpvpe": Metric("PA-MPVPE, mm", 2, "similarity over vertices; mean over hands"),
+    "f5": Metric("F@5 mm", 3, "surfaces aligned by similarity; mean over hands"),
+    "error_2d": Metric("2D error, % of hand", 2, "none; share of the hand's size; mean over hands"),
+    "deeper_2": Metric("In itself > 2 mm, %", 1, "none needed; share of hands, by their capsules"),
+    "deeper_4": Metric("In itself > 4 mm, %", 1, "none needed; share of hands, by their capsules"),
+    "doubt_rank": Metric("Doubt, rank", 3, "Spearman's, of expected error and PA-MPJPE of hands"),
+    "doubted_wrong": Metric("Wrong, doubted, %", 1, "of hands with PA-MPJPE beyond 15 mm"),
+    "doubted_right": Metric("Others, doubted, %", 1, "of all other hands"),
+    "jitter": Metric("Jitter above 5 Hz, mm", 2, "wrists made to meet; RMS over clips"),
+    "fit_ms": Metric("Fit, ms", 1, "median over hands"),
 }
 """Every metric of the strict protocol, in the order of display. The paper's has the three of `_paper`."""
 
-_HAND_ERRORS = {
-    "epe": "epe",
-    "mpjpe": "root_error",
-    "pa_mpjpe": "pa_error",
-    "pa_mpvpe": "pa_mpvpe",
-    "camera_error": "camera_error",
-    "error_2d": "error_2d",
-}
-HAND_METRICS: Final = tuple(_HAND_ERRORS)
+_HAND_ERRORS = {"epe": "epe", "mpjpe": "root_error", "pa_mpjpe": "pa_error", "error_2d": "error_2d"}
+HAND_METRICS: Final = (*_HAND_ERRORS, "pa_mpvpe")
 """The metrics that every hand has a value of its own of, for `hand_means` and `compare`"""
-_CLIP_METRICS = ("bone_variation", "acceleration_error", "jitter")
 
 
 def hand_means(scores: Scores, metric: str) -> np.ndarray:
@@ -100,34 +76,27 @@ def hand_means(scores: Scores, metric: str) -> np.ndarray:
 
 
 def hands_table(scores: Scores) -> pd.DataFrame:
-    """One row per labelled hand with its picture, its mean errors, its times and its picture's tags."""
-    table = scores.hands[["sample", "hand", "clip", "time", "view"]].assign(
-        detected=scores.detected.astype(int),
-        **{metric: hand_means(scores, metric) for metric in HAND_METRICS},
+    """One row per labelled hand with its picture, its mean errors, its time and its picture's tags."""
+    table = scores.hands[["sample", "hand", "clip", "time", "detected"]].assign(
+        **{metric: hand_means(scores, metric) for metric in HAND_METRICS}
     )
     table.insert(0, "method", scores.method)
-    table = table.join(scores.hands[["penetration", "expected_error", "detect_ms", "fit_ms"]])
-    tags = tags_of(scores)
+    table = table.join(scores.hands[["penetration", "expected_error", "fit_ms"]])
+    tags = pd.DataFrame(scores.hands["tags"].map(dict).tolist(), index=table.index).rename(columns=str)
     return table.join(tags[sorted(tags.columns)].add_prefix("tag_"))
-
-
-def tags_of(scores: Scores) -> pd.DataFrame:
-    """(N, tags) what the set tells about each hand's picture; missing where it does not."""
-    tags = pd.DataFrame(scores.hands["tags"].map(dict).tolist(), index=scores.hands.index)
-    return tags.rename(columns=str)
 
 
 def summarise(scores: Scores, protocol: ProtocolName) -> dict[str, float]:
     """Metric key -> value, in the units of METRICS; NaN where a metric does not apply.
 
     `strict` gives all of METRICS. `paper` gives `epe` and `auc` as the paper's code computes them (see
-    `paper_pck`), over the fingertips, and beside them the detection rate, which it does not publish.
+    `paper_means`), over the fingertips, and beside them the detection rate, which it does not publish.
     """
     return _paper(scores) if protocol == "paper" else _strict(scores)
 
 
-def paper_pck(epe_rows: np.ndarray) -> tuple[float, np.ndarray, float]:
-    """Mean error (mm), PCK curve (100,) and AUC (0..1) as the paper's code has them, faults included.
+def paper_means(epe_rows: np.ndarray) -> tuple[float, float]:
+    """Mean error (mm) and AUC (0..1) as the paper's code has them, faults included.
 
     epe_rows: (N, P) mm, NaN where a point is not labelled or the hand was missed. Alignment: as in the
     rows. Zimmermann and Brox 2017's `EvalUtil` keeps one list per joint; the paper (arXiv 2506.11133)
@@ -142,67 +111,45 @@ def paper_pck(epe_rows: np.ndarray) -> tuple[float, np.ndarray, float]:
         for joint in range(max((len(frame) for frame in frames), default=0))
     ]
     if not filed:
-        return float("nan"), np.full(len(PCK_THRESHOLDS_MM), np.nan), float("nan")
+        return float("nan"), float("nan")
     curve = np.mean([pck_curve(errors, PCK_THRESHOLDS_MM) for errors in filed], axis=0)
-    return float(np.mean([errors.mean() for errors in filed])), curve, auc(curve, PCK_THRESHOLDS_MM)
-
-
-def pck(scores: Scores, protocol: ProtocolName) -> np.ndarray:
-    """(100,) PCK of EPE at `PCK_THRESHOLDS_MM`; the `auc` of `summarise` is the area under it.
-
-    `strict`: points of missed hands are wrong at every threshold; hands with a single labelled point
-    cannot be scored and are left out, detected or not. `paper`: see `paper_pck`. NaN without any point.
-    """
-    if protocol == "paper":
-        return paper_pck(_paper_rows(scores))[1]
-    labelled = labelled_points(scores.labels_3d).sum(axis=1)
-    misses = labelled[~scores.detected & (labelled >= 2)].sum()
-    return pck_curve(_counted_epe(scores), PCK_THRESHOLDS_MM, misses=int(misses))
-
-
-def pck_root(scores: Scores) -> np.ndarray:
-    """(100,) PCK of the wrist-aligned error at `PCK_THRESHOLDS_MM`, strict: misses as in `pck`.
-
-    Hands without a labelled wrist, or with nothing else, are left out; NaN where none remains.
-    """
-    labelled = labelled_points(scores.labels_3d)
-    scored = labelled[:, WRIST_KEYPOINT] & (labelled.sum(axis=1) >= 2)
-    misses = labelled[~scores.detected & scored].sum()
-    return pck_curve(scores.root_error, PCK_THRESHOLDS_MM, misses=int(misses))
+    return float(np.mean([errors.mean() for errors in filed])), auc(curve, PCK_THRESHOLDS_MM)
 
 
 def _paper(scores: Scores) -> dict[str, float]:
-    mean, _, area = paper_pck(_paper_rows(scores))
+    tips = np.where(scores.detected[:, None], scores.epe, np.nan)[:, list(TIP_KEYPOINTS)]
+    mean, area = paper_means(tips)
     return {"detection_rate": float(100.0 * scores.hands["detected"].mean()), "epe": mean, "auc": area}
-
-
-def _paper_rows(scores: Scores) -> np.ndarray:
-    """(N, 5) mm: the fingertips' EPE; NaN for missed hands and where not labelled."""
-    return np.where(scores.detected[:, None], scores.epe, np.nan)[:, list(TIP_KEYPOINTS)]
 
 
 def _strict(scores: Scores) -> dict[str, float]:
     hands, means = scores.hands, pd.DataFrame({key: hand_means(scores, key) for key in HAND_METRICS})
-    depths = hands["penetration"].dropna()
+    depths, epe = hands["penetration"].dropna(), _counted_epe(scores)
+    labelled = labelled_points(scores.labels_3d)
+    scored = labelled.sum(axis=1) >= 2
     values = {
         **means.mean(),
         "detection_rate": 100.0 * hands["detected"].mean(),
         "handedness": 100.0 * hands["side_correct"].mean(),
-        "epe": mean_of_labelled(_counted_epe(scores)),
-        "epe_median": means["epe"].dropna().median(),
-        "auc": auc(pck(scores, "strict"), PCK_THRESHOLDS_MM),
-        "auc_root": auc(pck_root(scores), PCK_THRESHOLDS_MM),
+        "epe": mean_of_labelled(epe),
+        "auc": _auc(epe, labelled[~scores.detected & scored]),
+        "auc_root": _auc(
+            scores.root_error, labelled[~scores.detected & scored & labelled[:, WRIST_KEYPOINT]]
+        ),
         "pa_mpjpe_median": means["pa_mpjpe"].dropna().median(),
-        **hands[["f5", "f15"]].mean(),
+        "f5": hands["f5"].mean(),
         **{f"deeper_{mm}": 100.0 * (depths > mm).mean() for mm in (2, 4)},
-        "penetration_95": depths.quantile(0.95),
         **_doubt(hands["expected_error"], means["pa_mpjpe"]),
-        # A picture is detected once, however many of its hands are labelled.
-        "detect_ms": hands.drop_duplicates("sample")["detect_ms"].dropna().median(),
+        "jitter": _jitter(scores),
         "fit_ms": hands["fit_ms"].dropna().median(),
-        **_of_clips(scores),
     }
     return {key: float(values[key]) for key in METRICS}
+
+
+def _auc(errors: np.ndarray, missed: np.ndarray) -> float:
+    """AUC of errors (N, 21) in mm, NaN where there is none, and of labelled points (M, 21) of `missed` hands,
+    which are wrong at every threshold."""
+    return auc(pck_curve(errors, PCK_THRESHOLDS_MM, misses=int(missed.sum())), PCK_THRESHOLDS_MM)
 
 
 def _doubt(expected: pd.Series, errors: pd.Series) -> dict[str, float]:
@@ -222,38 +169,27 @@ def _counted_epe(scores: Scores) -> np.ndarray:
     return np.where(enough[:, None], scores.epe, np.nan)
 
 
-def _of_clips(scores: Scores) -> dict[str, float]:
-    """The metrics of each hand of each clip, averaged with the number of its detected frames as weight."""
-    tracks = scores.hands.groupby(["clip", "hand"], sort=False).indices.values()
-    values = [_of_clip(scores, np.asarray(rows)) for rows in tracks]
-    table = pd.DataFrame(values, columns=["frames", *_CLIP_METRICS], dtype=float)
-    weights = table[list(_CLIP_METRICS)].notna().mul(table.pop("frames"), axis="index")
-    means = table.mul(weights).sum() / weights.sum()
-    return {key: float(means[key]) for key in _CLIP_METRICS}
+def _jitter(scores: Scores) -> float:
+    """The jitter of each hand of each clip, averaged with the number of its detected frames as weight."""
+    clips = scores.hands.groupby(["clip", "hand"], sort=False).indices.values()
+    values = np.array([_jitter_of(scores, np.asarray(rows)) for rows in clips]).reshape(-1, 2)
+    jitter, frames = values[np.isfinite(values[:, 0])].T
+    return float(np.average(jitter, weights=frames)) if len(jitter) else float("nan")
 
 
-def _of_clip(scores: Scores, rows: np.ndarray) -> tuple[int, float, float, float]:
-    """Detected frames of one hand of one clip, and its values of _CLIP_METRICS."""
-    points, truth, times = (
-        scores.points_3d[rows],
-        scores.labels_3d[rows],
-        scores.hands["time"].to_numpy()[rows],
-    )
+def _jitter_of(scores: Scores, rows: np.ndarray) -> tuple[float, int]:
+    """The jitter in mm of one hand of one clip, and the number of its detected frames."""
+    points, truth = scores.points_3d[rows], scores.labels_3d[rows]
+    times = scores.hands["time"].to_numpy()[rows]
     frames = int(labelled_points(points).all(axis=1).sum())
     steps = np.diff(times)
     if len(steps) == 0 or not np.all(steps > 0.0):  # the set has no times
-        return frames, bone_length_variation(points), np.nan, np.nan
+        return float("nan"), frames
     # Where frames are missing from the set, one NaN frame stands for the gap.
     step = float(np.median(steps))
     gaps = np.flatnonzero(steps > 1.5 * step) + 1
     points, truth = (np.insert(part, gaps, np.nan, axis=0) for part in (points, truth))
-    times = np.insert(times, gaps, (times[gaps - 1] + times[gaps]) / 2.0)
-    return (
-        frames,
-        bone_length_variation(points),
-        acceleration_error(points, truth, times),
-        1000.0 * jitter_spectrum(points, truth, 1.0 / step),
-    )
+    return 1000.0 * jitter_spectrum(points, truth, 1.0 / step), frames
 
 
 def compare(first: Scores, second: Scores, metric: str, *, resamples: int = 2000) -> Comparison:
@@ -267,17 +203,7 @@ def compare(first: Scores, second: Scores, metric: str, *, resamples: int = 2000
     one unit, with all its hands; a clip is one unit, with all its frames. The interval is NaN with fewer
     than two units, which say nothing about others; with fewer than about ten it is too narrow. Hands
     that only one method detected are left out: compare detection rates beside it.
-
-    Raises OptionError for another metric, ValueError where the two do not have the same rows.
     """
-    if metric not in HAND_METRICS:
-        raise OptionError(f"Expected a metric out of {', '.join(HAND_METRICS)}, but got {metric!r}.")
-    which = ["sample", "hand", "clip"]
-    if not first.hands[which].equals(second.hands[which]):
-        raise ValueError(
-            f"{first.method} and {second.method} must have the same pictures and hands in the same order; "
-            "evaluate both on the same data set"
-        )
     means = hand_means(first, metric) - hand_means(second, metric)
     hands = first.hands.assign(difference=means).dropna(subset="difference")
     # A clip is one unit; a still picture is one of its own, whatever clips are called.

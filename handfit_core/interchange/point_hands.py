@@ -23,7 +23,7 @@ LEAST_SURE: Final = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class ToldHands(Batch):
+class ParsedHands(Batch):
     """N hands of a file, in its own coordinates."""
 
     row: np.ndarray
@@ -42,7 +42,7 @@ class ToldHands(Batch):
     """(N, 21, 3) metres about the hand's middle; NaN: not told"""
 
     @classmethod
-    def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ToldHands:
+    def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ParsedHands:
         """The hands of N that have any point. `score`, NaN: the mean of the points' confidence; `told`
         (N, 21, 3) or, with confidences, (N, 21, 4), NaN: not told. Raises ValueError for points that no hand
         has."""
@@ -72,12 +72,12 @@ class ToldHands(Batch):
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ParsedPoints:
     """What a file tells: T frames with hands, and what surrounds them."""
 
     numbers: np.ndarray
     """(T,) int, increasing"""
-    hands: ToldHands
+    hands: ParsedHands
     fps: float = 0.0
     """0: not told"""
     size: tuple[int, int] | None = None
@@ -91,7 +91,7 @@ class Told:
     assumed: tuple[str, ...] = ()
 
 
-def seen_hands(hands: ToldHands) -> SeenHands:
+def seen_hands(hands: ParsedHands) -> SeenHands:
     """Hands of known sides whose points are in the plane. Depth and world landmarks are kept where every hand
     has them."""
     depth = hands.points[..., 2]
@@ -107,7 +107,7 @@ def seen_hands(hands: ToldHands) -> SeenHands:
 
 
 def hands_in_space(
-    hands: ToldHands, frames: int, *, counted: bool, on_joints: bool, sigma: float | None
+    hands: ParsedHands, frames: int, *, counted: bool, on_joints: bool, sigma: float | None
 ) -> tuple[tuple[PointsHand, ...], tuple[str, ...]]:
     """The hands over all frames, and what was assumed: each that is `counted`, else one of each side, in a
     frame the surest, and of those that are as sure the first."""
@@ -174,8 +174,8 @@ def odd_sides(hands: tuple[PointsHand, ...]) -> tuple[str, ...]:
 
 
 def own_sides(
-    hands: ToldHands, shapes: np.ndarray, mirrored: bool | None
-) -> tuple[ToldHands, tuple[str, ...]]:
+    hands: ParsedHands, shapes: np.ndarray, mirrored: bool | None
+) -> tuple[ParsedHands, tuple[str, ...]]:
     """The hands, left and right swapped where labels count for mirrored pictures, and what is said of it.
 
     `shapes` (N, 21, 3): what is known of their shape in space. `mirrored`: what the file's layout says.
@@ -191,7 +191,7 @@ def own_sides(
     return replace(hands, side=np.where(told, 1 - hands.side, hands.side)), (said,)
 
 
-def with_sides(hands: ToldHands, wanted: str, shapes: np.ndarray) -> tuple[ToldHands, tuple[str, ...]]:
+def with_sides(hands: ParsedHands, wanted: str, shapes: np.ndarray) -> tuple[ParsedHands, tuple[str, ...]]:
     """The hands, all with a side, and what was assumed for it.
 
     `wanted` is the option of the sides that are to be kept: where it names one, hands of unknown side are of
@@ -214,13 +214,13 @@ def with_sides(hands: ToldHands, wanted: str, shapes: np.ndarray) -> tuple[ToldH
     return replace(hands, side=side), tuple(sorted(said))
 
 
-def check_some(hands: ToldHands, what: str) -> None:
+def check_some(hands: ParsedHands, what: str) -> None:
     """Raise InputError where no hand has enough points. `what`: the sentence's beginning."""
     if not np.any(known(hands.in_plane).sum(axis=1) >= LEAST_POINTS):
         raise InputError(f"{what}, but none of its frames has a hand with at least {LEAST_POINTS} points")
 
 
-def without_hidden(hands: ToldHands, least: float) -> tuple[ToldHands, tuple[str, ...]]:
+def without_hidden(hands: ParsedHands, least: float) -> tuple[ParsedHands, tuple[str, ...]]:
     """The hands whose points have a mean confidence of `least` or more, and what was left out: programs that
     look for whole people tell of hidden hands, too."""
     count = np.maximum((hands.confidence > 0.0).sum(axis=1), 1)

@@ -27,8 +27,8 @@ from handfit_core.interchange.json_points import (
 from handfit_core.interchange.opening import RELATIVE, scaled
 from handfit_core.interchange.point_hands import (
     UNKNOWN,
-    Told,
-    ToldHands,
+    ParsedHands,
+    ParsedPoints,
     check_some,
     hands_in_space,
     metres_of,
@@ -69,7 +69,7 @@ class PointLayout:
     """The first point of each hand, by how many points a list has"""
     hands: Callable[[Any], Any] = lambda frame: frame
     """From a frame to objects with `side` and `points`, where hands are told in another way"""
-    read: Callable[[Document], Told | None] = lambda _: None
+    read: Callable[[Document], ParsedPoints | None] = lambda _: None
     """The hands of what is neither a table nor frames of JSON"""
     persons: Literal["one", "told", "unknown"] = "unknown"
     """Whether a file is of one person, or tells them; else nobody can be chosen"""
@@ -135,7 +135,7 @@ class PointLayout:
             return is_hand(content)
         return isinstance(content, list) and bool(content) and "keypointscores" in keyed(content[0])
 
-    def _of_json(self, document: Document, asked: ReadOptions) -> Told:
+    def _of_json(self, document: Document, asked: ReadOptions) -> ParsedPoints:
         frames = frames_of(document, self._is_one)
         columns = {len(each): each for each in self.columns.split()}
         told: list[tuple[Any, ...]] = []
@@ -161,9 +161,9 @@ class PointLayout:
                 f"{shown(document.path)}: there is no person {asked.person}; its frames have at most {most}"
             )
         row, hand, side, score, points, world = zip(*told, strict=True) if told else ((),) * 6
-        return Told(
+        return ParsedPoints(
             frames.numbers,
-            ToldHands.of(row, side, hand, score, points, world),
+            ParsedHands.of(row, side, hand, score, points, world),
             frames.fps,
             size_in(frames.header) or size_in(keyed(frames.contents[0])),
             in_space=self.units is not None,
@@ -192,7 +192,7 @@ class PointLayout:
             code = UNKNOWN if named is None else SIDES.index(named)
             yield code, hand.score, hand.points[first : first + NUM_KEYPOINTS], hand.world
 
-    def _recording(self, told: Told, document: Document, asked: ReadOptions) -> Recording:
+    def _recording(self, told: ParsedPoints, document: Document, asked: ReadOptions) -> Recording:
         """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""
         hands, what = told.hands, f"{shown(document.path)}: {self.title}'s hands{self.hint}"
         made = Recording(
@@ -232,8 +232,8 @@ class PointLayout:
         return made if told.size is None else scaled(made, *told.size)
 
     def _scaled(
-        self, hands: ToldHands, told: Told, asked: ReadOptions
-    ) -> tuple[ToldHands, bool, tuple[str, ...]]:
+        self, hands: ParsedHands, told: ParsedPoints, asked: ReadOptions
+    ) -> tuple[ParsedHands, bool, tuple[str, ...]]:
         """The hands from the upper left corner, whether they are in parts of the picture's size, and what is
         said of that."""
         points, deep = hands.points.copy(), hands.points[..., 2]
@@ -253,7 +253,7 @@ class PointLayout:
         )
         return replace(hands, points=points), True, (said,) if self.people else ()
 
-    def _in_space(self, hands: ToldHands, count: int) -> tuple[tuple[PointsHand, ...], tuple[str, ...]]:
+    def _in_space(self, hands: ParsedHands, count: int) -> tuple[tuple[PointsHand, ...], tuple[str, ...]]:
         """The hands in metres before the camera, over that many frames, and what is said of them."""
         points, said = hands_in_space(
             hands, count, counted=self.ours, on_joints=self.on_joints, sigma=self.sigma
@@ -267,7 +267,7 @@ class PointLayout:
         return points, said
 
 
-def _is_world(hands: ToldHands) -> bool:
+def _is_world(hands: ParsedHands) -> bool:
     """Whether what is told as points is in metres about each hand's middle."""
     points = hands.points[known(hands.points).all(axis=1)]
     if not len(points):

@@ -11,7 +11,7 @@ import numpy as np
 from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.interchange.document import Table
 from handfit_core.interchange.json_points import rate_of
-from handfit_core.interchange.point_hands import UNKNOWN, Told, ToldHands
+from handfit_core.interchange.point_hands import UNKNOWN, ParsedHands, ParsedPoints
 from handfit_core.interchange.point_names import PointColumn, plain, point_columns, point_named, side_named
 from handfit_core.interchange.settings import LIMITS
 
@@ -72,7 +72,7 @@ class HandTable:
             return False
         return any(_place(text) is not None for text in self.table.texts(point)[:200])
 
-    def hands(self, *, first: int = 1, in_space: bool = False, ours: bool = False) -> Told:
+    def hands(self, *, first: int = 1, in_space: bool = False, ours: bool = False) -> ParsedPoints:
         """The hands. `first`: from what frames without numbers count; `ours`: whether it is a table of this
         project, in which everything is named. Raises ValueError for what is no table of hands."""
         columns, frames = columns_of(self.table), self._frames()
@@ -91,9 +91,9 @@ class HandTable:
             hands, row_of = self._pointwise(frames, axes, ours)
         numbers, place = np.unique(frames, return_inverse=True)
         named_sides = columns is not None and any(column.side is not None for column in columns)
-        return Told(
+        return ParsedPoints(
             numbers,
-            ToldHands.of(place[row_of], *hands),
+            ParsedHands.of(place[row_of], *hands),
             rate_of(frames, self._numbers("time")),
             self._size(),
             in_space=in_space,
@@ -137,7 +137,7 @@ class HandTable:
         return np.nan_to_num(self._numbers("hand")).clip(-1e6, 1e6).astype(int)
 
     def _wide(self, columns: list[PointColumn]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """What `ToldHands.of` takes of the hands beside their rows, and which row of the table each is."""
+        """What `ParsedHands.of` takes beside the rows, and which row of the table each hand is."""
         groups = sorted({(column.side or "", column.hand) for column in columns})
         LIMITS.check(self.path, self._count, len(groups))
         told = np.full((self._count, len(groups), NUM_KEYPOINTS, 7), np.nan)
@@ -158,7 +158,7 @@ class HandTable:
     def _pointwise(
         self, frames: np.ndarray, axes: list[str], ours: bool
     ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """What `ToldHands.of` takes of the hands of a table with a point a row, and one row of each hand."""
+        """What `ParsedHands.of` takes of a table with a point a row, and one row of each hand."""
         column = self._column(*_NAMES["point"])
         if column is None or len(axes) < 2:
             raise ValueError("its columns name no points of hands")

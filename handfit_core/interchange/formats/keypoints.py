@@ -16,7 +16,7 @@ from handfit_core.common.values import number, one_of, whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import JsonFrames, hands_in, keyed, objects_in, some_contents
-from handfit_core.interchange.point_hands import Told, ToldHands
+from handfit_core.interchange.point_hands import ParsedHands, ParsedPoints
 from handfit_core.interchange.point_names import is_apple
 from handfit_core.interchange.point_reader import PointLayout, is_hand_table
 from handfit_core.interchange.settings import LIMITS
@@ -135,7 +135,7 @@ def _arrays(document: Document) -> list[tuple[int, Path]]:
     return []
 
 
-def _of_arrays(document: Document) -> Told | None:
+def _of_arrays(document: Document) -> ParsedPoints | None:
     """(T, 21, 3) of each hand, if there are such files."""
     told: list[np.ndarray] = []
     sides = _arrays(document)
@@ -153,8 +153,8 @@ def _of_arrays(document: Document) -> Told | None:
         raise ValueError("its left and right hand have different numbers of frames")
     side = np.repeat([side for side, _ in sides], count)
     rows, score = np.tile(np.arange(count), len(told)), np.full(len(side), np.nan)
-    hands = ToldHands.of(rows, side, side, score, np.concatenate(told))
-    return Told(np.arange(count), hands, in_space=True)
+    hands = ParsedHands.of(rows, side, side, score, np.concatenate(told))
+    return ParsedPoints(np.arange(count), hands, in_space=True)
 
 
 def _in_space(table: Table) -> bool:
@@ -243,7 +243,7 @@ LEAP: Final = PointLayout(
 # This project's own
 
 
-def _own_points(document: Document) -> Told:
+def _own_points(document: Document) -> ParsedPoints:
     """The hands of docs/interchange.md's JSON, which has a list of frames for each hand."""
     header = document.json
     if whole("version", header.get("version"), 1) > 1:
@@ -269,9 +269,9 @@ def _own_points(document: Document) -> Told:
             points[..., 3] = np.nan_to_num(np.array(hand["confidence"], dtype=np.float64))
     each, row = (index.ravel() for index in np.indices(told.shape[:2]))
     side = np.array([SIDES.index(side) for side, _ in hands], dtype=int)[each]
-    found = ToldHands.of(row, side, each, np.full(len(row), np.nan), told)
+    found = ParsedHands.of(row, side, each, np.full(len(row), np.nan), told)
     fps = number("fps", header["fps"], 1e-3, 1e6) if "fps" in header else 0.0
-    return Told(numbers, found, fps, size, camera, in_space)
+    return ParsedPoints(numbers, found, fps, size, camera, in_space)
 
 
 POINTS: Final = PointLayout(

@@ -59,5 +59,4 @@ def entry(
 
 def found(*frames: tuple[HandDetection, ...]) -> UnitDetections:
     """What was detected in a unit's pictures."""
-    count = len(frames)
-    return UnitDetections(Detections.of(frames), np.tile([WIDTH, HEIGHT], (count, 1)), np.full(count, 12.0))
+    return UnitDetections(Detections.of(frames), np.tile([WIDTH, HEIGHT], (len(frames), 1)))

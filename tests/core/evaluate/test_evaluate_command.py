@@ -79,8 +79,6 @@ def test_a_report_with_numbers_that_follow_from_the_truth(labelled: Path, tmp_pa
         assert 2.0 < float(rows[method]["pa_mpjpe"]) < 20.0
     assert float(rows["paper-a-plus"]["fit_ms"]) > 0.0
     assert rows["raw-image"]["fit_ms"] in ("", "nan")
-    assert float(rows["paper-a-plus"]["bone_variation"]) < 0.01  # one shape for a whole clip
-    assert float(rows["raw-image"]["bone_variation"]) > 0.5
     assert (report / "index.html").is_file()
 
 
@@ -102,10 +100,7 @@ def test_the_papers_protocol_as_json(labelled: Path, tmp_path: Path) -> None:
     [
         (["nowhere"], "nowhere"),
         (["labelled", "--solvers", "paper-x"], "no solver 'paper-x'"),
-        (["labelled", "--solvers", "raw", "--reference", "paper-a"], "reference 'paper-a'"),
-        (["labelled", "--every", "0"], "every must be at least 1"),
         (["labelled", "--kind", "freihand"], "evaluation_xyz.json"),
-        (["labelled", "--kind", "imagenet"], "imagenet"),
     ],
 )
 def test_errors_are_one_sentence(

@@ -15,7 +15,6 @@ from tests.core.evaluate.dataset_files import (
     hand,
     labels_of,
     pixels,
-    reason,
     touch,
     write_json,
     write_pickle,
@@ -84,15 +83,6 @@ def test_the_list_decides_and_what_it_misses_is_reported(tmp_path: Path) -> None
     ]
 
 
-def test_a_frame_without_joints_is_a_missing_label(tmp_path: Path) -> None:
-    write_frame(tmp_path, "train", "SM1/0000", meta(None))
-    write_frame(tmp_path, "train", "SM1/0001", meta(hand(), camMat=None))
-    first, second = (entry.read_labels() for entry in open_dataset(tmp_path).entries)
-    assert np.isnan(first.hands[0].joints_3d).all()
-    assert np.isnan(first.hands[0].keypoints_2d).all()
-    assert second.intrinsics is None
-
-
 def test_evaluation_takes_its_labels_by_line(tmp_path: Path) -> None:
     names = ["SM1/0003", "AP10/0000", "SM1/0001"]
     for name in names:
@@ -111,30 +101,3 @@ def test_evaluation_takes_its_labels_by_line(tmp_path: Path) -> None:
         np.testing.assert_allclose(label.joints_3d, hand(row)[MANO_TO_MEDIAPIPE], atol=1e-7)
         assert label.mesh is not None
         np.testing.assert_allclose(label.mesh.vertices(), hand(50 + row, 778), atol=1e-7)
-
-
-def test_evaluation_of_another_length_is_no_label(tmp_path: Path) -> None:
-    write_frame(tmp_path, "evaluation", "SM1/0000", meta(None, handJoints3D=np.zeros(3)))
-    write_json(tmp_path / "evaluation_xyz.json", [opengl(hand()).tolist()] * 2)
-    with pytest.raises(DatasetError, match=r"evaluation\.txt cannot be read"):
-        open_dataset(tmp_path)
-    (tmp_path / "evaluation.txt").write_text("SM1/0000")
-    with pytest.raises(DatasetError, match=r"2 labels in evaluation_xyz\.json.*1 lines"):
-        open_dataset(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (b"cos\nsystem\n(Vtouch here\ntR.", "refused: the file asks to run os.system"),
-        (b"half a pick", "not a pickle, or a damaged"),
-        (b"].", "holds no labels"),
-        (b"}.", "damaged (KeyError: 'handJoints3D')"),
-        (meta(np.zeros((16, 3))), "0000.pkl: joints has shape (16, 3), expected (21, 3)"),
-    ],
-)
-def test_damaged_labels_are_told_only_when_read(tmp_path: Path, content: Any, says: str) -> None:
-    write_frame(tmp_path, "train", "SM1/0000", meta(hand()) if isinstance(content, bytes) else content)
-    if isinstance(content, bytes):
-        (tmp_path / "train" / "SM1" / "meta" / "0000.pkl").write_bytes(content)
-    assert says in reason(open_dataset(tmp_path).entries[0])

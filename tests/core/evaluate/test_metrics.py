@@ -1,4 +1,4 @@
-"""Errors, shares and steadiness against loops, closed forms and SciPy."""
+"""Errors, shares and jitter against loops, closed forms and SciPy."""
 
 from __future__ import annotations
 
@@ -8,14 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import procrustes
 
-from handfit_core.common.skeleton import KEYPOINT_PARENTS
 from handfit_core.evaluate import metrics
-from handfit_core.evaluate.metrics import (
-    PCK_THRESHOLDS_MM,
-    acceleration_error,
-    bone_length_variation,
-    jitter_spectrum,
-)
+from handfit_core.evaluate.metrics import PCK_THRESHOLDS_MM, jitter_spectrum
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from tests.core.evaluate.made import make_hands
 
@@ -183,63 +177,6 @@ def swaying(hz: float, millimetres: float) -> np.ndarray:
     wave = np.zeros((FRAMES, 21, 3))
     wave[:, 1:, 0] = millimetres / 1000.0 * np.sin(2 * np.pi * hz * TIMES)[:, None]
     return wave
-
-
-def test_bone_variation_by_a_loop() -> None:
-    points = moving_hand(20) + 0.004 * RNG.normal(size=(20, 21, 3))
-    points[[3, 11]] = np.nan
-    ratios = []
-    for point in range(1, 21):
-        lengths = [math.dist(f[point], f[KEYPOINT_PARENTS[point]]) for f in points if not np.isnan(f).any()]
-        assert len(lengths) == 18
-        ratios.append(np.std(lengths) / np.mean(lengths))
-    assert bone_length_variation(points) == pytest.approx(100.0 * float(np.mean(ratios)))
-    assert bone_length_variation(moving_hand()) == pytest.approx(0.0, abs=1e-9)
-    points[1:] = np.nan
-    assert math.isnan(bone_length_variation(points))
-
-
-@pytest.mark.parametrize("even", [True, False])
-def test_acceleration_of_a_parabola(even: bool) -> None:
-    times = TIMES if even else np.cumsum(RNG.uniform(0.02, 0.06, size=FRAMES))
-    truth = moving_hand()
-    error = np.zeros_like(truth)
-    # x = a t^2 / 2 has acceleration a, also over unequal steps; lengths of (3, 4, 0) are 5.
-    error[:, 1:] = (np.array([3.0, 4.0, 0.0]) * (times**2 / 2)[:, None])[:, None, :]
-    assert acceleration_error(truth + error, truth, times) == pytest.approx(5.0)
-
-
-def test_acceleration_by_a_loop_leaves_gaps_out() -> None:
-    truth = moving_hand(12)
-    points = truth + 0.002 * RNG.normal(size=truth.shape)
-    points[4] = np.nan
-    truth[9, 7] = np.nan
-    values = []
-    for t in range(1, 11):
-        for p in range(1, 21):
-            if 4 in (t - 1, t, t + 1) or (p == 7 and 9 in (t - 1, t, t + 1)):
-                continue
-            of = [[(x[s][p] - x[s][0]) for s in (t - 1, t, t + 1)] for x in (points, truth)]
-            predicted, true = ((a - 2 * b + c) * FPS**2 for a, b, c in of)
-            values.append(np.linalg.norm(predicted - true))
-    assert acceleration_error(points, truth, TIMES[:12]) == pytest.approx(float(np.mean(values)))
-
-
-def test_acceleration_ignores_an_offset_and_a_drift_of_the_whole_hand() -> None:
-    truth = moving_hand()
-    shaken = truth + 0.05 * RNG.normal(size=(FRAMES, 1, 3))
-    assert acceleration_error(shaken, truth, TIMES) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_acceleration_needs_three_frames_and_a_wrist() -> None:
-    truth = moving_hand(6)
-    gaps = truth.copy()
-    gaps[[2, 5]] = np.nan
-    assert math.isnan(acceleration_error(gaps, truth, TIMES[:6]))
-    assert math.isnan(acceleration_error(truth[:2], truth[:2], TIMES[:2]))
-    tips_only = truth.copy()
-    tips_only[:, 0] = np.nan
-    assert math.isnan(acceleration_error(truth, tips_only, TIMES[:6]))
 
 
 def test_jitter_of_white_noise_has_its_share_of_the_spectrum() -> None:

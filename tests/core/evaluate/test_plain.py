@@ -15,8 +15,6 @@ from handfit_core.evaluate.rows import label_pixels
 from handfit_core.hand_model import load_model
 from tests.core.evaluate.dataset_files import K, hand, labels_of, pixels, reason, touch, write_json
 
-DIGEST = load_model(None, "left").digest
-
 
 def item(file: str = "a.jpg", seed: int = 0, **changes: Any) -> dict[str, Any]:
     points = hand(seed)
@@ -144,16 +142,7 @@ def test_everything_that_cannot_be_used_is_reported(tmp_path: Path) -> None:
     [
         ({"hand": "Left"}, "hand is 'Left'; expected left, right or null"),
         ({"joints_3d_mm": [[1, 2, 3]] * 20}, "joints_3d_mm has shape (20, 3), expected (21, 3)"),
-        ({"joints_3d_mm": [[1, 2, 3]] * 20 + [[1, 2]]}, "joints_3d_mm: setting an array element"),
-        ({"joints_3d_mm": "none"}, "joints_3d_mm: could not convert string"),
-        ({"keypoints_2d_px": [[1, 2, 3]] * 21}, "keypoints_2d_px has shape (21, 3), expected (21, 2)"),
         ({"K": [[1, 2], [3, 4]]}, "K has shape (2, 2), expected (3, 3)"),
-        ({"K": [[-1, 0, 0], [0, 1, 0], [0, 0, 1]]}, "camera intrinsics need positive"),
-        ({"hands": ["left"]}, "damaged"),
-        (
-            {"mano": {"digest": DIGEST, "betas": [0] * 10, "global_orient": [0, 0]}},
-            "global_orient has shape (2,)",
-        ),
     ],
 )
 def test_a_damaged_label_is_told_when_read(tmp_path: Path, changes: dict[str, Any], says: str) -> None:
@@ -167,8 +156,6 @@ def test_a_damaged_label_is_told_when_read(tmp_path: Path, changes: dict[str, An
     [
         ("[{", "damaged, not readable as JSON"),
         ("7", "holds no list of pictures"),
-        ('{"name": "x"}', "holds no list of pictures"),
-        ('{"pictures": [], "fps": "fast"}', "could not convert string to float: 'fast'"),
     ],
 )
 def test_a_damaged_index(tmp_path: Path, content: str, says: str) -> None:

@@ -58,16 +58,3 @@ def test_a_hand_that_nobody_sees_is_no_labelled_hand(tmp_path: Path) -> None:
     assert np.isfinite(first.hands[0].joints_3d).all()
     assert second.hands == ()
     assert second.intrinsics is None
-
-
-def test_what_does_not_pair_is_reported(tmp_path: Path) -> None:
-    annotations = {0: annotation(), 1: annotation(), 2: annotation()}
-    dataset = open_dataset(write(tmp_path, "evaluation", annotations, ["00000.png", "00003.png", "x.png"]))
-    assert [e.name for e in dataset.entries] == ["evaluation/00000"]
-    found = [(p.kind, p.where.rsplit("/")[-1]) for p in dataset.problems]
-    assert found == [
-        ("picture without a label", "00003.png"),
-        ("picture without a label", "x.png"),
-        ("label without a picture", "anno_evaluation.pickle: label 1"),
-        ("label without a picture", "anno_evaluation.pickle: label 2"),
-    ]

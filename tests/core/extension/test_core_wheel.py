@@ -1,19 +1,15 @@
 """What may go into handfit_core's wheel, and what a zip of it is made of."""
 
-import hashlib
 import shutil
 import subprocess
 import sys
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from handfit_core.detect import landmark_model
-from scripts.extension import core_wheel as module
 from scripts.extension.core_wheel import BESIDE, core_wheel, source_files
-from scripts.extension.staging import ROOT, extension_tool, fix, run_tool
+from scripts.extension.staging import ROOT, fix
 from scripts.extension.wheels import BuildError
 
 
@@ -51,24 +47,6 @@ def test_ignores_caches(checkout):
     assert not [name for name in before if "/evaluate/" in name or name.endswith("/send.py")]
 
 
-@pytest.mark.parametrize("before", [None, b"damaged"])
-def test_without_the_network_of_2020_there_is_no_wheel(checkout, tmp_path, monkeypatch, before):
-    """The cache holds the first landmark model alone, or beside it a damaged network."""
-    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path))
-    monkeypatch.setattr(module, "fetched", lambda _: [tmp_path / "setuptools.whl"])
-    landmark_model.cached_path().write_bytes(b"first")
-    monkeypatch.setattr(module, "LANDMARK_MODEL_SHA256", hashlib.sha256(b"first").hexdigest())
-    monkeypatch.setattr(module, "assemble", lambda _: landmark_model.cached_body_path().write_bytes(b"body"))
-    body = replace(landmark_model.BODY, sha256=hashlib.sha256(b"body").hexdigest())
-    monkeypatch.setattr(landmark_model, "BODY", body)
-    if before:
-        landmark_model.cached_path_2020().write_bytes(before)
-    monkeypatch.setattr(module, "assemble_2020", lambda path: path.write_bytes(b"of another version"))
-    with pytest.raises(BuildError, match=r"2020\.tflite: this was assembled to other bytes"):
-        core_wheel(tmp_path, checkout)
-    assert not list(tmp_path.glob("*.whl"))
-
-
 def test_order_times_and_modes_do_not_matter(tmp_path):
     content = {"b.py": b"b" * 1000, "a.py": b"a", "wheels/x.whl": b"wheel" * 1000}
     fixed = []
@@ -86,19 +64,6 @@ def test_order_times_and_modes_do_not_matter(tmp_path):
         assert {name: archive.read(name) for name in archive.namelist()} == content
         # Compressed bytes would depend on the zlib of the Python at work.
         assert {entry.compress_type for entry in archive.infolist()} == {zipfile.ZIP_STORED}
-
-
-@pytest.mark.skipif(shutil.which("false") is None, reason="there is no program `false` here")
-def test_a_program_that_is_no_blender_is_one_sentence(tmp_path):
-    with pytest.raises(BuildError, match=r"refused .*--command extension build\):\nit ended with 1 and said"):
-        run_tool(extension_tool("false"), "build")
-    nothing = tmp_path / "blender.exe"
-    nothing.write_bytes(b"not a program")
-    nothing.chmod(0o755)
-    with pytest.raises(BuildError, match=r"blender\.exe: this cannot be run .*--blender"):
-        run_tool(extension_tool(str(nothing)), "build")
-    with pytest.raises(BuildError, match="there is no such Blender"):
-        extension_tool(str(tmp_path / "gone"))
 
 
 @pytest.mark.parametrize("script", ["build_extension", "lock_wheels", "fetch_landmark_model"])

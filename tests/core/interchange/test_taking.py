@@ -73,14 +73,6 @@ def test_points_come_back_in_metres(side: Side) -> None:
     assert np.degrees(angle).mean() < 2.0
 
 
-def test_points_of_one_frame_come_back_in_metres() -> None:
-    """Of one frame the shape is expected to be average, so that less is told."""
-    _, truth = joints_of("right")
-    fit, error = off("right", np.where(np.arange(COUNT)[:, None, None] > 0, np.nan, truth), truth)
-    assert error[0].mean() < 0.002
-    assert np.isnan(fit.transl[1:]).all()
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_missing_points_and_frames_leave_the_others_in_place(side: Side) -> None:
     """Of each hand single points, here and there the wrist, and whole frames: what is left is enough. A gap
@@ -131,14 +123,6 @@ def test_hands_that_no_camera_sees_are_moved_together(
     assert said is not None or moved.tolist() == [place, place]
     np.testing.assert_allclose(recording.points[0].points[:, 0], moved)
     assert [said in phrase for phrase in recording.assumed] == ([True] if said else [])
-
-
-def test_no_hands_in_pictures_are_no_detections() -> None:
-    shapes, kinds = ((), (), (), (21, 2), (21,)), (int, bool, float, float, float)
-    one = SeenHands(*(np.ones((0, *s), dtype=k) for s, k in zip(shapes, kinds, strict=True)))
-    found = detected_in(Recording("a", ("a",), 30.0, np.arange(3), seen=one))
-    assert found.numbers == [0, 1, 2]
-    assert len(found.hands) == 0
 
 
 # Keypoints in pictures
