@@ -24,7 +24,7 @@ RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "loky", "tqdm"]
 """What captures, one input or many."""
 PAPER = ["torch"]
 """What the paper's experiments and the differentiable layer need on top."""
-EVALUATION = ["pandas", "matplotlib", "jinja2", "joblib"]
+EVALUATION = ["pandas", "jinja2", "joblib"]
 """What the reports of `evaluate` need on top."""
 FARM = ["distributed"]
 """What a batch on many machines needs on top."""

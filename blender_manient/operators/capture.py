@@ -223,7 +223,6 @@ def new_job(
             camera=BlockReference.of("objects", camera) if camera else None,
         ),
         bare=bare,
-        button="add" if bare else "frame" if only_frame else "capture",
         ask_if_many=ask_if_many and source.kind == "photo" and settings.target == "NEW",
     )
 

@@ -45,13 +45,16 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         ready = told and (settings.target == "NEW" or hand is not None)
         choosing = find_mode.current
         buttons = layout.column(align=True)
-        if not _draw_stop(buttons, "capture", 1.5):
-            row = _row(buttons, ready, 1.5)
-            if choosing is not None:
-                count = counted(len(choosing.choice.chosen), "Hand")
-                row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
-            else:
-                row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
+        job = jobs.current_or_next()
+        row = _row(buttons, ready if job is None else job.stop_button[1], 1.5)
+        if job is not None:
+            stop = row.operator("manient.cancel_capture", text=job.stop_button[0], icon="CANCEL")
+            stop.index = jobs.jobs().index(job)
+        elif choosing is not None:
+            count = counted(len(choosing.choice.chosen), "Hand")
+            row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
+        else:
+            row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
         if searched:
             row = _row(buttons, ready)
             if choosing is not None:
@@ -61,18 +64,16 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         if info.files is not None and info.files.kind != "photo":
             if own:
                 sentence(buttons, context, own, "SCENE_DATA")
-            if not _draw_stop(buttons, "frame"):
-                row = _row(buttons, ready and choosing is None)
-                shown = source_info.shown_frame(context, info.files)
-                row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
+            row = _row(buttons, ready and choosing is None)
+            shown = source_info.shown_frame(context, info.files)
+            row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
         if searched:
             parts = layout.split(factor=0.36, align=True)
-            if not _draw_stop(parts, "add"):
-                row = _row(parts, choosing is None)
-                if add_hand.running():
-                    row.operator("manient.leave", icon="CANCEL").what = "ADD"
-                else:
-                    row.operator("manient.add_hand", icon="ADD")
+            row = _row(parts, choosing is None)
+            if add_hand.running():
+                row.operator("manient.leave", icon="CANCEL").what = "ADD"
+            else:
+                row.operator("manient.add_hand", icon="ADD")
             _row(parts, choosing is None).prop(settings, "added_side", expand=True)
         self._queue(context, ready)
 
@@ -114,21 +115,11 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
 
 
 def _row(layout, enabled: bool, scale: float = 1.0):
+    """A row of buttons that are grey where they are not `enabled`."""
     row = layout.row(align=True)
     row.scale_y = scale
     row.enabled = enabled
     return row
-
-
-def _draw_stop(layout, button: str, scale: float = 1.0) -> bool:
-    """Draw Stop in place of the button that began the present capture; whether it did."""
-    job = jobs.current_or_next()
-    if job is None or job.button != button:
-        return False
-    text, ready = job.stop_button
-    stop = _row(layout, ready, scale).operator("manient.cancel_capture", text=text, icon="CANCEL")
-    stop.index = jobs.jobs().index(job)
-    return True
 
 
 def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:

@@ -74,8 +74,6 @@ class Job:
     """Whether the artist chooses first where there are more than a few hands"""
     bare: bool = False
     """Whether no hands are detected: the picture is shown for an artist to add some"""
-    button: Literal["capture", "frame", "add"] = "capture"
-    """the button of the panel that queued the job"""
     then_add_hand: bool = False
     """Whether Add Hand begins in the job's picture afterwards"""
     output: Path | None = None
