@@ -26,6 +26,11 @@ def first_slot(action: bpy.types.Action) -> Any:
     return action.slots[0] if _has_slots(action) else None
 
 
+def has_one_slot(action: bpy.types.Action) -> bool:
+    """True if the action holds curves for one object at most, as always before Blender 4.4."""
+    return not _has_slots(action) or len(action.slots) < 2
+
+
 def new_slot(action: bpy.types.Action, name: str) -> Any:
     """A new slot for an object; None before Blender 4.4."""
     return action.slots.new(id_type="OBJECT", name=name) if _has_slots(action) else None

@@ -29,7 +29,7 @@ from handfit_core.edit.corrections import (
     kept_frame,
 )
 
-from ..common.blender_versions import action_slot, channels, property_group
+from ..common.blender_versions import action_slot, channels, has_one_slot, property_group
 from ..common.block_reference import BlockReference
 from ..rigs import rig_of
 from ..rigs.rig import Rig
@@ -107,12 +107,12 @@ def corrections_text(armature: bpy.types.Object) -> str:
 def _text(action: bpy.types.Action, slot: Any) -> str:
     texts = property_group(action, MARK)
     # With slots or without, depending on the Blender that wrote it, one hand has one text.
-    only = next(iter(texts.values()), "") if _has_one_slot(action) else ""
+    only = next(iter(texts.values()), "") if has_one_slot(action) else ""
     return str(texts.get(_slot_key(slot), only))
 
 
 def _keep(action: bpy.types.Action, slot: Any, field: CorrectionField) -> None:
-    texts = {} if _has_one_slot(action) else property_group(action, MARK)
+    texts = {} if has_one_slot(action) else property_group(action, MARK)
     texts[_slot_key(slot)] = field.to_json()
     texts = {key: text for key, text in texts.items() if text}
     if texts:
@@ -123,10 +123,6 @@ def _keep(action: bpy.types.Action, slot: Any, field: CorrectionField) -> None:
 
 def _slot_key(slot: Any) -> str:
     return str(slot.handle) if slot is not None else "0"
-
-
-def _has_one_slot(action: bpy.types.Action) -> bool:
-    return len(getattr(action, "slots", ())) < 2
 
 
 def check_writable(armature: bpy.types.Object) -> None:

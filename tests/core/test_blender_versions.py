@@ -13,9 +13,9 @@ SOURCES = {
 }
 
 ASKED_ELSEWHERE = {
-    "errors of ours": "details",
+    "errors of ours": "details __notes__",
     "whether the add-on is registered": "manient",
-    "copies of the add-on": "runs command _handle",
+    "copies of the add-on": "_registered",
     "packages": "__version__",
     "an entry of Blender's that is not there while scripts register the add-on": "preferences",
     "bpy.data while Blender enables add-ons": "scenes objects",
