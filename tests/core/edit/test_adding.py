@@ -110,7 +110,7 @@ def test_more_points_better_poses(side: Side) -> None:
         assert errors[count] < share * errors[0]
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", ["right", pytest.param("left", marks=pytest.mark.slow)])
 def test_poses_are_what_a_hand_can_do(side: Side) -> None:
     lower, upper = ends_of_range(side)
     poses = np.concatenate([motion.hand_pose for motion in posed_by(side, 6)])
@@ -123,7 +123,7 @@ def angles_of(side: Side, poses: np.ndarray) -> np.ndarray:
     return anatomical_angles(rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", ["right", pytest.param("left", marks=pytest.mark.slow)])
 def test_visible_side_follows_points(side: Side) -> None:
     """Thumb and little finger tell palm from back, however the hand was laid."""
     found = np.concatenate([motion.global_orient for motion in posed_by(side, 5)])

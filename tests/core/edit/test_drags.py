@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from handfit_core.hand_model.surface import PALM as PALM_BONES
 from tests.core.edit.hands import distance, drag, locked, missed, moved, photo, shown
 from tests.core.fit.detections import model_of
 
+FEW = 4, 8, 11, 18
+"""Keypoints that are dragged every day; the others are slow together"""
+
 LEAST = 0.01
 """of the hand's size: what other fingers may always move by"""
 
@@ -27,6 +31,10 @@ LEAST = 0.01
 def hands() -> Iterator[RefineHand]:
     """Two of each side, bent, spread and turned at random."""
     return (photo(side, seed, row) for side in SIDES for seed, row in ((1, 1), (8, 2)))
+
+
+def keypoints(*all_of_them: int) -> list[Any]:
+    return [point if point in FEW else pytest.param(point, marks=pytest.mark.slow) for point in all_of_them]
 
 
 def size_of(hand: RefineHand) -> float:
@@ -80,7 +88,7 @@ def test_what_a_finger_can_reach_it_reaches_alone(finger: int) -> None:
     assert tried > 6
 
 
-@pytest.mark.parametrize("keypoint", np.setdiff1d(np.arange(21), PALM_KEYPOINTS))
+@pytest.mark.parametrize("keypoint", keypoints(*np.setdiff1d(np.arange(21), PALM_KEYPOINTS)))
 def test_other_fingers_stay(keypoint: int) -> None:
     """And where the finger falls short of its pin, they move by about as much, riding on the palm unbent.
     Points nearer to the camera than the pinned one move farther in the picture."""
@@ -97,7 +105,7 @@ def test_other_fingers_stay(keypoint: int) -> None:
     assert judged >= 8  # of 16
 
 
-@pytest.mark.parametrize("keypoint", range(21))
+@pytest.mark.parametrize("keypoint", keypoints(*range(21)))
 def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
     """A pin that is moved by less than any picture shows changes no more than that; but for what is dragged
     out of its place altogether: a palm has several to turn to, and a finger that is pressed on another may
@@ -111,7 +119,7 @@ def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
             assert distance(shown(found), shown(other)).max() < max(1.0, 0.01 * size_of(hand))
 
 
-@pytest.mark.parametrize("keypoint", [4, 8, 11, 18])
+@pytest.mark.parametrize("keypoint", FEW)
 def test_drafts_hold_other_fingers_too(keypoint: int) -> None:
     """Each goes on from the one before, with few iterations, as a finger bends more and more."""
     for hand in hands():

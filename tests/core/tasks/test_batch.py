@@ -84,7 +84,10 @@ def lines(text: str) -> Iterator[dict[str, Any]]:
     return map(json.loads, text.splitlines())
 
 
-@pytest.mark.parametrize("jobs", [["--jobs", "1"], ["--jobs", "2"], ["--jobs", "10000"], []])
+@pytest.mark.parametrize(
+    "jobs",
+    [["--jobs", "2"], *(pytest.param(jobs, marks=pytest.mark.slow) for jobs in (["--jobs", "10000"], []))],
+)
 def test_every_input_once_and_skipped_the_second_time(tmp_path: Path, jobs: list[str]) -> None:
     shop = Shop(tmp_path, ["a", "b", "empty"])
     said = list(lines(shop.run("--progress", "json", *jobs, code=1, sheet=True)))
