@@ -304,7 +304,7 @@ def _seen_by_both(tried: _Tried, at: int) -> tuple[Observation, State]:
     first, second, found = tried.pairs[at].first, tried.pairs[at].second, tried.found
     own, other = _cameras(tried)
     placed = PlacedCamera(other, found.rotation, found.translation)
-    seen = second.beside(first.observed(own), first.sigmas, first.times - found.offset, placed)
+    seen = second.in_second_view(first.observed(own), first.sigmas, first.times - found.offset, placed)
     start = first.placed(found.focal[0])
     return seen, replace(start, betas=np.broadcast_to(found.betas, start.betas.shape))
 
