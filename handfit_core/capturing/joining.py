@@ -211,46 +211,7 @@ def _tried(
     if len(starts) > 1:
         adjusted = adjust(pairs, adjusted.offset, known, adjusted) or adjusted
     on_step()
-    tried = _by_one_clock(_Tried(second, mirrored, hands, pairs, known, adjusted, score))
-    on_step()
-    return _without_others(tried)
-
-
-def _by_one_clock(tried: _Tried) -> _Tried:
-    """In long clips, the second view's times by the first one's clock: clocks of cameras run apart by up to
-    some 100 millionths, and offsets at both ends tell by how much."""
-    found = tried.found
-    moments = np.concatenate([pair.first.times[pair.common(found.offset)] for pair in tried.pairs])
-    if np.ptp(moments) < VIEWS.long_clip:
-        return tried
-    cameras = replace(
-        tried.known,
-        focal=(float(found.focal[0]), float(found.focal[1])),
-        focal_sigma=(0.0, 0.0),
-        rotation=found.rotation,
-        translation=found.translation,
-        offset_sigma=None,
-    )
-    ends = np.quantile(moments, [0.0, VIEWS.clock_share, 1.0 - VIEWS.clock_share, 1.0])
-    offsets, middles = [], []
-    for least, most in (ends[:2], ends[2:]):
-        pairs = [
-            pair.at(np.flatnonzero((pair.first.times >= least) & (pair.first.times <= most)))
-            for pair in tried.pairs
-        ]
-        here = adjust(pairs, found.offset, cameras, found)
-        if here is None:
-            return tried
-        offsets.append(here.offset)
-        middles.append(np.median(moments[(moments >= least) & (moments <= most)]))
-    drift = (offsets[1] - offsets[0]) / (middles[1] - middles[0])
-    rate = 1.0 / (1.0 - drift)
-    second = replace(tried.second, stamps=tried.second.times * rate)
-    pairs = [
-        replace(pair, second=replace(pair.second, times=pair.second.times * rate)) for pair in tried.pairs
-    ]
-    again = adjust(pairs, (offsets[0] - drift * middles[0]) * rate, tried.known, found)
-    return tried if again is None else replace(tried, second=second, pairs=pairs, found=again)
+    return _without_others(_Tried(second, mirrored, hands, pairs, known, adjusted, score))
 
 
 def _viewed(fitter: FastFitter, clip: Clip, hand: int) -> ViewedHand:

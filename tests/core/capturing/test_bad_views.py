@@ -90,22 +90,6 @@ def test_frames_of_a_rate_that_varies():
     np.testing.assert_allclose(again.cameras.views[0].times, kept / FPS, atol=1e-9)
 
 
-@pytest.mark.parametrize("millionths", [150.0, -80.0])
-def test_clocks_that_run_apart(millionths):
-    """Over three minutes, seen at ten frames a second."""
-    times = np.arange(1800) / 10.0
-    rate = 1.0 + 1e-6 * millionths
-    views = moving(times), from_second(moving(OFFSET + times * rate))
-    first, second = [
-        Clip(replace(take_of(state, f"/{name}.mp4"), fps=10.0), lens_known=True)
-        for name, state in zip("ab", views, strict=True)
-    ]
-    take = joined(first, second, CaptureOptions(smoothing=0.0))
-    assert take.cameras is not None
-    found = take.cameras.time_offset[1] + times * 10.0 / take.cameras.views[0].fps
-    assert np.abs(found - OFFSET - times * rate).max() < 0.005, "seconds"
-
-
 def test_frames_that_the_second_view_alone_has():
     first, second = takes()
     (hand,), missing = first.take.hands, slice(30, 56)
