@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handfit_core.capturing.joining import joined
 from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.views.joining import joined
 from handfit_core.common.errors import OptionError, ProtocolError
 from handfit_core.edit import (
     RefineHand,
@@ -21,9 +21,9 @@ from handfit_core.edit import (
 )
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.take import Take
+from tests.core.capturing.views.filmed import takes
 from tests.core.edit.hands import locked
 from tests.core.fit.detections import model_of
-from tests.core.fit.test_views import takes
 
 TIP = 8
 
