@@ -53,6 +53,7 @@ NUMBERS = [
     *("tests/core/retarget/test_transfer.py", "tests/core/retarget/test_structure.py"),
     *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
     "tests/core/hand_model/test_open_hand.py",
+    *(f"tests/core/capturing/views/test_{name}.py" for name in ("cameras", "sync", "rig_file")),
 ]
 """Tests of what hangs on sums, which run once more as on another processor"""
 OTHER_PROCESSOR = {

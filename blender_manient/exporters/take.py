@@ -89,9 +89,7 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
     errors = np.linalg.norm(hand.take.intrinsics.project(joints_3d) - track.keypoints_2d, axis=-1)
     told, expected = errors_of(hand), track.expected_error
     field, numbers = readable_corrections(hand.armature), hand.take.frame_numbers
-    touching = [field.touching(n) for n in numbers]
-    placed, touches = point_rows([field.pins(n) for n in numbers], touching)
-    second, _ = point_rows([field.pins(n, second=True) for n in numbers], touching)
+    placed, touches = point_rows([field.pins(n) for n in numbers], [field.touching(n) for n in numbers])
     if expected is not None:
         expected = np.where(np.isnan(told.frames)[:, None], np.nan, expected)
     return replace(
@@ -104,7 +102,6 @@ def _track(hand: CapturedHand, frames: np.ndarray, metres: float, scene: bpy.typ
         expected_error=expected,
         filled=present & ~detected if (posed & ~track.present).any() else track.filled,
         placed=placed if track.added or np.isfinite(placed).any() else None,
-        placed_second=second if np.isfinite(second).any() else None,
         touches=touches if np.isfinite(touches).any() else None,
     )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import NUM_KEYPOINTS
@@ -165,11 +164,6 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
     )
     x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")  # type: ignore
     y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")  # type: ignore
-    second: bpy.props.BoolProperty(  # type: ignore
-        name="Second View",
-        description="The place is in the second view's picture of this frame",
-        options={"SKIP_SAVE"},
-    )
     remove: bpy.props.BoolProperty(  # type: ignore
         name="Remove", description="Remove the point's pin instead", options={"SKIP_SAVE"}
     )
@@ -186,17 +180,9 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
         row = refiner.row_at(frame)
         if row is None:
             raise OptionError(f"frame {frame} was not captured: give a frame of the source")
-        pins = refiner.pins(row), refiner.pins(row, 1)
-        if self.second:
-            shown = refiner.row_of_view(frame) if len(refiner.cameras) > 1 else None
-            if shown is None:
-                raise OptionError(f"no second view shows frame {frame}: give a place in the first one")
-            pins = pins[0], self._pins(pins[1], refiner.drift(row, shown)[self.keypoint])
-        else:
-            pins = self._pins(pins[0], np.zeros(2)), pins[1]
-        if any(pins) or refiner.touches(row):
-            args = [row], [pins[0]], refiner.start_poses([row])
-            fields = refiner.request(*args, second_pins=[pins[1]])()
+        pins = self._pins(refiner.pins(row))
+        if pins or refiner.touches(row):
+            fields = refiner.request([row], [pins], refiner.start_poses([row]))()
             worker = shared_worker.worker()
             poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_TIMEOUT_SECONDS))
             if not poses.present[0]:
@@ -221,11 +207,11 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
             raise OptionError(why)
         return hand.armature
 
-    def _pins(self, pins: Pins, drift: np.ndarray) -> Pins:
-        """The pins of a view with the new one, which moves by `drift` (2,) pixels until its picture."""
+    def _pins(self, pins: Pins) -> Pins:
+        """The pins with the new one."""
         others = {k: place for k, place in pins.items() if k != self.keypoint}
         if not self.remove:
-            return {**others, self.keypoint: (self.x - float(drift[0]), self.y - float(drift[1]))}
+            return {**others, self.keypoint: (self.x, self.y)}
         if self.keypoint not in pins:
             raise OptionError(f"keypoint {self.keypoint} has no pin in this frame")
         return others

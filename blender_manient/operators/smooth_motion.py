@@ -113,8 +113,7 @@ class _SmoothFit(MotionFit):
         if not locked[0]:
             poses.locations[:] = locations
         none: list[dict[int, Any]] = [{} for _ in rows]
-        free = {"touches": none, "second_pins": none}
-        return self.refiner.request(rows, none, poses, mode="range", smoothing=self._strength, **free)
+        return self.refiner.request(rows, none, poses, mode="range", smoothing=self._strength, touches=none)
 
     def received(self, poses):
         args = self.refiner.hand, self.rows, self._is_written, poses.quats, poses.locations

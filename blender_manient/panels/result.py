@@ -130,7 +130,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         if track.added:
             frames = corrections.corrected_frames(armature)
             held = corrections.corrections_of(armature).corrections.values()
-            placed = sum(len(one.pins) + len(one.second_pins) for one in held)
+            placed = sum(len(one.pins) for one in held)
             text = f"Added by hand: {counted(placed, 'point')} placed"
             sentence(
                 box, context, text + (f" in {len(frames)} frames" if len(frames) > 1 else ""), "MOUSE_LMB"

@@ -405,19 +405,14 @@ def _keep_pins(armature: bpy.types.Object, take: Take, track: HandTrack) -> None
         return
     count = len(take.frame_numbers)
     nothing = np.full((count, NUM_KEYPOINTS, 2), np.nan)
-    placed, second = (nothing if each is None else each for each in (track.placed, track.placed_second))
+    placed = nothing if track.placed is None else track.placed
     touches = nothing[..., 0] if track.touches is None else track.touches
-
-    def pins(places: np.ndarray) -> dict[int, tuple[float, float]]:
-        return {k: (x, y) for k, (x, y) in enumerate(places.tolist()) if isfinite(x + y)}
-
     kept: dict[float, Correction] = {}
-    own = np.isfinite(placed).all(axis=2) | np.isfinite(second).all(axis=2) | np.isfinite(touches)
+    own = np.isfinite(placed).all(axis=2) | np.isfinite(touches)
     for row in np.flatnonzero(own.any(axis=1) & track.present).tolist():
         kept[int(take.frame_numbers[row])] = Correction(
-            pins(placed[row]),
+            {k: (x, y) for k, (x, y) in enumerate(placed[row].tolist()) if isfinite(x + y)},
             touches={k: int(other) for k, other in enumerate(touches[row].tolist()) if isfinite(other)},
-            second_pins=pins(second[row]),
         )
     if kept:
         keep_field(armature, CorrectionField(kept))

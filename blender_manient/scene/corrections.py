@@ -141,7 +141,6 @@ def correct_frames(
     *,
     pins: Sequence[Pins] | None = None,
     touches: Sequence[Touches] | None = None,
-    second_pins: Sequence[Pins] | None = None,
     posed: bool = False,
 ) -> None:
     """Give N source frames poses, and their neighbours what is left of the change over `spread` frames.
@@ -198,7 +197,6 @@ def correct_frames(
             keyed=here_now is not None and here_now.keyed,
             posed=posed or (before is not None and before.posed),
             touches=old.touching(frame) if touches is None else touches[at],
-            second_pins=old.pins(frame, second=True) if second_pins is None else second_pins[at],
             begins=at == 0 if posed else before is not None and before.begins,
         )
     change_field(armature, old.having(new))
@@ -308,7 +306,7 @@ def corrections_carried(armature: bpy.types.Object) -> Iterator[None]:
     for g, quats, location in held:
         one, before = field.corrections[g], corrections_of(armature).corrections.get(g)
         if before is None or _without_pose(before) != _without_pose(one):
-            of_frame = {name: [getattr(one, name)] for name in ("pins", "touches", "second_pins")}
+            of_frame = {name: [getattr(one, name)] for name in ("pins", "touches")}
             pose = quats[None], location[None]
             correct_frames(armature, [g], *pose, one.spread, posed=one.posed, **of_frame)
 

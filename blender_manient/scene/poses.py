@@ -215,19 +215,16 @@ class _CapturedPosable(PosableHand):
             spread = context.scene.manient.spread
             # Points that hold other fingers go on holding them.
             free = {f for f, name in enumerate(FINGERS) if moved[list(FINGER_JOINTS[name])].any()}
-
-            def held(*, second: bool = False) -> list[dict[int, tuple[float, float]]]:
-                pins = (field.pins(frame, second=second) for frame in frames)
-                return [{p: at for p, at in each.items() if (p - 1) // 4 not in free} for each in pins]
-
             correct_frames(
                 armature,
                 frames,
                 np.where(keyed[:, None], posed.quats, np.nan),
                 np.full((len(frames), 3), np.nan),
                 spread if posed.span is None else posed.span.spread / timing.scale,
-                pins=held(),
-                second_pins=held(second=True),
+                pins=[
+                    {p: at for p, at in pins.items() if (p - 1) // 4 not in free}
+                    for pins in map(field.pins, frames)
+                ],
                 touches=[
                     {a: b for a, b in touches.items() if not {(a - 1) // 4, (b - 1) // 4} & free}
                     for touches in map(field.touching, frames)

@@ -143,7 +143,7 @@ class Refiner:
         """The row of the second view's picture that is shown on a scene frame; None where it has none."""
         return row_of_view(self.hand.collection, frame)
 
-    def drift(self, row: int, shown: int) -> np.ndarray:
+    def motion_until(self, row: int, shown: int) -> np.ndarray:
         """(21, 2) pixels of the second view by which the captured hand moves from a row's moment to that of
         the picture in row `shown` of that view, up to half a frame away."""
         cameras = self.take.cameras
@@ -159,10 +159,9 @@ class Refiner:
         share = (cameras.seconds(1)[shown] - moments[2]) / (moments[1] - moments[0])
         return np.asarray(share * (after - before))
 
-    def pins(self, row: int, view: int = 0) -> Pins:
-        """The pins of a row in a view, at the row's moment. Raises TakeError where corrections cannot be
-        read."""
-        return corrections.corrections_of(self.armature).pins(self.source_frame(row), second=view > 0)
+    def pins(self, row: int) -> Pins:
+        """The pins of a row. Raises TakeError where corrections cannot be read."""
+        return corrections.corrections_of(self.armature).pins(self.source_frame(row))
 
     def touches(self, row: int) -> Touches:
         """The touches of a row. Raises TakeError where corrections cannot be read."""
@@ -220,10 +219,9 @@ class Refiner:
         mode: Literal["each", "draft", "range"] = "each",
         smoothing: float = CaptureOptions.smoothing,
         touches: Sequence[Touches] | None = None,
-        second_pins: Sequence[Pins] | None = None,
     ) -> Callable[[], dict[str, Any]]:
         """What makes the fields of a `refit` request: these rows, their pins, and the poses to start from.
-        `touches` and `second_pins`: None for those that are kept.
+        `touches`: None for those that are kept.
 
         The call asks nothing of Blender any more, so that for many frames it can wait for a later moment.
         """
@@ -231,10 +229,9 @@ class Refiner:
         locked = np.array(self.armature.manient.locked, dtype=bool)
         rows = list(rows)
         touching = [self.touches(row) for row in rows] if touches is None else touches
-        beside = [self.pins(row, 1) for row in rows] if second_pins is None else second_pins
 
         def fields() -> dict[str, Any]:
-            (places, others), (second, _) = point_rows(pins, touching), point_rows(beside, touching)
+            places, others = point_rows(pins, touching)
             start = rest.from_bones(shaped, poses.quats, poses.locations)
             step, holes = _steps(np.asarray(self.take.frame_numbers), rows)
             hand = RefineHand(
@@ -253,7 +250,7 @@ class Refiner:
                 holes=holes,
                 added=self.track.added,
                 touches=others if np.isfinite(others).any() else None,
-                second=second_sight(self.take, self.track, np.array(rows), second),
+                second=second_sight(self.take, self.track, np.array(rows)) if mode == "range" else None,
             )
             return {"mode": mode, "hand": to_message(hand)}
 
@@ -279,25 +276,18 @@ class Refiner:
         gaps[there] = gaps_between(self.model, self.hand.betas, pose, pair)
         return gaps
 
-    def correct(self, row: int, pins: Sequence[Pins], poses: BonePoses, spread: float) -> None:
-        """Put the one pose that was re-fitted to `pins`, a view's each, into the keys, and let it fade out
-        over `spread` frames."""
-        corrections.correct_frames(
-            self.armature,
-            [self.source_frame(row)],
-            poses.quats,
-            poses.locations,
-            spread,
-            pins=[pins[0]],
-            second_pins=[pins[1]],
-        )
+    def correct(self, row: int, pins: Pins, poses: BonePoses, spread: float) -> None:
+        """Put the one pose that was re-fitted to `pins` into the keys, and let it fade out over `spread`
+        frames."""
+        at = [self.source_frame(row)], poses.quats, poses.locations
+        corrections.correct_frames(self.armature, *at, spread, pins=[pins])
 
     def unpin(self, row: int) -> None:
         """Free all pins of a row: its pose becomes what it was before them."""
         frame = self.source_frame(row)
         own = corrections.corrections_of(self.armature).corrections.get(frame)
         if own is not None and own.posed:
-            self.correct(row, ({}, {}), self.start_poses([row]), own.spread)
+            self.correct(row, {}, self.start_poses([row]), own.spread)
         else:
             corrections.clear_corrections(self.armature, [frame])
 

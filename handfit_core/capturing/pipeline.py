@@ -14,17 +14,18 @@ from typing import Any, Literal
 import numpy as np
 
 from handfit_core.capturing.fitting import fit_hands
-from handfit_core.capturing.joining import Clip, alone, joined
 from handfit_core.capturing.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.capturing.retiming import evenly_timed
 from handfit_core.capturing.sources import open_source, opened
+from handfit_core.capturing.views.joining import alone, joined
+from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.rig_file import Rig, read_rig, write_rig
 from handfit_core.common.errors import Cancelled, HandfitError, NoHandFoundError, OptionError
 from handfit_core.common.files import check_writable, shown
 from handfit_core.detect.body import BodyTrack
 from handfit_core.detect.detector import DETECTORS
 from handfit_core.detect.landmark_model import body_model_path
 from handfit_core.fit.solvers import SOLVERS, ShouldStop, get_solver, never
-from handfit_core.fit.views.rig_file import Rig, read_rig, write_rig
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of

@@ -118,7 +118,7 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
         filled=filled if filled.any() else None,
         **{
             name: kept(getattr(rows, name), there)
-            for name in ("joints_3d", "expected_error", "placed", "placed_second", "touches")
+            for name in ("joints_3d", "expected_error", "placed", "touches")
         },
         **{name: kept(getattr(rows, name), detected) for name in _MEASURED},
     )

@@ -120,13 +120,11 @@ class Correction:
     """Whether a pose begins here that the frames after it may go on with"""
     touches: Touches = value(_touches, default=())
     """Keypoints that were made to touch"""
-    second_pins: Pins = value(_pins, default=())
-    """Keypoints that were dragged in a second view, and where they belong there at the frame's moment"""
 
     @property
     def placed(self) -> int:
-        """How many points are held: pinned in either view, or made to touch."""
-        return len(self.pins) + len(self.second_pins) + len(self.touches)
+        """How many points are held: pinned, or made to touch."""
+        return len(self.pins) + len(self.touches)
 
     @property
     def is_anchor(self) -> bool:
@@ -200,12 +198,10 @@ class CorrectionField:
         location = np.array([c.location for c in chosen]).reshape(-1, 3)
         return np.einsum("nk,kja->nja", weights, rotation), weights @ location
 
-    def pins(self, frame: float, *, second: bool = False) -> Pins:
-        """The pins of a source frame, or those of the second view; none where it has no correction."""
+    def pins(self, frame: float) -> Pins:
+        """The pins of a source frame; none where it has no correction."""
         correction = self.corrections.get(kept_frame(frame))
-        if correction is None:
-            return {}
-        return correction.second_pins if second else correction.pins
+        return correction.pins if correction is not None else {}
 
     def touching(self, frame: float) -> Touches:
         """The touches of a source frame; none where it has no correction."""
@@ -263,8 +259,7 @@ class CorrectionField:
             rotation = rotation.copy()
             rotation[keyed] = 0.0
             place = np.zeros(3) if location else place
-            kept = {"touches": one.touches, "second_pins": one.second_pins}
-            return Correction(one.pins, rotation, place, spread, keyed=True, **kept)
+            return Correction(one.pins, rotation, place, spread, keyed=True, touches=one.touches)
 
         for g in sorted(inside):
             one = self.corrections[g]

@@ -45,7 +45,7 @@ def _rows(name: str, given: Any) -> tuple[int, ...]:
 
 @array_dataclass
 class SecondSight:
-    """What a take's second camera saw of a hand around its T frames, and the artist's pins there."""
+    """What a take's second camera saw of a hand around its T frames."""
 
     intrinsics: Intrinsics = value(_camera)
     rotation: np.ndarray = array(3, 3, finite="all")
@@ -57,8 +57,6 @@ class SecondSight:
     """seconds, increasing: when the detections were taken"""
     detections: Detections
     """S of them, in order"""
-    pins: np.ndarray = array("T", NUM_KEYPOINTS, 2)
-    """pixels of that camera where keypoints truly are at the `moments`; NaN: not pinned"""
     fps: float = value(number, default=25.0, least=TAKE_LIMITS.min_fps, most=TAKE_LIMITS.max_fps)
     """of that camera"""
 
@@ -66,7 +64,6 @@ class SecondSight:
         check_arrays(self, OptionError, "second: ")
         if len(self.detections) != len(self.times) or np.any(np.diff(self.times) <= 0):
             raise OptionError("second: each detection needs a time, and these must increase")
-        _check_pins(self.pins, "second: ")
 
     @property
     def camera(self) -> PlacedCamera:
@@ -74,9 +71,9 @@ class SecondSight:
         return PlacedCamera(self.intrinsics, self.rotation, self.translation)
 
 
-def second_sight(take: Take, hand: HandTrack, rows: np.ndarray, pins: np.ndarray) -> SecondSight | None:
-    """What the second view of a take saw of a hand around the frames `rows` (T,), with pins (T, 21, 2) there;
-    None where there is one view. Of a few frames it has some more at both ends, so that pixels between its
+def second_sight(take: Take, hand: HandTrack, rows: np.ndarray) -> SecondSight | None:
+    """What the second view of a take saw of a hand around the frames `rows` (T,); None where there is one
+    view. Of a few frames it has some more at both ends, so that pixels between its
     own frames are as in the whole take."""
     if take.cameras is None:
         return None
@@ -95,16 +92,8 @@ def second_sight(take: Take, hand: HandTrack, rows: np.ndarray, pins: np.ndarray
         moments=moments,
         times=times[found],
         detections=hand.detections(found) if seen is None else seen.detections(found, hand.side),
-        pins=pins,
         fps=view.fps,
     )
-
-
-def _check_pins(pins: np.ndarray, where: str = "") -> None:
-    if (np.isnan(pins).sum(axis=-1) == 1).any():
-        raise OptionError(
-            f"{where}pins must have x and y in pixels, or NaN for both where a point is not pinned"
-        )
 
 
 @array_dataclass
@@ -141,7 +130,7 @@ class RefineHand(HandMotion):
     """Which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
     for the palm, wherever it is nearest. NaN: none; None: none does"""
     second: SecondSight | None = None
-    """What a second camera saw; None: there is none"""
+    """What a second camera saw, for re-fitting a range; None: there is none"""
 
     def __post_init__(self) -> None:
         check_arrays(self, OptionError)
@@ -152,7 +141,8 @@ class RefineHand(HandMotion):
                 f"detections: at most one can be in each of the {len(self)} frames, of which "
                 "there must be some, in their order"
             )
-        _check_pins(self.pins)
+        if (np.isnan(self.pins).sum(axis=-1) == 1).any():
+            raise OptionError("pins must have x and y in pixels, or NaN for both where a point is not pinned")
         if self.second is not None:
             check_arrays(self.second, OptionError, "second: ", T=len(self))
         if self.touches is not None:
@@ -174,9 +164,8 @@ class RefineHand(HandMotion):
 
     @property
     def pinned(self) -> np.ndarray:
-        """(T, 21) bool: points that are pinned in some view."""
-        own = np.isfinite(self.pins).all(axis=-1)
-        return np.asarray(own if self.second is None else own | np.isfinite(self.second.pins).all(axis=-1))
+        """(T, 21) bool: points that are pinned."""
+        return np.asarray(np.isfinite(self.pins).all(axis=-1))
 
     @property
     def touching(self) -> np.ndarray:

@@ -90,12 +90,10 @@ def hand_sizes(pixels: np.ndarray) -> np.ndarray:
     return np.maximum(np.ptp(pixels, axis=1).max(axis=1), 1.0)
 
 
-def distance_sigma(displaced: np.ndarray, size: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
+def distance_sigma(displaced: np.ndarray, size: np.ndarray) -> np.ndarray:
     """(N,) sigmas of the wrist's distance, relative to it, from (N, 21) displacements of pinned points and
-    (N,) sizes of hands in pixels. `beside`: (N, 21) those of points that are pinned in a second view, which
-    sees the distance; None: there is none."""
+    (N,) sizes of hands in pixels."""
     most = displaced[:, _PALM].max(axis=1)
-    most = most if beside is None else np.maximum(most, beside.max(axis=1))
     return np.hypot(PINS.distance_sigma, PINS.palm_distance_sigma * most / size)
 
 

@@ -22,11 +22,11 @@ from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times, detect_cuts, missing_between
 from handfit_core.fit.observation import Kept, Observation, SecondView, kept_at_distance, observation_of
 from handfit_core.fit.problem import Held
+from handfit_core.fit.seen_over_time import SeenOverTime
 from handfit_core.fit.settings import SOLVER, TERMS
 from handfit_core.fit.solution import Solution
 from handfit_core.fit.solvers import ShouldStop
-from handfit_core.fit.views.hands import SeenOverTime
-from handfit_core.geometry.camera import Intrinsics, PlacedCamera
+from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.anatomy import joint_limits
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.data import HandModel
@@ -49,22 +49,21 @@ def solve_each(
     pose = [np.where(posed[:, None], np.asarray(rows, dtype=np.float64), np.nan) for rows in hand.pose]
     fitter, held = fitter_of(model), posed[:, None] & np.asarray(hand.locked, dtype=bool)
     free = posed & is_free(hand.pins) & hand.added
-    # Once the pins of the first view have posed an added hand, it is corrected like others.
-    further = hand.touching if hand.second is None else hand.touching | _any_pin(hand.second.pins)
     for row in np.flatnonzero(free):
         own = _poses(fitter, hand, hand, posed[[row]], np.array([row]))
         most = EDITS.free_draft_iterations if draft else EDITS.max_iterations
         state = pose_from_pins(fitter, hand.intrinsics, hand.pins[row], own, held[row], most)
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[row] = found[0]
-    if free[further].any():
+    if free[hand.touching].any():
+        # Once its pins have posed an added hand, it is corrected like others.
         hand = hand.with_pose(*pose)
         posed, points = _posed(hand, model)
-    corrected = (hand.pinned.any(axis=1) & ~free) | further
+    corrected = (hand.pinned.any(axis=1) & ~free) | hand.touching
     rows = np.flatnonzero(np.where(posed, corrected, hand.detected))
     if not len(rows):
         return _with_held(hand, held, pose)
-    detected, second = _sighted(hand, rows)
+    detected = _landmarks(hand, rows)
     seen = pinning.landmarks_of_pose(points[rows], hand.intrinsics).where(posed[rows], detected)
     for at, part in _chunks(rows):
         observed = observation_of(seen.select(part), hand.intrinsics)
@@ -76,48 +75,11 @@ def solve_each(
         frames = _Frames(
             fitter, hand.intrinsics, hand.pins[at], posed[at], held[at],
             seen.select(part), detected.select(part), own, near, _touches(hand, at),
-            None if second is None else second.select(part),
         )  # fmt: skip
         state, held[at] = frames.corrected()
         for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
             all_rows[at] = found
     return _with_held(hand, held, pose)
-
-
-@dataclass(frozen=True, eq=False)
-class _Second(Batch):
-    """What the second camera shows of B frames."""
-
-    camera: PlacedCamera
-    first: Intrinsics
-    """of the first camera"""
-    pins: np.ndarray
-    """(B, 21, 2) its pixels"""
-    detected: Landmarked
-    """The detected landmarks; NaN where nothing is detected"""
-
-    def shown(self, points: np.ndarray) -> Landmarked:
-        """The landmarks of poses (B, 21, 3), metres, first camera's frame; NaN behind the camera."""
-        there = self.camera.seen_from(points)
-        behind = there[..., 2].min(axis=1) <= TERMS.nearest
-        there[behind] = 1.0
-        found = pinning.landmarks_of_pose(there, self.camera.intrinsics)
-        return replace(found, pixels=np.where(behind[:, None, None], np.nan, found.pixels))
-
-    def scale(self, points: np.ndarray) -> np.ndarray:
-        """(B, 1) pixels of the first view for one of this, where the hands (B, 21, 3) are."""
-        away = np.maximum(self.camera.seen_from(points)[..., 2].mean(axis=1), TERMS.nearest)
-        here = np.maximum(points[..., 2].mean(axis=1), TERMS.nearest)
-        return ((self.first.fx / here) / (self.camera.intrinsics.fx / away))[:, None]
-
-    def displacement(self, seen: Landmarked, points: np.ndarray) -> np.ndarray:
-        """(B, 21) pixels of the first view by which the pins displace what is `seen` here."""
-        return pinning.displacement(self.pins, seen.pixels) * self.scale(points)
-
-    def view(self, seen: Landmarked, uncertainty: np.ndarray, points: np.ndarray) -> SecondView:
-        """What is `seen`, with the pins, and with `uncertainty` (B, 21) in pixels of the first view."""
-        seen = pinning.apply_pins(seen, self.pins, uncertainty / self.scale(points))
-        return SecondView.through(self.camera, seen.pixels, seen.pixel_sigma, seen.pinned)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +104,6 @@ class _Frames(Batch):
     """The start of a draft; None: this is no draft"""
     touches: np.ndarray | None
     """(B, 21) as in `RefineHand`"""
-    second: _Second | None
-    """What the second camera shows; None: there is none"""
 
     def corrected(self) -> tuple[State, np.ndarray]:
         """Their poses, and which joints (B, 16) bool have not moved."""
@@ -155,7 +115,7 @@ class _Frames(Batch):
             state = state.replaced(alone, found)
         points = self.fitter.chain.points(state)
         seen = pinning.landmarks_of_pose(points, self.intrinsics).where(self.posed, self.seen)
-        left = self._displaced(seen.pixels, points)
+        left = pinning.displacement(self.pins, seen.pixels)
         fall_short = (left.max(axis=1) > pinning.PINS.reached_pixels) & ~self.locked[:, 0]
         palm = np.flatnonzero(fall_short | ~self.posed)
         if len(palm):
@@ -178,42 +138,15 @@ class _Frames(Batch):
     @property
     def _idle(self) -> np.ndarray:
         """(B, 5) bool: fingers that neither pins nor touches move by themselves."""
-        idle = pinning.unpinned_fingers(self.pins) & ~self._touching
-        return idle if self.second is None else idle & pinning.unpinned_fingers(self.second.pins)
-
-    def _displaced(self, pixels: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(B, 21) pixels by which the pins of both views displace points that lie at `pixels` (B, 21, 2) in
-        the first one, and in space at (B, 21, 3)."""
-        found = pinning.displacement(self.pins, pixels)
-        if self.second is None:
-            return found
-        return np.maximum(found, self.second.displacement(self._beside(points), points))
-
-    def _beside(self, points: np.ndarray) -> Landmarked:
-        """The landmarks in the second view of poses (B, 21, 3), or the detected ones where there is no
-        pose."""
-        assert self.second is not None
-        return self.second.shown(points).where(self.posed, self.second.detected)
-
-    def _second_view(
-        self, points: np.ndarray, forget: np.ndarray, uncertainty: np.ndarray
-    ) -> SecondView | None:
-        """The second view of poses (B, 21, 3), blended to what is detected there where (B, 21) pixels say so,
-        with its pins."""
-        if self.second is None:
-            return None
-        forget = forget / self.second.scale(points)
-        seen = pinning.blend_to_detection(self._beside(points), self.second.detected, forget)
-        return self.second.view(seen, uncertainty, points)
+        return pinning.unpinned_fingers(self.pins) & ~self._touching
 
     def _solve_fingers(self) -> tuple[State, np.ndarray]:
         """Fit the fingers with pins beyond their knuckles, and those that touch; all else is held.
 
         Returns their poses, and the joints (B, 16) bool that were held.
         """
-        fingers, pins = self._with_finger_pins(), pinning.finger_pins(self.pins)
-        points = self.fitter.chain.points(self.own)
-        displaced = fingers._displaced(self.seen.pixels, points)
+        pins = pinning.finger_pins(self.pins)
+        displaced = pinning.displacement(pins, self.seen.pixels)
         forget = pinning.propagate(displaced)
         seen = pinning.blend_to_detection(self.seen, self.detected, forget)
         uncertainty = pinning.propagate(
@@ -222,12 +155,10 @@ class _Frames(Batch):
         seen = pinning.apply_pins(seen, pins, uncertainty)
         held = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
         free_distance = np.full(len(pins), np.inf)
-        second = fingers._second_view(points, forget, uncertainty)
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
         seen = replace(seen, pinned=None)
-        second = None if second is None else replace(second, pinned=None)
         start = self.own if self.near is None else replace(self.own, angles=self.near.angles)
-        found = self._solved(seen, second, self.own, free_distance, uncertainty, held, [start])
+        found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
         if self.near is None:
             if self.touches is not None:
                 # Frames in which the same points touch do so in the same way, and one between two others as
@@ -239,32 +170,24 @@ class _Frames(Batch):
                 for rows in filter(len, groups):
                     bends[rows] = np.median((found.angles - self.own.angles)[rows], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
-                found = self._solved(seen, second, self.own, free_distance, uncertainty, held, [start])
+                found = self._solved(seen, self.own, free_distance, uncertainty, held, [start])
                 bends = found.angles - self.own.angles
                 for rows in filter(len, groups):
                     beside = bends[[rows[0], *rows[:-1]]], bends[[*rows[1:], rows[-1]]]
                     bends[rows] = np.median([*beside, bends[rows]], axis=0)
                 start = replace(self.own, angles=self.own.angles + bends)
-                found = self._solved(seen, second, start, free_distance, uncertainty, held, [start])
+                found = self._solved(seen, start, free_distance, uncertainty, held, [start])
             points = self.fitter.chain.points(found)
-            left = fingers._displaced(self.intrinsics.project(points), points)
+            left = pinning.displacement(pins, self.intrinsics.project(points))
             short = np.flatnonzero(left.max(axis=1) > pinning.PINS.reached_pixels)
             if len(short):
                 some, kept = self.select(short), self.own.select(short)
-                beside = None if second is None else second.select(short)
                 starts = [found.select(short), *some._restart_poses()]
                 own = uncertainty[short], held[short], starts
                 found = found.replaced(
-                    short, some._solved(seen.select(short), beside, kept, free_distance[short], *own)
+                    short, some._solved(seen.select(short), kept, free_distance[short], *own)
                 )
         return found, held
-
-    def _with_finger_pins(self) -> _Frames:
-        """Without the pins of the palm."""
-        second = self.second
-        if second is not None:
-            second = replace(second, pins=pinning.finger_pins(second.pins))
-        return replace(self, pins=pinning.finger_pins(self.pins), second=second)
 
     def _restart_poses(self) -> list[State]:
         """The hands with their fingers bent as in `restart_bends`, for fingers that are stuck on their
@@ -286,13 +209,12 @@ class _Frames(Batch):
 
         Returns their poses, and the joints (B, 16) bool that were held.
         """
-        size, points = pinning.hand_sizes(seen.pixels), self.fitter.chain.points(reached)
+        size = pinning.hand_sizes(seen.pixels)
         uncertainty = pinning.propagate(
             _with_touches(self.fitter, self.intrinsics, reached, self.touches, left)
         )
         forget = pinning.propagate(pinning.palm_displacement(left))
-        beside = None if self.second is None else self.second.displacement(self._beside(points), points)
-        distance_sigma = np.where(self.posed, pinning.distance_sigma(left, size, beside), np.inf)
+        distance_sigma = np.where(self.posed, pinning.distance_sigma(left, size), np.inf)
         aim = pinning.apply_pins(
             pinning.blend_to_detection(seen, self.detected, forget), self.pins, uncertainty
         )
@@ -300,32 +222,23 @@ class _Frames(Batch):
         held = self.locked | _joints(np.zeros(len(uncertainty), dtype=bool), self.posed[:, None] & still)
         # A finger draws the hand along as it is; wrist and knuckles rather turn it.
         starts = [self._shifted(reached, seen.pixels)]
-        second = self._second_view(points, forget, uncertainty)
         turns = pinning.palm_displacement(left).any(axis=1)
         if self.near is not None:
             starts.insert(0, replace(self.near, angles=reached.angles))
         elif turns.any():
             starts.insert(0, reached.where(np.asarray(turns), starts[0]))
-        return self._solved(aim, second, reached, distance_sigma, uncertainty, held, starts), held
+        return self._solved(aim, reached, distance_sigma, uncertainty, held, starts), held
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
         """Hands, whose landmarks are at pixels (B, 21, 2), moved across the pictures by the mean displacement
         of their pins."""
         lens, moved = self.intrinsics, state.wrist.copy()
         moved[:, :2] += state.wrist[:, 2:] * (_mean_offset(self.pins, pixels) / (lens.fx, lens.fy))
-        state = replace(state, wrist=moved)
-        if self.second is not None:
-            camera, lens = self.second.camera, self.second.camera.intrinsics
-            points = self.fitter.chain.points(state)
-            off = _mean_offset(self.second.pins, self._beside(points).pixels) / (lens.fx, lens.fy)
-            off = off * camera.seen_from(points)[..., 2].mean(axis=1, keepdims=True)
-            state = replace(state, wrist=state.wrist + off @ camera.rotation[:2])
-        return state
+        return replace(state, wrist=moved)
 
     def _solved(
         self,
         seen: Landmarked,
-        second: SecondView | None,
         kept: State,
         distance_sigma: np.ndarray,
         uncertainty: np.ndarray,
@@ -339,7 +252,7 @@ class _Frames(Batch):
         limits = np.where(self.posed, pinning.PINS.limits_sigma, np.nan)
         near = Kept(kept.wrist, distance_sigma, kept.angles, turned, limits)
         most = EDITS.max_iterations if self.near is None else EDITS.draft_iterations
-        observed = replace(observed, kept=near, touches=self.touches, second=second)
+        observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
 
 
@@ -353,7 +266,7 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
         return HandMotion(hand.side, hand.betas, *(np.full(np.shape(each), np.nan) for each in hand.pose))
     keep = pinning.landmarks_of_pose(points[rows], hand.intrinsics)
     stand_in = EDITS.stand_in_factor * keep.pixel_sigma, keep.depth, EDITS.stand_in_factor * keep.depth_sigma
-    detected, second = _sighted(hand, rows)
+    detected, second = _two_view_landmarks(hand, rows)
     seen = detected.where(hand.detected[rows], Landmarked(keep.pixels, *stand_in))
     # Cuts are found before pins are applied, as one of these may lie far away.
     cuts = detect_cuts(seen.pixels) | missing_between(rows, hand.holes)
@@ -367,10 +280,7 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
             lambda: _check(should_stop),
         )  # fmt: skip
 
-    observed = observation_of(seen, hand.intrinsics)
-    if second is not None:
-        of_second = second.detected.pixels, second.detected.pixel_sigma
-        observed = replace(observed, second=SecondView.through(second.camera, *of_second))
+    observed = replace(observation_of(seen, hand.intrinsics), second=second)
     parts = []
     for at, part in _chunks(rows):
         _check(should_stop)
@@ -403,17 +313,14 @@ def solve_range(hand: RefineHand, model: HandModel, should_stop: ShouldStop) -> 
     _check(should_stop)
     # Smoothing leaves gaps between points that touch; their fingers close them.
     pins = np.where(hand.touching[:, None, None], hand.pins, np.nan)
-    sight = hand.second
-    if sight is not None:
-        sight = replace(sight, pins=np.where(hand.touching[:, None, None], sight.pins, np.nan))
-    return solve_each(replace(hand.with_pose(*motion.pose), pins=pins, second=sight), model, None)
+    return solve_each(replace(hand.with_pose(*motion.pose), pins=pins), model, None)
 
 
 def _corrected(
     fitter: FastFitter,
     hand: RefineHand,
     seen: Landmarked,
-    second: _Second | None,
+    second: SecondView | None,
     rows: np.ndarray,
     plain: State,
 ) -> tuple[Observation, np.ndarray]:
@@ -422,22 +329,18 @@ def _corrected(
     Distances are kept at those of `plain`, the fit without pins and touches.
     """
     pins, size, touches = hand.pins[rows], pinning.hand_sizes(seen.pixels), _touches(hand, rows)
-    displaced, beside, points = pinning.displacement(pins, seen.pixels), None, fitter.chain.points(plain)
-    if second is not None:
-        shown = second.shown(points)
-        there = np.asarray(np.isfinite(second.detected.pixels).all(axis=(1, 2)))
-        beside = second.displacement(second.detected.where(there, shown), points)
-        displaced = np.maximum(displaced, beside)
-        beside = pinning.propagate_in_time(beside, rows, hand.fps)
+    displaced = pinning.displacement(pins, seen.pixels)
     displaced = _with_touches(fitter, hand.intrinsics, plain, touches, displaced)
     displaced = pinning.propagate_in_time(displaced, rows, hand.fps)
     uncertainty = pinning.propagate(displaced)
     touched = uncertainty.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
-    kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size, beside))
+    kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
     observed = observation_of(pinning.apply_pins(seen, pins, uncertainty), hand.intrinsics)
     if second is not None:
-        observed = replace(observed, second=second.view(second.detected, uncertainty, points))
-    return replace(observed, kept=kept, touches=touches), np.flatnonzero(touched)
+        there = uncertainty * (pinning.hand_sizes(second.pixels) / size)[:, None]
+        sigma = np.hypot(second.pixel_sigma, pinning.PINS.sigma_per_pixel * there[..., None])
+        second = replace(second, pixel_sigma=sigma)
+    return replace(observed, kept=kept, touches=touches, second=second), np.flatnonzero(touched)
 
 
 def _touches(hand: RefineHand, rows: np.ndarray) -> np.ndarray | None:
@@ -506,11 +409,6 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     return posed & ~behind, points
 
 
-def _any_pin(pins: np.ndarray) -> np.ndarray:
-    """(N, 21, 2) pins -> (N,) bool: frames with one."""
-    return np.isfinite(pins).all(axis=-1).sum(axis=1) > 0
-
-
 def _mean_offset(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(B, 2) pixels from points (B, 21, 2) to their pins, in the mean; 0 where there is none."""
     off = pins - pixels
@@ -518,51 +416,50 @@ def _mean_offset(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     return np.where(at[..., None], off, 0.0).sum(axis=1) / np.maximum(at.sum(axis=1), 1)[:, None]
 
 
-def _sighted(hand: RefineHand, rows: np.ndarray) -> tuple[Landmarked, _Second | None]:
-    """Corrected landmarks of the frames `rows` in the first view, NaN where nothing is detected, and what the
-    second one shows there. Where both see the hand they are weighted as a capture of two views weights
-    them."""
+def _landmarks(hand: RefineHand, rows: np.ndarray) -> Landmarked:
+    """Corrected landmarks of the frames `rows`; NaN where nothing is detected."""
     there = hand.detected[rows]
-    detections = hand.detections.select(np.searchsorted(hand.detections.frame, rows[there]))
-    found = _corrected_once("first", hand.side, detections)
+    return _over_rows(_corrected_once(hand.side, _detections_in(hand, rows[there])), there)
 
-    def over_rows(seen: Landmarked) -> Landmarked:
-        columns = (seen.pixels, seen.pixel_sigma, seen.depth, seen.depth_sigma)
-        return Landmarked(*(scatter(each, there, len(rows)) for each in columns))
 
-    sight = hand.second
-    if sight is None:
-        return over_rows(found), None
-    pixels = np.full((len(rows), NUM_KEYPOINTS, 2), np.nan)
-    nothing = Landmarked(pixels, pixels.copy(), pixels[..., 0], pixels[..., 0])
-    second = _Second(sight.camera, hand.intrinsics, sight.pins[rows], nothing)
-    if not len(sight.times):
-        return over_rows(found), second
-    other = SeenOverTime(sight.times, _corrected_once("second", hand.side, sight.detections), sight.fps)
-    moments = sight.moments[rows]
+def _two_view_landmarks(hand: RefineHand, rows: np.ndarray) -> tuple[Landmarked, SecondView | None]:
+    """`_landmarks`, and what the second camera saw of these frames; None: it saw nothing. Where both see the
+    hand they are weighted as a capture of two views weights them."""
+    second = hand.second
+    if second is None or not len(second.times):
+        return _landmarks(hand, rows), None
+    there, moments = hand.detected[rows], second.moments[rows]
+    found = landmarked(_detections_in(hand, rows[there]), hand.side)
+    other = SeenOverTime(second.times, landmarked(second.detections, hand.side), second.fps)
     if there.any():
         own = SeenOverTime(moments[there], found, hand.fps)
-        found = other.beside(observation_of(found, hand.intrinsics), own.sigmas, own.times, sight.camera)
-    saw = other.seen_at(moments)[:, None, None]
-    detected = replace(
-        nothing,
-        pixels=np.where(saw, other.at(moments)[0], np.nan),
-        pixel_sigma=np.where(saw, other.sigmas_at(moments), np.nan),
-    )
-    return over_rows(found), replace(second, detected=detected)
+        plain = observation_of(found, hand.intrinsics)
+        found = other.in_second_view(plain, own.sigmas, own.times, second.camera)
+    seen = SecondView.through(second.camera, other.at(moments)[0], other.sigmas_at(moments))
+    return _over_rows(found, there), seen
 
 
-_LAST: dict[str, tuple[tuple[object, ...], Landmarked]] = {}
-"""The landmarks of the last few detections of each view, as a drag asks for the same ones again and again"""
+def _detections_in(hand: RefineHand, frames: np.ndarray) -> Detections:
+    return hand.detections.select(np.searchsorted(hand.detections.frame, frames))
 
 
-def _corrected_once(view: str, side: Side, detections: Detections) -> Landmarked:
+def _over_rows(seen: Landmarked, there: np.ndarray) -> Landmarked:
+    """The landmarks of those of N frames that are `there` (N,) bool, with NaN in the others."""
+    columns = (seen.pixels, seen.pixel_sigma, seen.depth, seen.depth_sigma)
+    return Landmarked(*(scatter(each, there, len(there)) for each in columns))
+
+
+_LAST: list[tuple[tuple[object, ...], Landmarked]] = []
+"""The landmarks of the last few detections, as a drag asks for the same ones again and again: none or one"""
+
+
+def _corrected_once(side: Side, detections: Detections) -> Landmarked:
     if len(detections) > EDITS.most_remembered:
         return landmarked(detections, side)
     key = (side, *((name, column.tobytes()) for name, column in arrays_of(detections).items()))
-    if view not in _LAST or _LAST[view][0] != key:
-        _LAST[view] = key, landmarked(detections, side)
-    return _LAST[view][1]
+    if not _LAST or _LAST[0][0] != key:
+        _LAST[:] = [(key, landmarked(detections, side))]
+    return _LAST[0][1]
 
 
 def _chunks(rows: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

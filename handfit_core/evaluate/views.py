@@ -18,17 +18,18 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from handfit_core.capturing.joining import Clip, joined
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
+from handfit_core.capturing.views.joining import joined
+from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.rig_file import Rig
+from handfit_core.capturing.views.verdict import rotation_between
 from handfit_core.common.errors import DatasetError
 from handfit_core.evaluate.metrics import (
     camera_distances,
     root_aligned_distances,
     similarity_aligned_distances,
 )
-from handfit_core.fit.views.rig_file import Rig
-from handfit_core.fit.views.verdict import rotation_between
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.opening import open_media

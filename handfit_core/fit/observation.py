@@ -73,17 +73,9 @@ class SecondView(Batch):
     """(B, 2)"""
     centre: np.ndarray
     """(B, 2)"""
-    pinned: np.ndarray | None = None
-    """(B, 21) bool: points that a person has put in place, as in `Landmarked`"""
 
     @classmethod
-    def through(
-        cls,
-        camera: PlacedCamera,
-        pixels: np.ndarray,
-        pixel_sigma: np.ndarray,
-        pinned: np.ndarray | None = None,
-    ) -> SecondView:
+    def through(cls, camera: PlacedCamera, pixels: np.ndarray, pixel_sigma: np.ndarray) -> SecondView:
         """What that camera saw of B hands; NaN pixels are of points that it did not see."""
         count, lens = len(pixels), camera.intrinsics
         known = np.isfinite(pixels) & np.isfinite(pixel_sigma)
@@ -94,7 +86,6 @@ class SecondView(Batch):
             np.where(known, pixel_sigma, np.inf),
             np.broadcast_to((lens.fx, lens.fy), (count, 2)),
             np.broadcast_to((lens.cx, lens.cy), (count, 2)),
-            pinned,
         )
 
     @property

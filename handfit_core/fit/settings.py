@@ -164,11 +164,6 @@ class ViewSettings:
     similar kinds, and the direction between them hangs on this ratio"""
     known_focal_sigma: float = 0.02
     """Expected error of the logarithm of a focal length that the file or a person tells"""
-    long_clip: float = 60.0
-    """seconds in common from which clocks that run apart are asked for: 50 millionths of it are a tenth of a
-    frame"""
-    clock_share: float = 0.25
-    """Share of the common frames, at both ends, that tell how far they do"""
     stray_frames: float = 0.1
     """Frames by which those of a view stray from even ones before a take says when each was seen"""
     evidence: float = 10.0

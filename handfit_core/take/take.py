@@ -72,8 +72,8 @@ TAKE_LIMITS: Final = TakeLimits()
 class HandTrack(HandMotion):
     """One hand over a take's T frames: its motion, and what was detected.
 
-    Float arrays but `placed`, `placed_second` and `touches` hold NaN in the frames where neither `detected`
-    nor `filled` is True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`,
+    Float arrays but `placed` and `touches` hold NaN in the frames where neither `detected` nor `filled` is
+    True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`,
     `keypoints_depth`, `world_landmarks`, `right_side`), and `expected_error`, also where only `filled` is.
     """
 
@@ -104,8 +104,6 @@ class HandTrack(HandMotion):
     doubts, and are believed less; None: none do"""
     placed: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
     """pixels: where a person has put points; NaN: not a person's; None: none is"""
-    placed_second: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
-    """pixels of the second view at the frame's moment: where a person has put points there, as in `placed`"""
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, default=None)
     """The keypoint that each one touches, as a person says, the larger naming the smaller; 0 stands for the
     palm; NaN: none; None: none does"""

@@ -189,7 +189,7 @@ def corrected(armature, frame: int):
     row = refiner.row_at(frame)
     poses = refiner.keyed_poses([row])
     poses.quats[0, 7] = [np.cos(0.3), 0.0, 0.0, np.sin(0.3)]
-    refiner.correct(row, [{8: (10.0, 20.0)}, {}], poses, 2.0)
+    refiner.correct(row, {8: (10.0, 20.0)}, poses, 2.0)
     return pose_at(rig_of(armature), [frame])
 
 

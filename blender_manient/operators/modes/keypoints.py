@@ -66,7 +66,7 @@ class _Request(NamedTuple):
     number: int
     place: np.ndarray | None
     moved_at: float
-    pins: tuple[Pins, Pins]
+    pins: Pins
     final: bool
     """Whether the result is to be kept, and no draft"""
 
@@ -79,16 +79,12 @@ class _Drag:
     row: int
     frame: float
     """Scene frame"""
-    pins_before: tuple[Pins, Pins]
-    """The frame's pins in both views until now"""
+    pins_before: Pins
+    """The frame's pins until now"""
     start: BonePoses
     """What the pins are measured against"""
     poses_before: BonePoses
     """What the bones are put back to when it is cancelled"""
-    view: int = 0
-    """In whose picture it is dragged"""
-    drift: np.ndarray | float = 0.0
-    """(2,) pixels that the point moves from the frame's moment to that of this picture"""
     mouse: np.ndarray | None = None
     """(2,) pixels of the region: where it was pressed; None: nowhere, the pin goes"""
     grip: np.ndarray | float = 0.0
@@ -102,20 +98,19 @@ class _Drag:
     """The last request"""
     waiting: bool = False
     """Whether it is with the worker"""
-    answer: tuple[tuple[Pins, Pins], BonePoses] | None = None
+    answer: tuple[Pins, BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
     """Whether the view was asked to show the newest place"""
 
     @property
-    def pins(self) -> tuple[Pins, Pins]:
-        """The frame's pins in both views with this one where it is to be."""
-        first, second = self.pins_before
-        pins = {k: p for k, p in self.pins_before[self.view].items() if k != self.keypoint}
+    def pins(self) -> Pins:
+        """The frame's pins with this one where it is to be."""
+        pins = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
         if self.place is not None:
-            x, y = self.place - self.drift
+            x, y = self.place
             pins[self.keypoint] = float(x), float(y)
-        return (first, pins) if self.view else (pins, second)
+        return pins
 
     @property
     def needs_request(self) -> bool:
@@ -128,7 +123,8 @@ class KeypointMode(view.Overlay):
     """The state of the mode, from its start to `end`. Data-blocks are named, never held.
 
     Of a take of two views the points are those of the picture that a viewport shows: the second clip's frames
-    lie between the first one's, and its points are where they are at the moment of the picture.
+    lie between the first one's, and its points are where they are at the moment of the picture. Points are
+    dragged in the first view alone.
     """
 
     looking = 0
@@ -295,20 +291,13 @@ class KeypointMode(view.Overlay):
         """The row of the picture that a view shows, among its own frames; None where it has none."""
         return self.refiner.row_of_view(bpy.context.scene.frame_current_final) if of_view else self.row()
 
-    def pins(self, of_view: int | None = None) -> Pins:
-        """The pins of the frame that the scene shows, in the picture of a view (None: the one that is looked
-        at), with the dragged one where it is to be."""
-        row, of_view = self.row(), self.looking if of_view is None else of_view
-        if row is None:
+    def pins(self, of_view: int = 0) -> Pins:
+        """The pins of the frame that the scene shows, with the dragged one where it is to be. The second view
+        has none."""
+        row = self.row()
+        if row is None or of_view:
             return {}
-        pins = self.drag.pins[of_view] if self.drag is not None else self.refiner.pins(row, of_view)
-        drift = self._drift(row, of_view) if pins else np.zeros((0, 2))
-        return {k: (x + drift[k, 0], y + drift[k, 1]) for k, (x, y) in pins.items()}
-
-    def _drift(self, row: int, of_view: int) -> np.ndarray:
-        """(21, 2) pixels that points move from a row's moment to that of the picture that a view shows."""
-        shown = self.shown_row(of_view) if of_view else None
-        return np.zeros((NUM_KEYPOINTS, 2)) if shown is None else self.refiner.drift(row, shown)
+        return self.drag.pins if self.drag is not None else self.refiner.pins(row)
 
     def _detected(self, row: int, of_view: int) -> np.ndarray | None:
         """(21, 2) pixels, what was detected in the picture that a view shows; None where nothing was."""
@@ -324,13 +313,16 @@ class KeypointMode(view.Overlay):
         hand's points where the frame was re-fitted, else what was detected, else the points of the animated
         hand."""
         row, of_view = self.row(), self.looking if of_view is None else of_view
-        if row is None or (of_view and self.shown_row(of_view) is None):
+        shown = self.shown_row(of_view)
+        if row is None or shown is None:
             return np.full((NUM_KEYPOINTS, 2), np.nan)
         places = None
         if self.drag is None and not self.refiner.is_corrected(row):
             places = self._detected(row, of_view)
         if places is None:
-            places = self.refiner.shown_landmarks(of_view) + self._drift(row, of_view)
+            places = self.refiner.shown_landmarks(of_view)
+            if of_view:
+                places += self.refiner.motion_until(row, shown)
         for keypoint, place in self.pins(of_view).items():
             places[keypoint] = place
         return places
@@ -350,7 +342,9 @@ class KeypointMode(view.Overlay):
         return mapped(matrix, self.picture_places(self.view.looks(viewport)))
 
     def handle_at(self, viewport: view.Viewport, x: int, y: int) -> int | None:
-        """The handle nearest to a place in window pixels, within reach."""
+        """The handle nearest to a place in window pixels, within reach; none in the second view."""
+        if self.looking:
+            return None
         places, scale = self.region_places(viewport), screen.ui_scale()
         away = np.linalg.norm(places - [x - viewport.region.x, y - viewport.region.y], axis=-1)
         if np.isnan(away).all():
@@ -382,8 +376,7 @@ class KeypointMode(view.Overlay):
         mouse = np.array([x - viewport.region.x, y - viewport.region.y])
         drag.moved |= bool(np.abs(mouse - drag.mouse).max() >= _CLICK_PIXELS)
         if drag.moved:
-            clip = self.refiner.clip(drag.view)
-            size = np.array([clip.width, clip.height])
+            size = np.array([self.refiner.take.width, self.refiner.take.height])
             # A hand may well reach out of the picture, but not for miles.
             drag.place = np.clip(mapped(np.linalg.inv(matrix), mouse + drag.grip), -size, 2 * size)
             drag.moved_at, drag.drawn = time.perf_counter(), False
@@ -408,8 +401,7 @@ class KeypointMode(view.Overlay):
     def _new_drag(self, keypoint: int, row: int) -> _Drag:
         frame, refiner = bpy.context.scene.frame_current_final, self.refiner
         start, before = refiner.start_poses([row]), refiner.keyed_poses([row])
-        pins, drift = (refiner.pins(row), refiner.pins(row, 1)), self._drift(row, self.looking)[keypoint]
-        return _Drag(keypoint, row, frame, pins, start, before, self.looking, drift)
+        return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
 
     def cancel_drag(self, context: bpy.types.Context) -> None:
         """Put the hand back to before the drag."""
@@ -459,9 +451,7 @@ class KeypointMode(view.Overlay):
                 self._finish(context, drag)  # nothing pinned any more: nothing to be fitted
             else:
                 mode = "each" if drag.released else "draft"
-                first, second = drag.pins
-                args = [drag.row], [first], drag.start, mode
-                fields = self.refiner.request(*args, second_pins=[second])()
+                fields = self.refiner.request([drag.row], [drag.pins], drag.start, mode)()
                 number = shared_worker.worker().submit("refit", **fields)
                 drag.asked = _Request(number, drag.place, drag.moved_at, drag.pins, drag.released)
                 drag.waiting = True
@@ -501,7 +491,7 @@ class KeypointMode(view.Overlay):
 
     def _is_constrained(self, drag: _Drag) -> bool:
         """Whether the frame's hand has pins, or points that touch."""
-        return bool(any(drag.pins) or self.refiner.touches(drag.row))
+        return bool(drag.pins or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
         """Write the keys, and make an undo step of it."""
@@ -556,7 +546,7 @@ class KeypointMode(view.Overlay):
         """Draw the points, and the line about them."""
         if self.trouble(bpy.context) is None:
             dragged = self.drag.keypoint if self.drag is not None else None
-            places, pinned = self.region_places(viewport), frozenset(self.pins())
+            places, pinned = self.region_places(viewport), frozenset(self.pins(self.looking))
             line, corner = self.status_line(viewport), view.free_corner(viewport)
             drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
 
@@ -580,6 +570,8 @@ class KeypointMode(view.Overlay):
             return "This frame was not captured: go to another one", True
         if self.shown_row(self.looking) is None:
             return "This view has no picture of this frame: go to another one, or to the other view", True
+        if self.looking:
+            return "V: points are dragged in the other view", False
         if self._warming:
             return "Starting the solver ...", False
         track, placed = self.refiner.track, len(self.pins())
@@ -587,10 +579,8 @@ class KeypointMode(view.Overlay):
             enough = ": three to six are enough, fingertips first" if placed < _SENSIBLE_POINTS else ""
             return f"{counted(placed, 'point')} of the {track.side} hand placed{enough}", False
         if self.refiner.is_corrected(row):
-            beside = len(self.pins(1 - self.looking))
-            more = f", {beside} in the other view" if beside else ""
-            return f"{placed} pinned in this frame{more}", False
-        if self._detected(row, self.looking) is None:
+            return f"{placed} pinned in this frame", False
+        if self._detected(row, 0) is None:
             return "No hand was found in this frame: drag points to where they belong", True
         if track.doubtful is not None and track.doubtful[row]:
             return "Doubtful frame", True

@@ -11,8 +11,7 @@ from handfit_core.hand_model.chain import Posed
 
 
 def second_view(posed: Posed, seen: Observation) -> Rows:
-    """Two rows for each point, u = f x / z + c of x = R p + t; pinned points are certain. `seen.second` must
-    be there."""
+    """Two rows for each point, u = f x / z + c of x = R p + t. `seen.second` must be there."""
     second = seen.second
     assert second is not None
     points = posed.points @ second.rotation.swapaxes(1, 2) + second.translation[:, None]
@@ -25,5 +24,4 @@ def second_view(posed: Posed, seen: Observation) -> Rows:
     columns = np.zeros((*slope.shape, 5))
     columns[..., :3] = by_place @ second.rotation[:, None]
     columns[..., 4] = slope * in_sigmas + (second.centre[:, None] - second.pixels) / second.pixel_sigma
-    pinned = np.zeros(slope.shape[:2], dtype=bool) if second.pinned is None else second.pinned
-    return Rows(POINTS, columns, pinned)
+    return Rows(POINTS, columns, np.zeros(slope.shape[:2], dtype=bool))

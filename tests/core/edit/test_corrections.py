@@ -93,14 +93,12 @@ def test_text_is_what_older_scenes_hold():
     assert CorrectionField().to_json() == ""
 
 
-def test_pins_of_a_second_view():
-    """They are kept beside the first one's, also where a frame is keyed anew with them."""
-    field = CorrectionField({4: Correction({}, second_pins={8: (1.5, 2.0)}), 9: Correction({}, keyed=True)})
-    assert field.corrected == [4]
-    kept = CorrectionField.from_json(field.to_json()).keyed_anew([4], keep_pins=True)
-    assert kept.pins(4, second=True) == {8: (1.5, 2.0)}
-    assert kept.pins(4) == kept.pins(9, second=True) == kept.pins(5, second=True) == {}
-    assert kept.corrected == [4]
+def test_pins_of_a_second_view_are_passed_over():
+    """Scenes of earlier versions have them."""
+    text = CorrectionField({4: Correction({8: (1.0, 2.0)})}).to_json()
+    older = text.replace('"spread"', '"second_pins":{"4":[1.5,2.0]},"spread"')
+    assert older != text
+    assert CorrectionField.from_json(older).to_json() == text
 
 
 @pytest.mark.parametrize(

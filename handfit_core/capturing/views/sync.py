@@ -1,4 +1,4 @@
-"""The offset in time between two views: courses of fingers do not depend on where a camera stands.
+"""The offset in time between two views: how fingers move does not depend on where a camera stands.
 
 A hand's channels are five curls and 15 distances of fingertips of the fitted hand, and 15 distances of the
 detector's world landmarks. With r_c the correlation of channel c at a lag, the score of the lag is
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handfit_core.capturing.views.cameras import HandPair
+from handfit_core.capturing.views.hands import ViewedHand
 from handfit_core.fit.settings import VIEWS
-from handfit_core.fit.views.cameras import HandPair
-from handfit_core.fit.views.hands import ViewedHand
 
 _TIPS = (4, 8, 12, 16, 20)
 _LEFT, _RIGHT = np.triu_indices(5, 1)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handfit_core.capturing.views.hands import ViewedHand
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.fast import FastFitter
 from handfit_core.fit.levenberg import solve
@@ -30,7 +31,6 @@ from handfit_core.fit.terms.free_cameras import (
     projected,
 )
 from handfit_core.fit.terms.rows import Rows
-from handfit_core.fit.views.hands import ViewedHand
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.chain import BETAS, HAND_SIZE, Posed, State
 
@@ -53,7 +53,7 @@ class HandPair:
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class CameraPriors:
     """What is known of both cameras beforehand."""
 
     focal: tuple[float, float]
@@ -64,7 +64,7 @@ class Known:
     """(3, 3), with `translation` (3,) in metres: x_2 = rotation x_1 + translation; None: not known"""
     translation: np.ndarray | None = None
     offset_sigma: float | None = None
-    """frames; None: as a search by courses leaves it"""
+    """frames; None: as the search of `sync` leaves it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,7 @@ def _nearest_rotation(matrices: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Together(Problem):
+class JointProblem(Problem):
     """The problems of several hands, whose shape and cameras are one. Its own fields are the first hand's."""
 
     parts: tuple[Problem, ...] = ()
@@ -146,7 +146,7 @@ class _Together(Problem):
 def adjust(
     pairs: Sequence[HandPair],
     offset: float,
-    known: Known,
+    priors: CameraPriors,
     start: Adjusted | None = None,
     *,
     frames: int = VIEWS.frames,
@@ -159,13 +159,13 @@ def adjust(
     if count < 4:
         return None
     here = [pair.at(rows) for pair, rows in zip(pairs, chosen, strict=True) if len(rows)]
-    sigma = VIEWS.offset_sigma if known.offset_sigma is None else known.offset_sigma
+    sigma = VIEWS.offset_sigma if priors.offset_sigma is None else priors.offset_sigma
     rate = min(here[0].first.fps, here[0].second.fps)
-    focal_sigma = np.maximum(known.focal_sigma, 1e-6)
-    prior = CameraPrior(np.log(known.focal), focal_sigma, offset, max(sigma / rate, 1e-6))
-    parts = tuple(_problem(pair, known, prior, count) for pair in here)
-    states = State.concatenate([pair.first.placed(known.focal[0]) for pair in here])
-    rotation, translation, focal, betas = _start(here, offset, known, start)
+    focal_sigma = np.maximum(priors.focal_sigma, 1e-6)
+    prior = CameraPrior(np.log(priors.focal), focal_sigma, offset, max(sigma / rate, 1e-6))
+    parts = tuple(_problem(pair, priors, prior, count) for pair in here)
+    states = State.concatenate([pair.first.placed(priors.focal[0]) for pair in here])
+    rotation, translation, focal, betas = _start(here, offset, priors, start)
     filmed: State = FilmedState(
         states.root,
         states.angles,
@@ -178,11 +178,11 @@ def adjust(
         offset=np.full(count, offset),
     )
     fixed = np.zeros(HAND_SIZE + CAMERA_SIZE, dtype=bool)
-    fixed[HAND_SIZE:][FOCAL] = np.asarray(known.focal_sigma) == 0.0
-    fixed[HAND_SIZE:][OFFSET] = known.offset_sigma == 0.0
-    if known.rotation is not None:
+    fixed[HAND_SIZE:][FOCAL] = np.asarray(priors.focal_sigma) == 0.0
+    fixed[HAND_SIZE:][OFFSET] = priors.offset_sigma == 0.0
+    if priors.rotation is not None:
         fixed[HAND_SIZE:][TURN] = fixed[HAND_SIZE:][SHIFT] = True
-    whole = _Together(parts[0].chain, parts[0].seen, parts[0].terms, "one", parts=parts, fixed=fixed)
+    whole = JointProblem(parts[0].chain, parts[0].seen, parts[0].terms, "one", parts=parts, fixed=fixed)
     if start is None:
         # The shape waits until the cameras stand about where they should.
         rigid = fixed.copy()
@@ -199,10 +199,10 @@ def _spread(rows: np.ndarray, most: int) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
 
 
-def _problem(pair: HandPair, known: Known, prior: CameraPrior, count: int) -> Problem:
+def _problem(pair: HandPair, priors: CameraPriors, prior: CameraPrior, count: int) -> Problem:
     """One hand's problem, of `count` frames that all hands have."""
     first, second, fitter = pair.first, pair.second, pair.fitter
-    seen = first.observed(Intrinsics(known.focal[0], known.focal[0], *first.centre))
+    seen = first.observed(Intrinsics(priors.focal[0], priors.focal[0], *first.centre))
     seen = replace(seen, depth_sigma=seen.depth_sigma * VIEWS.depth_factor)
     filmed = Filmed(first.seen.pixels, None, first.centre, first.sigmas)
 
@@ -219,7 +219,7 @@ def _problem(pair: HandPair, known: Known, prior: CameraPrior, count: int) -> Pr
 
 
 def _start(
-    pairs: Sequence[HandPair], offset: float, known: Known, start: Adjusted | None
+    pairs: Sequence[HandPair], offset: float, priors: CameraPriors, start: Adjusted | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rotation (3, 3), translation (3,), focal lengths (2,) and betas (10,)."""
     if start is not None:
@@ -227,18 +227,18 @@ def _start(
     here, there = [], []
     for pair in pairs:
         matching = pair.second.select(pair.second.nearest(pair.first.times - offset))
-        for found, hand, focal in ((here, pair.first, known.focal[0]), (there, matching, known.focal[1])):
+        for found, hand, focal in ((here, pair.first, priors.focal[0]), (there, matching, priors.focal[1])):
             found.append(hand.points + (hand.placed(focal).wrist - hand.state.wrist)[:, None])
     a, b = np.concatenate(here), np.concatenate(there)
-    rotation = start_rotation(a, b) if known.rotation is None else known.rotation
-    translation = known.translation
+    rotation = start_rotation(a, b) if priors.rotation is None else priors.rotation
+    translation = priors.translation
     if translation is None:
         translation = np.median(b.mean(axis=1) - a.mean(axis=1) @ rotation.T, axis=0)
     betas = np.concatenate([pair.first.state.betas for pair in pairs]).mean(axis=0)
-    return rotation, translation, np.asarray(known.focal), betas
+    return rotation, translation, np.asarray(priors.focal), betas
 
 
-def _result(whole: _Together, solution: Solution, pairs: Sequence[HandPair]) -> Adjusted:
+def _result(whole: JointProblem, solution: Solution, pairs: Sequence[HandPair]) -> Adjusted:
     state = solution.state
     assert isinstance(state, FilmedState)
     squares, pixels = [], ([], [])
@@ -270,7 +270,7 @@ def _result(whole: _Together, solution: Solution, pairs: Sequence[HandPair]) -> 
     )
 
 
-def _left_open(whole: _Together, state: FilmedState) -> tuple[float, float]:
+def _left_open(whole: JointProblem, state: FilmedState) -> tuple[float, float]:
     """What the normal equations leave open of the second camera's rotation and direction, degrees."""
     covariance = np.linalg.inv(whole.blocks(state).common_information())[-CAMERA_SIZE:, -CAMERA_SIZE:]
     way = state.translation[0]
