@@ -189,7 +189,7 @@ class ViewSettings:
     peaks_apart: float = 8.0
     """frames of the slower view between them"""
     weak_score: float = 0.15
-    """Agreement of fingers' courses below which the offset is not believed, and more starts are tried"""
+    """Agreement of fingers' motions below which the offset is not believed, and more starts are tried"""
     most_starts: int = 16
     """Starts that are tried in place of weak peaks"""
     seen_within: float = 0.75

@@ -24,7 +24,7 @@ _STEPS = 2
 
 @dataclass(frozen=True)
 class OffsetScore:
-    """An offset that is likely, and how well courses agree at it."""
+    """An offset that is likely, and how well the fingers' motions agree at it."""
 
     offset: float
     """seconds from the first view's start to the second one's"""
@@ -83,7 +83,7 @@ def offset_scores(pairs: Sequence[HandPair]) -> list[OffsetScore]:
 
 
 def _sampled(hand: ViewedHand, rate: float, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """(size, C) centred courses, smoothed over a frame, and (size, 1) where they are known, in even steps."""
+    """(size, C) channels, centred, smoothed and in even steps, and (size, 1) where they are known."""
     from scipy.ndimage import gaussian_filter1d
 
     values = channels(hand)

@@ -27,7 +27,7 @@ class Evidence:
     halves: float
     """degrees between the cameras that both halves of the frames give; NaN: not asked"""
     score: float
-    """Agreement of fingers' courses at the offset; NaN: the offset was given"""
+    """Agreement of fingers' motions at the offset; NaN: the offset was given"""
     dropped: float = 0.0
     """Share of common frames in which the views show different hands"""
     cameras_known: bool = False
