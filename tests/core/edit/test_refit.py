@@ -18,7 +18,6 @@ from handfit_core.common.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.edit import (
     RefineHand,
     answer,
-    landmark_points,
     refit_each,
     refit_range,
     result_from_message,
@@ -51,7 +50,6 @@ from tests.core.fit.detections import (
     CAMERA,
     detections_of,
     laid_error,
-    landmarks_of,
     model_of,
     track_of,
 )
@@ -60,13 +58,6 @@ TIP = 8
 OTHERS = [k for k in range(21) if k not in (5, 6, 7, 8)]
 KNUCKLES = [5, 9, 13, 17]
 PALM = [0, *KNUCKLES]
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_handles_are_the_solvers_points(side: Side) -> None:
-    hand = true_hands(side, 4)
-    found = landmark_points(model_of(side), hand.betas, *hand.pose)
-    np.testing.assert_allclose(found, landmarks_of(side, *rows_of(hand)), atol=1e-9)
 
 
 @pytest.mark.parametrize(

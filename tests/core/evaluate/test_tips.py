@@ -174,15 +174,3 @@ def test_what_does_not_pair_is_told(tmp_path: Path) -> None:
     ]
     _, points = labels_of(dataset.entries[0])
     np.testing.assert_allclose(points[TIPS], projected(EGO_M, frames(4)[0]), atol=1e-6)
-
-
-def test_part_of_a_set(tmp_path: Path) -> None:
-    truth = frames(1)
-    pictures(tmp_path, "Rotate", range(1))
-    with pytest.raises(DatasetError, match=r"Rotate3D\.txt \(original labels\) is missing; expected Dexter"):
-        open_dataset(tmp_path)
-    write_tips(tmp_path / "data" / "Rotate" / "annotations" / "Rotate3D.txt", truth)
-    dataset = open_dataset(tmp_path)
-    assert [e.name for e in dataset.entries] == ["Rotate/image_00000_color"]
-    assert [p.where.split(": ")[-1] for p in dataset.problems] == list(DEXTER[:-1])
-    assert {p.kind for p in dataset.problems} == {"sequence missing"}

@@ -59,17 +59,6 @@ def test_unsure_side_raises_error(side: Side) -> None:
     assert np.all(np.diff(errors) > 0.0)
 
 
-def test_crops_that_differ_raise_the_error() -> None:
-    """By how far they differ, in parts of the hand's size; a single crop tells nothing."""
-    one, clean, apart = seen()[:3]
-    hands = columns([one, *(replace(d, spread=np.full((21, 3), s)) for d, s in ((clean, 0.0), (apart, 9.0)))])
-    spread = 9.0 * np.sqrt(2.0) / apart.extent / DOUBT.clean_crop_spread
-    expected = np.array([1.0, DOUBT.min_crop_spread, spread]) ** DOUBT.crop_spread_power
-    factor = doubt.crop_spread_factor(hands)
-    np.testing.assert_allclose(factor, DOUBT.calibration_factor * expected)
-    assert doubt.crop_spread_factor(columns([one])) == factor[0]
-
-
 def test_degenerate_hands_have_errors() -> None:
     """All in one point, far away, behind the camera, at the camera, and nowhere."""
     fitter = fitter_of(model_of("right"))

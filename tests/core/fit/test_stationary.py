@@ -116,11 +116,6 @@ def distances(state: State, smoothing: float = 1.0, known: Any = True, certain: 
     return state.wrist[:, 2] * wrist_distance_factors(state, known, certain, FPS, smoothing)
 
 
-def test_time_has_no_direction() -> None:
-    back = distances(reach().select(np.arange(COUNT - 1, -1, -1)))[::-1]
-    np.testing.assert_allclose(back, distances(reach()), rtol=1e-6)
-
-
 def test_what_does_not_count() -> None:
     """Frames without a detection, and such as are far off all others."""
     state, known = reach(), (np.arange(COUNT) < 40) | (np.arange(COUNT) > 47)

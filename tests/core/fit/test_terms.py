@@ -25,9 +25,8 @@ from handfit_core.fit.terms import (
     second_view,
 )
 from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
-from handfit_core.fit.terms.motion import inverse_right_jacobian, place_acceleration, rotation_acceleration
+from handfit_core.fit.terms.motion import inverse_right_jacobian, rotation_acceleration
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
-from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import BEND, SPREAD
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
@@ -113,18 +112,6 @@ def test_behind_camera_stays_finite(term: Term) -> None:
     posed, seen = hands()
     posed.points[0, 3, 2], posed.points[0, 4, 2], posed.state.depth_zero[:] = -0.4, 0.0, -0.1
     assert np.isfinite(term(posed, seen).columns).all()
-
-
-def test_reprojection() -> None:
-    posed, seen = hands()
-    for i in range(3):
-        camera = Intrinsics(*seen.focal[i].tolist(), *seen.centre[i].tolist())
-        expected = (camera.project(posed.points[i]) - seen.pixels[i]) / seen.pixel_sigma[i]
-        close(reprojection(posed, seen).residual[i], expected, rtol=1e-12, atol=1e-9)
-    posed.points[0, 3, 2] = -0.4
-    as_if = replace(posed, points=posed.points.copy())
-    as_if.points[0, 3, 2] = TERMS.nearest
-    close(reprojection(posed, seen).residual, reprojection(as_if, seen).residual)
 
 
 def test_depth_zero() -> None:
@@ -220,49 +207,6 @@ def test_coupling() -> None:
     assert abs(coupling(*with_angles(angles)).residual[0, 1, 0]) < 1e-14
 
 
-def test_near_pose() -> None:
-    posed, seen = with_angles(np.full((1, 5, 9), 0.1 - np.pi))
-    start = replace(posed.state, angles=np.full((1, 5, 9), np.pi - 0.1))
-    rows = near_pose(posed, replace(seen, kept=kept_near(start)))
-    close(rows.residual[0], np.array([2.0, 1.0, 0.4, 0.2, 0.0])[:, None].repeat(9, axis=1))
-    assert not rows.jacobian[0, 4].any()
-
-
-def test_distance() -> None:
-    posed, seen = hands()
-    start = seen.kept.wrist
-    for wrist, expected in ((1.03 * start, 1.5), (start + np.cross(start, random(3, 3)), 0.0)):
-        rows = distance(changed(posed, wrist=wrist), seen)
-        close(rows.residual[:, 0, 0], np.full(3, expected), atol=1e-9)
-    nothing = replace(seen, kept=replace(seen.kept, distance_sigma=np.full(3, np.inf)))
-    assert not distance(posed, nothing).columns.any()
-
-
-def across_length() -> np.ndarray:
-    across = random(10, seed=3)
-    return across - RATES * (across @ RATES) / (RATES @ RATES)
-
-
-def test_measured_length() -> None:
-    posed, seen = hands(1)
-    expected = random(10, seed=6)
-    for by, lengths in ((0.0 * RATES, 0.0), (across_length(), 0.0), (RATES, RATES @ RATES)):
-        shaped = changed(posed, betas=(expected + by)[None])
-        residual = Shape(expected, RATES)(shaped, seen).residual[0, 0]
-        close(residual[:10], by)
-        assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
-
-
-def test_unknown_length() -> None:
-    posed, seen = hands(1)
-    for way, share in ((RATES, 1.0), (across_length(), TERMS.shape_weight)):
-        shaped = changed(posed, betas=2.0 * way[None] / np.linalg.norm(way))
-        # Of a model whose shapes do not change its length, all are proportions.
-        for rates, weight in ((RATES, share), (np.zeros(10), TERMS.shape_weight)):
-            residual = Shape(np.zeros(10), rates, measured=False)(shaped, seen).residual
-            assert np.square(residual).sum() == pytest.approx(4.0 * weight)
-
-
 def test_huber_kernel() -> None:
     """Huber's kernel, as weights: cost, gradient, and no weight above one."""
     columns = random(2, 21, 2, 5)
@@ -287,7 +231,7 @@ def test_huber_kernel() -> None:
 AXES = unit(random(8, 3, seed=3))
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.99e-4, 1.01e-4, 1e-3, 0.5, 2.0, 3.1, np.pi - 1e-5])
+@pytest.mark.parametrize("angle", [0.0, 0.99e-4, 1.01e-4, 0.5, np.pi - 1e-5])
 def test_inverse_right_jacobian(angle: float) -> None:
     """log(exp(w) exp(d)) = w + Jr^-1 d, for small d; beyond pi the logarithm jumps."""
     for axis in AXES:
@@ -296,7 +240,7 @@ def test_inverse_right_jacobian(angle: float) -> None:
         close(inverse_right_jacobian(axis * angle), expected, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("spread", [0.0, 1e-6, 0.02, 0.5, 2.0])
+@pytest.mark.parametrize("spread", [0.0, 0.02, 2.0])
 def test_derivatives_of_rotation_acceleration(spread: float) -> None:
     turns = rotvec_to_rotmat(np.concatenate([random(1, 2, 3), random(4, 2, 3, seed=1) / 2 * spread]))
     rotations = [turns[0]]
@@ -311,15 +255,3 @@ def test_derivatives_of_rotation_acceleration(spread: float) -> None:
     for t, frame, joint in product(range(3), range(3), range(2)):
         found[t, joint, :, t + frame, joint] = jacobian[t, frame, joint]
     close(found, expected, rtol=0, atol=1e-7)
-
-
-def test_rotation_acceleration_about_one_axis() -> None:
-    """Then it is the second difference of the angle, also over a full circle."""
-    angle = np.cumsum([0.0, 0.1, 0.3, 0.2, -0.1, 2.5, 2.5, 2.5, 2.5])
-    residual, _ = rotation_acceleration(rotvec_to_rotmat(angle[:, None] * AXES[0]))
-    close(residual, np.diff(angle, 2)[:, None] * AXES[0], rtol=0, atol=1e-12)
-
-
-def test_place_acceleration() -> None:
-    t, a = np.arange(6.0)[:, None], np.array([0.01, -0.02, 0.03])
-    close(place_acceleration(0.5 * a * t**2 + 2.0 * t + 1.0), np.tile(a, (4, 1)))

@@ -92,18 +92,4 @@ def test_names_are_unique(model: HandModel) -> None:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_open_hand(side: Side) -> None:
     model = load_model(None, side)
-    names = shape_names(model)
-    assert names == OPEN_HAND_NAMES
-
-    def lengths(betas: np.ndarray) -> np.ndarray:
-        shaped = model.shaped(betas)
-        chains = [[*shaped.joints[list(FINGER_JOINTS[f])], shaped.tips[i]] for i, f in enumerate(FINGERS)]
-        return np.linalg.norm(np.diff(chains, axis=1), axis=2).sum(axis=1)
-
-    # What the names say, measured from the bones: this finger changes most, that way.
-    for beta, name in enumerate(names):
-        finger = next((i for i, f in enumerate(FINGERS) if name and f.title() in name), None)
-        if name is not None and finger is not None:
-            changes = lengths(np.eye(NUM_BETAS)[beta]) / lengths(np.zeros(NUM_BETAS)) - 1
-            assert np.abs(changes).argmax() == finger
-            assert (changes[finger] > 0) == name.startswith("Longer")
+    assert shape_names(model) == OPEN_HAND_NAMES

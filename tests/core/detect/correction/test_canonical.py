@@ -1,7 +1,5 @@
 """Detections in the canonical frame: the same hand looks the same, wherever and however it is seen."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -18,13 +16,6 @@ DETECTIONS = columns(HANDS)
 
 def canonical_right(detections: Detections) -> Canonical:
     return canonical(detections, np.full(len(detections), SIDES.index(RIGHT)))
-
-
-def test_there_and_back():
-    frame = canonical(DETECTIONS, np.arange(8) % 2)
-    points = np.random.default_rng(0).normal(size=(8, 21, 3))
-    np.testing.assert_allclose(frame.from_picture(frame.to_picture(points)), points, atol=1e-12)
-    np.testing.assert_allclose(frame.to_picture(frame.from_picture(100 * points)), 100 * points, atol=1e-9)
 
 
 def test_upright_centred_and_of_unit_size():
@@ -78,13 +69,6 @@ def test_world_landmarks_are_laid_over_the_image_ones():
     np.testing.assert_allclose(size, WORLD_SCALE * np.array(metres))
     np.testing.assert_allclose(frame.fused[..., :2], image[..., :2])
     np.testing.assert_allclose(frame.fused[..., 2], (image[..., 2] + over[..., 2]) / 2)
-
-
-def test_the_detectors_word_on_the_side():
-    detection = replace(HANDS[0], score=0.7)
-    both = canonical(columns([detection, detection]), np.array([SIDES.index(RIGHT), SIDES.index("left")]))
-    np.testing.assert_allclose(both.features[:, -1], [0.7, -0.7])
-    np.testing.assert_array_equal(both.mirror, [1.0, -1.0])
 
 
 def test_points_in_one_place_do_no_harm():
