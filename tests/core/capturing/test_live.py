@@ -372,7 +372,6 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
     ("system", "allowed", "said"),
     [
         ("darwin", True, "System Settings > Privacy & Security > Camera"),
-        ("win32", True, "close other programs that use it"),
         ("linux", True, "close other programs that use it"),
         ("linux", False, "group 'video'"),
     ],

@@ -205,19 +205,6 @@ def test_a_bare_take_has_what_a_captures_has_but_hands():
         pipeline.bare_take(SAMPLE / "gone.jpg", CaptureOptions())
 
 
-def test_camera_is_assumed_when_none_is_given():
-    """One through which the hand, which fills most of the picture, is no nearer than 0.4 metres."""
-    found = capture(PHOTO, solver="paper-a")
-    extent = np.ptp(found.hands[0].keypoints_2d[0], axis=0).max()
-    focal = extent * 0.4 / 0.17
-    assert focal > 640.0
-    assert found.intrinsics is not None
-    close = [found.intrinsics.fx, found.intrinsics.fy, found.intrinsics.cx, found.intrinsics.cy]
-    assert close == pytest.approx([focal, focal, 320.0, 240.0])
-    assert found.source.kind == "photo"
-    assert found.hands[0].reprojection_error[0] < 15.0
-
-
 @pytest.mark.parametrize(
     ("numbers", "rate"), [([1], 24.0), ([1, 3, 5, 6, 8, 10], 12.0), ([7, 8, 20, 21], 24.0)]
 )

@@ -76,14 +76,6 @@ def test_poses_are_those_of_the_moment(rate):
     np.testing.assert_array_equal(track.reprojection_error, pictures)
 
 
-def test_same_rate_changes_nothing():
-    take = clip(np.arange(3, 40), absent=(7, 8))
-    (track,), (same,) = take.hands, retimed(take, 1.0).hands
-    for name in ("global_orient", "hand_pose", "transl", "keypoints_2d", "detected", "score"):
-        np.testing.assert_array_equal(getattr(same, name), getattr(track, name))
-    assert same.filled is None
-
-
 @pytest.mark.parametrize("rate", [24.0, 60.0])
 def test_gaps_stay_gaps(rate):
     gap = tuple(range(20, 30))

@@ -18,9 +18,3 @@ def test_keypoints_follow_mediapipes_order():
     batch = skeleton.keypoints_from_joints(np.stack([joints, -joints]), np.stack([tips, -tips]))
     np.testing.assert_array_equal(batch, np.stack([keypoints, -keypoints]))
     assert skeleton.KEYPOINT_PARENTS == PARENTS
-
-
-def test_parents_are_manos():
-    assert skeleton.PARENTS == (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
-    for first, second, third in skeleton.FINGER_JOINTS.values():
-        assert [skeleton.PARENTS[j] for j in (first, second, third)] == [0, first, second]

@@ -27,23 +27,6 @@ def noisy_pair() -> tuple[np.ndarray, np.ndarray]:
     return points, truth
 
 
-def labelled_rows(truth: np.ndarray) -> list[int]:
-    return [i for i in range(len(truth)) if not any(math.isnan(x) for x in truth[i])]
-
-
-def test_centroid_alignment_by_a_loop() -> None:
-    points, truth = noisy_pair()
-    rows = labelled_rows(truth)
-    there = [sum(points[i][c] for i in rows) / len(rows) for c in range(3)]
-    here = [sum(truth[i][c] for i in rows) / len(rows) for c in range(3)]
-    found = metrics.centroid_aligned_distances(points, truth)
-    for i in range(21):
-        if i in rows:
-            assert found[i] == pytest.approx(math.dist(points[i] - there, truth[i] - here))
-        else:
-            assert math.isnan(found[i])
-
-
 def test_similarity_alignment_agrees_with_scipy() -> None:
     truth, points = RNG.normal(size=(2, 21, 3))
     points += 3.0 * truth  # near enough for no reflection to be better
@@ -150,14 +133,6 @@ def swaying(hz: float, millimetres: float) -> np.ndarray:
     wave = np.zeros((FRAMES, 21, 3))
     wave[:, 1:, 0] = millimetres / 1000.0 * np.sin(2 * np.pi * hz * TIMES)[:, None]
     return wave
-
-
-def test_jitter_of_white_noise_has_its_share_of_the_spectrum() -> None:
-    truth = moving_hand()
-    noise = 0.002 * RNG.normal(size=truth.shape)
-    noise[:, 0] = 0.0
-    expected = 0.002 * math.sqrt(3 * 7.5 / 12.5)
-    assert jitter_spectrum(truth + noise, truth, FPS) == pytest.approx(expected, rel=0.05)
 
 
 def test_jitter_rises_with_noise_and_not_with_a_smooth_error() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.corrected import Trust, landmarked
 from handfit_core.detect.correction.network import landmark_network
-from tests.core.fit.detections import CAMERA, columns, detections_of, mirror_image, poses
+from tests.core.fit.detections import columns, detections_of, poses
 from tests.core.fit.differences import close
 
 HANDS = detections_of("right", poses(6, seed=5))
@@ -30,12 +30,3 @@ def test_trust_lies_between_detection_and_network() -> None:
         found = landmarked(DETECTIONS, "right", Trust(plane=plane, depth=depth))
         close(found.pixels, (1.0 - plane) * none.pixels + plane * said[..., :2])
         close(found.depth, (1.0 - depth) * none.depth + depth * aim)
-
-
-def test_a_mirrored_picture_is_seen_alike() -> None:
-    ours = landmarked(DETECTIONS, "right", Trust())
-    theirs = landmarked(columns([mirror_image(hand) for hand in HANDS]), "left", Trust())
-    flipped = np.abs(theirs.pixels - [2 * CAMERA.cx, 0.0])
-    close(flipped, ours.pixels, atol=1e-3)
-    close(theirs.depth, ours.depth, atol=1e-3)
-    close(theirs.pixel_sigma, ours.pixel_sigma, rtol=1e-4)

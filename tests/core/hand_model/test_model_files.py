@@ -15,7 +15,7 @@ from handfit_core.common.errors import HandModelError, OptionError, OutputError
 from handfit_core.hand_model import load_model, load_model_npz, save_model_npz
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.hand_model.mano_pickle import load_mano_pickle
-from tests.imitation_mano import imitation_arrays, imitation_model, write_mano_pickle
+from tests.imitation_mano import imitation_arrays, write_mano_pickle
 
 
 def message_of(model: str | Path) -> str:
@@ -129,15 +129,9 @@ def test_bad_sources_are_one_line(tmp_path: Path, command: tuple[str, ...]) -> N
     assert not (tmp_path / "out.npz").exists()
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".pkl"])
-def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
-    path = tmp_path / f"hand{suffix}"
-    if suffix == ".npz":
-        save_model_npz(imitation_model(), path)
-        expected = load_model_npz(path)
-    else:
-        write_mano_pickle(path, imitation_arrays())
-        expected = load_mano_pickle(path)
+def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mano_pickle(tmp_path / "hand.pkl", imitation_arrays())
+    expected = load_mano_pickle(path)
     assert run("info", path) == 0
     lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()}
     assert lines["side"] == ["right"]

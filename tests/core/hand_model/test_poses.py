@@ -95,16 +95,9 @@ ZEROS = [0.0] * 44
 @pytest.mark.parametrize(
     "values",
     [
-        *(None, {}, [], "right", {"side": "right"}, {"side": "middle", "hand_pose": [0.0, *ZEROS]}),
-        {"side": ["right"], "hand_pose": [0.0, *ZEROS]},
-        *(
-            {"side": "right", "hand_pose": [number, *ZEROS]}
-            for number in (np.nan, np.inf, 1e30, 10**400, "a")
-        ),
-        *(
-            {"side": "right", "hand_pose": wrong}
-            for wrong in (ZEROS, [[0.0, *ZEROS]], [[1.0], ZEROS], {"a": 1})
-        ),
+        *(None, {}, {"side": "right"}, {"side": ["right"], "hand_pose": [0.0, *ZEROS]}),
+        *({"side": "right", "hand_pose": [number, *ZEROS]} for number in (np.nan, 1e30, 10**400, "a")),
+        *({"side": "right", "hand_pose": wrong} for wrong in (ZEROS, [[0.0, *ZEROS]], [[1.0], ZEROS])),
     ],
 )
 def test_refuses_other_values(values: object) -> None:

@@ -62,15 +62,6 @@ def test_each_effect_by_its_name(model: HandModel) -> None:
     assert shape_names(shaped) == (*names, *(None,) * 6)
 
 
-def test_thickness_is_no_length(model: HandModel) -> None:
-    """Fingers of the flat hand lie along x: growing in y and z makes them thicker."""
-    movement = np.zeros_like(model.v_template)
-    for finger in FINGERS[1:]:
-        rows = of_finger(model, finger)
-        movement[rows, 1:] = (model.v_template[rows] - model.v_template[rows].mean(axis=0))[:, 1:]
-    assert shape_names(with_shapes(model, 0.2 * movement))[0] in ("Thicker Fingers", "Thicker Hand")
-
-
 def test_no_name_where_nothing_dominates(model: HandModel) -> None:
     rng = np.random.default_rng(3)
     three = [pulled_out(model, finger) for finger in ("thumb", "middle", "little")]

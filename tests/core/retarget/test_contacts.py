@@ -258,25 +258,6 @@ def test_unreachable_touch_is_reported():
     assert off.max() < off_by(target, target.standing(turns), turns, finger).max()
 
 
-def test_touch_weights():
-    turns = pinching("right", "index")
-    found = touches("right", turns)
-    pair = PAIRS.tolist().index([0, 1])
-    weights, gap = found.weights[:, pair], captured_gaps("right", turns, "index")
-    np.testing.assert_allclose(found.gap[:, pair], gap, atol=1e-9)
-    assert (found.now[:, pair] == (gap <= TOUCHES.touch_gap[0])).all()
-    assert (weights[found.now[:, pair]] == 1.0).all()
-    assert (found.weights[:, np.arange(len(PAIRS)) != pair] == 0.0).all()
-    assert np.abs(np.diff(weights)).max() < 0.35
-    near = np.flatnonzero(gap < TOUCHES.touch_gap[1])
-    reach = int(2 * TOUCHES.blend_seconds * FPS)
-    assert (weights[: near[0] - reach] == 0.0).all()
-    assert (weights[near[-1] + reach + 1 :] == 0.0).all()
-    # A pause of the touch that is shorter than the blend is none.
-    short = np.concatenate([turns[:35], turns[20:22], turns[35:]])
-    assert touches("right", short).weights[35:37, pair].min() > 0.7
-
-
 def test_side_by_side_is_no_touch():
     """But a middle finger that lies over the index finger's back is one."""
     pair = PAIRS.tolist().index([1, 2])

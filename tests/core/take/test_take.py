@@ -184,9 +184,6 @@ def test_detections():
     assert hand.refinable
     hands = hand.detections()
     check_arrays(hands)
-    assert hand.keypoints_depth is not None
-    assert hand.world_landmarks is not None
-    assert hands.overlapped is not None
     np.testing.assert_array_equal(hands.frame, np.flatnonzero(DETECTED))
     np.testing.assert_array_equal(hands.overlapped[1], np.arange(21) > 5)
     np.testing.assert_array_equal(hands.keypoints_2d, hand.keypoints_2d[DETECTED])
