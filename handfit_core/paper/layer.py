@@ -135,7 +135,7 @@ class HandLayer(torch.nn.Module):
         """Pose the whole mesh.
 
         betas (B, 10), or (10,) or (1, 10) for all; global_orient (B, 3) and hand_pose (B, 45) in
-        radians; transl (B, 3) in metres or None for zero. Dtype and device are the layer's.
+        radians; transl (B, 3) in metres or None for zero.
         """
         batch = hand_pose.shape[0]
         betas = betas.expand(batch, NUM_BETAS)

@@ -166,3 +166,24 @@ def test_name_contradicts_geometry(tmp_path: Path) -> None:
     # Without the word MANO_ a name is only a name.
     write_mano_pickle(tmp_path / "left.pkl", imitation_arrays("right"))
     assert load_mano_pickle(tmp_path / "left.pkl").side == "right"
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_smplx_agrees_with_our_layer(tmp_path: Path, side: Any) -> None:
+    smplx = pytest.importorskip("smplx", reason="smplx is not installed (its licence is non-commercial)")
+    import torch  # slow to load
+
+    from handfit_core.paper.layer import HandLayer
+
+    path = write_mano_pickle(tmp_path / f"MANO_{side.upper()}.pkl", imitation_arrays(side))
+    kind = {"use_pca": False, "flat_hand_mean": True, "dtype": torch.float64}
+    theirs = smplx.MANO(model_path=str(path), is_rhand=side == "right", **kind)
+    generator = torch.Generator().manual_seed(0)
+    betas, global_orient, hand_pose, transl = (
+        torch.randn(3, n, generator=generator, dtype=torch.float64) * 0.5 for n in (10, 3, 45, 3)
+    )
+    expected = theirs(betas=betas, global_orient=global_orient, hand_pose=hand_pose, transl=transl)
+    out = HandLayer(load_mano_pickle(path))(betas, global_orient, hand_pose, transl)
+    # smplx adds 1e-8 to rotation vectors before it takes their length.
+    torch.testing.assert_close(out.vertices, expected.vertices, rtol=0, atol=1e-6)
+    torch.testing.assert_close(out.joints, expected.joints[:, :16], rtol=0, atol=1e-6)
