@@ -142,7 +142,7 @@ class _FrameReader:
 
     def __init__(self, media: Media) -> None:
         self._media = media
-        self._frames: Iterator[Frame] = iter(())
+        self._frames: Iterator[Frame] | None = None
         self._next = 0
         self._past = PastFrames()
 
@@ -150,7 +150,7 @@ class _FrameReader:
         """(H, W, 3) uint8 RGB of the frame with that index; None where it cannot be read."""
         if self._next - len(self._past) <= row < self._next:
             return list(self._past.backwards())[self._next - 1 - row]
-        if not self._next <= row <= self._next + TRACKING.backtrack_frames:
+        if self._frames is None or not self._next <= row <= self._next + TRACKING.backtrack_frames:
             self._past.clear()
             self._frames, self._next = self._media.frames(row, sys.maxsize), row
         while self._next <= row:

@@ -27,7 +27,6 @@ from handfit_core.capturing.live.streaming import (
     Live,
     LiveOptions,
     LivePose,
-    OneEuro,
 )
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.retiming import evenly_timed
@@ -79,27 +78,6 @@ def waited(until: Any) -> None:
 
 
 # Filters
-
-
-def test_one_euro_is_its_formula():
-    rng = np.random.default_rng(5)
-    values, seconds, min_cutoff, beta = rng.normal(size=40).cumsum(), rng.uniform(0.01, 0.1, 40), 1.3, 0.4
-    filtering, filtered, expected = OneEuro(min_cutoff, beta), values[0], [values[0]]
-    found, speed = [filtered], None
-
-    def alpha(cutoff: float, te: float) -> float:
-        tau = 1.0 / (2.0 * np.pi * cutoff)
-        return 1.0 / (1.0 + tau / te)
-
-    for before, value, te in zip(values, values[1:], seconds, strict=False):
-        gain = filtering.gain(np.array([[value - before]]), te)
-        filtered += gain[0, 0] * (value - filtered)
-        found.append(filtered)
-        rate = (value - before) / te
-        speed = rate if speed is None else speed + alpha(1.0, te) * (rate - speed)
-        a = alpha(min_cutoff + beta * abs(speed), te)
-        expected.append(a * value + (1.0 - a) * expected[-1])
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_filter_stills_what_trembles_and_follows_what_moves():
@@ -170,9 +148,11 @@ def test_lost_hand_is_held_then_rests(frames):
     assert ways[-2] == pytest.approx(0.0, abs=1e-9)
     assert np.all(np.diff(ways) <= 1e-9)
     np.testing.assert_array_equal(poses[-1].transl, poses[0].transl)
+    again = [replace(frame, number=200 + frame.number, time=70.0 + frame.time) for frame in frames[:6]]
+    assert followed([*frames, *gone, *again])[-1].hands[0].state == "seen"
 
 
-@pytest.mark.parametrize(("row", "rate", "is_open"), [(0, 30, True), (0, 5, True), (14, 30, False)])
+@pytest.mark.parametrize(("row", "rate", "is_open"), [(0, 30, True), (14, 30, False)])
 def test_open_hand_calibrates(frames, take, row, rate, is_open):
     """It has a hand's length, and its own pose is the one at rest; a fist tells nothing."""
     grey = np.full_like(frames[0].rgb, 128)
@@ -264,18 +244,7 @@ def test_addresses_of_others_want_permission(address):
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "",
-        " ",
-        "no such camera",
-        "12345",
-        "-1",
-        "ftp://127.0.0.1/x",
-        "http://",
-        "concat:a|b",
-        "http://[::1",
-        "\0",
-    ],
+    ["", "no such camera", "-1", "ftp://127.0.0.1/x", "http://", "concat:a|b", "http://[::1", "\0"],
 )
 def test_what_is_no_source_is_one_sentence(text):
     with pytest.raises(OptionError) as raised:
@@ -310,12 +279,12 @@ def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
 
 
 class Station:
-    """A camera on 127.0.0.1 that can be silent, slow and fast, and sends all pictures to whoever connects."""
+    """A camera on 127.0.0.1 that can be silent, and sends all pictures to whoever connects."""
 
-    def __init__(self, pictures: list[np.ndarray | bytes], pause: float = 0.02) -> None:
+    def __init__(self, pictures: list[np.ndarray | bytes]) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         self.address = f"http://127.0.0.1:{self.server.getsockname()[1]}/x"
-        self.pictures, self.pause, self.silent = pictures, pause, True
+        self.pictures, self.silent = pictures, True
         threading.Thread(target=self._serve, daemon=True).start()
 
     def _serve(self) -> None:
@@ -332,7 +301,7 @@ class Station:
                         jpeg = one if isinstance(one, bytes) else cv2.imencode(".jpg", one)[1].tobytes()
                         part = b"--b\r\nContent-Type: image/jpeg\r\nContent-Length: %d\r\n\r\n" % len(jpeg)
                         client.sendall(part + jpeg + b"\r\n")
-                        time.sleep(self.pause)
+                        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -353,19 +322,6 @@ def test_address_that_stalls_is_told_of_and_tried_again(station, monkeypatch):
         waited(lambda: "sends no pictures any more" in reader.problem)
 
 
-def test_pictures_of_an_address_may_change_their_size(station, frames):
-    small, tiny = cv2.resize(frames[0].rgb, (320, 240)), np.zeros((16, 16, 3), np.uint8)
-    station.pictures, station.silent = [frames[0].rgb, small, tiny] * 8, False
-    shapes = set()
-    with LiveReader(LiveSource(address=station.address)) as reader:
-        while len(shapes) < 3:
-            frame = reader.newest(PATIENCE)
-            assert frame is not None
-            shapes.add(frame.rgb.shape)
-            if frame.rgb.shape == small.shape:
-                assert np.abs(frame.rgb.astype(int) - small).mean() < 20.0
-
-
 def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
     """They are neither followed nor recorded."""
     good = cv2.imencode(".jpg", frames[0].rgb)[1].tobytes()
@@ -381,23 +337,21 @@ def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("pause", "scales", "size"),
-    [(1.0, (1.0,), None), (1.0 / 240.0, (1.0,), None), (0.02, (1.0, 0.5, 2.0), None), (0.02, (1.0,), 8)],
-    ids=["1 a second", "240 a second", "sizes", "unplugged"],
+    ("scales", "size"), [((1.0, 0.5, 2.0), None), ((1.0,), 8)], ids=["sizes", "unplugged"]
 )
 def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
-    station, frames, tmp_path, pause, scales, size
+    station, frames, tmp_path, scales, size
 ):
     bgr = [frame.rgb[..., ::-1] for frame in frames[:size]]
     shown = [cv2.resize(one, None, fx=scale, fy=scale) for scale in scales for one in bgr]
-    station.pictures, station.pause, station.silent = shown, pause, False
+    station.pictures, station.silent = shown, False
     states = set()
     with Live(station.address) as run:
         run.record(tmp_path / "a.mkv")
         waited(lambda: run.reader.received)
         if size is not None:
             station.server.close()
-        wanted = 8 if pause < 1.0 and size is None else 3
+        wanted = 8 if size is None else 3
 
         def is_enough() -> bool:
             pose = run.next()
@@ -414,20 +368,10 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
     assert (found.width, found.height) == (640, 480)
 
 
-def test_hand_comes_back_after_a_minute(frames):
-    grey = np.full_like(frames[0].rgb, 128)
-    none = [Frame(25 + i, frames[-1].time + 1.0 + i, grey) for i in range(60)]
-    again = [replace(frame, number=100 + frame.number, time=70.0 + frame.time) for frame in frames[:6]]
-    poses = followed([*frames, *none, *again])
-    assert [pose.hands[0].state for pose in poses[24:84]] == ["resting"] * 60
-    assert poses[-1].hands[0].state == "seen"
-
-
 @pytest.mark.parametrize(
     ("system", "allowed", "said"),
     [
         ("darwin", True, "System Settings > Privacy & Security > Camera"),
-        ("win32", True, "close other programs that use it"),
         ("linux", True, "close other programs that use it"),
         ("linux", False, "group 'video'"),
     ],
@@ -577,12 +521,8 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
         pose = until(worker, request, "live")
     (hand,) = pose["hands"]
     assert hand["state"] == "seen"
-    assert [unpack(hand[name]).shape for name in ("betas", "global_orient", "hand_pose", "transl")] == [
-        (10,),
-        (3,),
-        (45,),
-        (3,),
-    ]
+    sizes = {name: unpack(hand[name]).size for name in ("betas", "global_orient", "hand_pose", "transl")}
+    assert list(sizes.values()) == [10, 3, 45, 3]
     assert unpack(pose["picture"]).shape == (120, 160, 3)
     assert (pose["size"], pose["intrinsics"]) == ([640, 480], [640.0, 640.0, 320.0, 240.0])
     worker.tell(request, "live-record", output=None)
@@ -613,8 +553,6 @@ def test_newest_pose_alone_waits_to_be_taken(worker, station):
     [
         {"source": "http://192.168.0.7/x"},
         {"source": CLIP, "live": {"bata": 1}},
-        {"source": CLIP, "live": {"beta": -1}},
-        {"source": CLIP, "live": {"size": [640]}},
         {"source": CLIP, "picture": 100_000},
         {"source": "file:/nowhere.mp4"},
     ],
@@ -638,8 +576,7 @@ def test_no_process_stays_when_its_client_is_gone(station):
 # Other programs
 
 
-@pytest.mark.parametrize("wrist", [False, True])
-def test_osc_server_reads_what_is_sent(frames, wrist):
+def test_osc_server_reads_what_is_sent(frames):
     from pythonosc.dispatcher import Dispatcher
     from pythonosc.osc_server import BlockingOSCUDPServer
 
@@ -652,7 +589,7 @@ def test_osc_server_reads_what_is_sent(frames, wrist):
     with BlockingOSCUDPServer(("127.0.0.1", 0), dispatcher) as server:
         server.timeout = 1.0
         models = {side: load_model(None, side) for side in ("left", "right")}
-        with LiveSender("127.0.0.1", server.server_address[1], models, wrist=wrist) as sender:
+        with LiveSender("127.0.0.1", server.server_address[1], models, wrist=True) as sender:
             sender.send(poses[0])
             sender.send(poses[-1])
         while came.empty() or server.socket in _readable(server.socket):
@@ -667,18 +604,16 @@ def test_osc_server_reads_what_is_sent(frames, wrist):
     assert numbers == (poses[0].sequence, poses[-1].sequence)
     assert all(isinstance(age, float) for age in ages)
     sent = messages["/VMC/Ext/Bone/Pos"]
-    assert len(sent) == 2 * (15 + wrist)
+    assert len(sent) == 2 * 16
     side = poses[-1].hands[0].side.title()
     assert {f"{side}IndexProximal", f"{side}ThumbDistal"} <= {name for name, *_ in sent}
     for _, *values in sent:
         assert np.linalg.norm(values[3:]) == pytest.approx(1.0, abs=1e-5)
     hands = [values[3:] for name, *values in sent if name == f"{side}Hand"]
-    assert len(hands) == 2 * wrist
-    if wrist:
-        first, last = (rotvec_to_rotmat(pose.hands[0].global_orient) for pose in (poses[0], poses[-1]))
-        np.testing.assert_allclose(np.abs(hands[0]), [0.0, 0.0, 0.0, 1.0], atol=1e-6)
-        assert abs(hands[1][3]) == pytest.approx(abs(rotmat_to_quat(first.T @ last)[0]), abs=1e-5)
-        assert abs(hands[1][3]) < 1.0 - 1e-6
+    first, last = (rotvec_to_rotmat(pose.hands[0].global_orient) for pose in (poses[0], poses[-1]))
+    np.testing.assert_allclose(np.abs(hands[0]), [0.0, 0.0, 0.0, 1.0], atol=1e-6)
+    assert abs(hands[1][3]) == pytest.approx(abs(rotmat_to_quat(first.T @ last)[0]), abs=1e-5)
+    assert abs(hands[1][3]) < 1.0 - 1e-6
 
 
 def _readable(sock: socket.socket) -> list[socket.socket]:

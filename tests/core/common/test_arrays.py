@@ -78,15 +78,10 @@ def test_what_is_as_declared(changes):
     [
         ({"betas": np.zeros(9)}, "betas has shape (9,), expected (10,)"),
         ({"betas": np.full(10, np.nan)}, "betas is not finite"),
-        ({"betas": np.full(10, 1001.0)}, "betas holds numbers beyond 1000"),
-        ({"betas": np.full(10, "a")}, "betas holds <U1, expected floats"),
-        ({"pose": np.zeros((ROWS, 44))}, f"pose has shape ({ROWS}, 44), expected ({ROWS}, 45)"),
         ({"pose": np.full((ROWS, 45), np.nan)}, "pose is not finite where the hand is seen"),
-        ({"pose": np.full((ROWS, 45), [[0.0], [0.0], [np.inf], [0.0]])}, "pose holds numbers beyond 1e+09"),
         ({"seen": np.ones(ROWS)}, "seen holds float64, expected bools"),
         ({"first": np.zeros(3)}, "first holds float64, expected whole numbers"),
         ({"first": np.arange(6)}, "first has 6 rows, more than 5"),
-        ({"first": np.array([2**64 - 1], dtype=np.uint64)}, "first holds numbers beyond 1e+09"),
         ({"depth": np.zeros((ROWS + 1, 21))}, f"depth has shape ({ROWS + 1}, 21), expected ({ROWS}, 21)"),
         ({"side": "both"}, "side must be left or right, not 'both'"),
         ({"fps": 0.5}, "fps must be a finite number from 1 to 100, not 0.5"),
@@ -157,8 +152,8 @@ def test_values_in_messages():
             unpacked(Motion, message | changes, "refit: ")
 
 
-@pytest.mark.parametrize("dtype", ["bool", "uint8", "int32", "int64", "float32", "float64", ">f8"])
-@pytest.mark.parametrize("shape", [(), (0, 3), (4,), (2, 3, 5)], ids=str)
+@pytest.mark.parametrize("dtype", ["bool", "int32", "float32", ">f8"])
+@pytest.mark.parametrize("shape", [(), (0, 3), (2, 3, 5)], ids=str)
 def test_arrays_come_back(dtype, shape):
     array = (np.random.default_rng(0).normal(size=shape) * 100).astype(dtype)
     for each in (array, np.asfortranarray(array).T):

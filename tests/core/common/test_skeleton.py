@@ -18,22 +18,3 @@ def test_keypoints_follow_mediapipes_order():
     batch = skeleton.keypoints_from_joints(np.stack([joints, -joints]), np.stack([tips, -tips]))
     np.testing.assert_array_equal(batch, np.stack([keypoints, -keypoints]))
     assert skeleton.KEYPOINT_PARENTS == PARENTS
-
-
-def test_parents_are_manos():
-    assert skeleton.PARENTS == (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
-    for first, second, third in skeleton.FINGER_JOINTS.values():
-        assert [skeleton.PARENTS[j] for j in (first, second, third)] == [0, first, second]
-
-
-def test_names_agree_with_numbers():
-    fingers = ("thumb", "index", "middle", "ring", "little")
-    names = ["wrist", *(f"{f}_{place}" for f in fingers for place in range(1, 5))]
-    assert list(skeleton.KEYPOINT_NAMES) == names
-    for finger, joints in skeleton.FINGER_JOINTS.items():
-        assert all(skeleton.JOINT_NAMES[j].startswith(f"{finger}_") for j in joints)
-        assert [PUBLISHED[skeleton.KEYPOINT_NAMES.index(f"{finger}_{i}")] for i in (1, 2, 3)] == list(joints)
-    assert list(skeleton.TIP_KEYPOINTS) == [4, 8, 12, 16, 20]
-    assert skeleton.INDEX_KNUCKLE_KEYPOINT == 5
-    assert list(skeleton.PALM_KEYPOINTS) == [0, 1, 5, 9, 13, 17]
-    assert [skeleton.other_side(side) for side in skeleton.SIDES] == ["right", "left"]

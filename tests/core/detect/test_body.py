@@ -98,7 +98,9 @@ def test_where_a_person_stands_turns_its_world_points_alone(networks, samples):
     assert np.abs(other.world - one.world).max() > 0.05
 
 
-@pytest.mark.parametrize(("name", "people", "held"), [(PAINTED, 1, 2), (SIGNER, 1, 2), (TWO, 2, 3)])
+@pytest.mark.parametrize(
+    ("name", "people", "held"), [(PAINTED, 1, 2), pytest.param(TWO, 2, 3, marks=pytest.mark.slow)]
+)
 def test_the_hands_of_a_photo_have_their_bodies(networks, samples, name, people, held):
     hands = hands_in(samples / name)
     media = open_media(str(samples / name))
@@ -149,6 +151,7 @@ def test_clips_with_a_cut_have_equal_bodies_from_any_number_of_threads(networks,
     assert np.isfinite(one.score).sum() <= 210 / FOLLOWING.detection_interval * 4
 
 
+@pytest.mark.slow
 def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(networks, tmp_path):
     """A painting as a wide lens would show it: hands move by 20 pixels, elbows as well."""
     path = ROOT / "samples" / "mona_lisa" / "mona_lisa.jpg"
@@ -175,6 +178,7 @@ def test_through_a_measured_lens_hands_and_elbows_are_where_they_are_without(net
             np.testing.assert_array_equal(getattr(again.arm, name), points)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("networks")
 def test_a_capture_with_arms_has_the_side_that_the_body_names(samples):
     """A man from behind, who holds up his left hand."""

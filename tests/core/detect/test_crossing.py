@@ -12,7 +12,7 @@ WIDTH = 640
 
 
 @pytest.mark.usefixtures("landmark_model")
-@pytest.mark.parametrize(("frames", "scale"), [(24, 1.0), (12, 0.25)])
+@pytest.mark.parametrize(("frames", "scale"), [pytest.param(24, 1.0, marks=pytest.mark.slow), (12, 0.25)])
 def test_crossing_hands_keep_their_sides(frames, scale, tmp_path):
     places = np.linspace(0, WIDTH, frames).round().astype(int)
     for t, x in enumerate(places):

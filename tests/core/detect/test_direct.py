@@ -202,6 +202,7 @@ def four_hands() -> np.ndarray:
     return np.vstack([row, row])
 
 
+@pytest.mark.slow
 def test_four_hands(tmp_path, caplog, monkeypatch):
     """All hands of a photo are captured, and two of a clip; what was left out, and a crowd, is said."""
     for number in range(1, 4):
@@ -234,6 +235,7 @@ def box_around(hand: HandDetection, by: float = 10.0) -> list[float]:
     return [*low, *(high - low)]
 
 
+@pytest.mark.slow
 def test_a_hand_in_a_box_is_found_however_unsure(plain, caplog):
     (expected,) = plain.find(picture(7))
     photo = SAMPLE / "hand.0007.jpg"
@@ -304,6 +306,7 @@ def test_a_tracked_hand_is_chosen_in_any_frame(tmp_path):
     assert (hand.keypoints_2d[..., 0] < 640).all()
 
 
+@pytest.mark.slow
 def test_a_box_starts_a_track_both_ways(plain, caplog, monkeypatch):
     """Also farther back than hands that turn up by themselves are tracked."""
     monkeypatch.setattr(clips, "TRACKING", replace(clips.TRACKING, backtrack_frames=4))

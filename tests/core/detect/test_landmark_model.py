@@ -88,7 +88,7 @@ def test_networks_are_known_by_their_bytes(landmark_model, tmp_path):
     assert not module.is_calibrated(path)
 
 
-@pytest.mark.parametrize("content", [b"", b"PK nonsense", bytes(100_000)], ids=["empty", "text", "zeros"])
+@pytest.mark.parametrize("content", [b"", bytes(100_000)], ids=["empty", "zeros"])
 def test_damaged_files_are_one_line(content, tmp_path):
     path = tmp_path / "damaged.task"
     path.write_bytes(content)
@@ -121,14 +121,12 @@ def test_the_network_of_2020_is_cut_out_of_the_package(tmp_path, monkeypatch):
 
 def test_another_package_is_refused(tmp_path):
     good = package(tmp_path / "hands.tgz", b"another version")
-    torn, text = tmp_path / "torn.tgz", tmp_path / "text.tgz"
+    torn = tmp_path / "torn.tgz"
     torn.write_bytes(good.read_bytes()[:2000])
-    text.write_bytes(b"<html>not found</html>")
     of_another = package(tmp_path / "another.tgz", b"", member="package/index.js")
     for path, said in (
         (good, "sha256 is .* download it again"),
         (torn, "cannot be read as npm's @mediapipe/hands"),
-        (text, "cannot be read as npm's @mediapipe/hands"),
         (tmp_path / "gone.tgz", "cannot be read as .*No such file"),
         (of_another, r"this is not npm's @mediapipe/hands 0\.1\.1606863095"),
     ):
@@ -156,16 +154,15 @@ def test_where_the_network_of_2020_is_sought(cache, monkeypatch, caplog, tmp_pat
     assert not caplog.records
 
 
-@pytest.mark.parametrize("kind", ["damaged", "of another version", "a folder", "named in vain"])
+@pytest.mark.parametrize("kind", ["of another version", "a folder"])
 def test_a_network_of_2020_that_is_not_whole_is_one_warning(kind, cache, monkeypatch, caplog):
     path = module.cached_path_2020()
-    if kind in ("a folder", "named in vain"):
+    if kind == "a folder":
         path = cache / "named"
         monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(path))
-    if kind == "a folder":
         path.mkdir()
-    elif kind != "named in vain":
-        path.write_bytes(b"" if kind == "damaged" else b"TFL3" * 1000)
+    else:
+        path.write_bytes(b"TFL3" * 1000)
     assert [module.landmarks_2020_path(), module.landmarks_2020_path()] == [None, None]
     (record,) = caplog.records
     assert record.levelno == logging.WARNING

@@ -8,7 +8,7 @@ import pytest
 from handfit_core.common.errors import NoHandFoundError
 from handfit_core.common.skeleton import HandChoice, Side, other_side
 from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
-from handfit_core.detect.matching import covers, distance
+from handfit_core.detect.matching import distance
 from handfit_core.detect.tracks import LINKING, link_and_count, without_duplicates
 
 SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
@@ -252,21 +252,6 @@ def test_a_crowds_duplicates_are_those_of_pairs():
     hands = Detections.of([found])
     (best,) = without_duplicates(hands)
     np.testing.assert_array_equal(hands.keypoints[best], [each.keypoints for each in kept])
-
-
-def test_points_of_a_dense_crowd_are_marked():
-    rng, found = np.random.default_rng(0), []
-    for each in crowd(100, 0.0):
-        points = np.pad(rng.uniform(0.0, 100.0, (21, 2)), ((0, 0), (0, 1)))
-        found.append(replace(each, keypoints=points))
-    hands = [track.detections for track in link_tracks([found], max_hands=None)]
-    assert len(hands) > 20
-    for one in hands[::10]:
-        others = [
-            covers(each, np.zeros(1, dtype=int), one.keypoints_2d[0]) for each in hands if each is not one
-        ]
-        assert one.overlapped is not None
-        np.testing.assert_array_equal(one.overlapped[0], np.any(others, axis=0))
 
 
 def test_a_crowd_is_followed():

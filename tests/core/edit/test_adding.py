@@ -65,9 +65,9 @@ def added(side: Side, pixels: np.ndarray, pinned: Sequence[int] = ()) -> RefineH
 
 
 @cache
-def posed_by(side: Side, count: int) -> tuple[HandMotion, ...]:
-    """What so many points make of each of the hands."""
-    pictures = shown(true_hands(side))
+def posed_by(side: Side, count: int, step: int = 1) -> tuple[HandMotion, ...]:
+    """What so many points make of every `step`th of the hands."""
+    pictures = shown(true_hands(side))[::step]
     return tuple(refit_each(added(side, pixels, POINTS[count])) for pixels in pictures)
 
 
@@ -110,27 +110,26 @@ def test_more_points_better_poses(side: Side) -> None:
         assert errors[count] < share * errors[0]
 
 
-@pytest.mark.parametrize("side", ["right", pytest.param("left", marks=pytest.mark.slow)])
-def test_poses_are_what_a_hand_can_do(side: Side) -> None:
-    lower, upper = ends_of_range(side)
-    poses = np.concatenate([motion.hand_pose for motion in posed_by(side, 6)])
-    angles = angles_of(side, poses)
-    assert np.all(angles < upper + TERMS.step_margin + 1e-6)
-    assert np.all(angles > lower - TERMS.step_margin - 1e-6)
-
-
 def angles_of(side: Side, poses: np.ndarray) -> np.ndarray:
     return anatomical_angles(rotvec_to_rotmat(poses.reshape(-1, 15, 3)), anatomical_axes(model_of(side)))
 
 
-@pytest.mark.parametrize("side", ["right", pytest.param("left", marks=pytest.mark.slow)])
-def test_visible_side_follows_points(side: Side) -> None:
-    """Thumb and little finger tell palm from back, however the hand was laid."""
-    found = np.concatenate([motion.global_orient for motion in posed_by(side, 5)])
-    backs = [rotvec_to_rotmat(orient)[:, :, 1] for orient in (found, true_hands(side).global_orient)]
-    assert np.mean((backs[0] * backs[1]).sum(axis=1) > 0) > 0.9
+@pytest.mark.parametrize(("side", "step"), [("right", 4), pytest.param("left", 1, marks=pytest.mark.slow)])
+def test_few_points(side: Side, step: int) -> None:
+    """Poses are what a hand can do; thumb and little finger tell palm from back, however it was laid."""
+    found, (lower, upper) = posed_by(side, 5, step), ends_of_range(side)
+    angles = angles_of(side, np.concatenate([motion.hand_pose for motion in found]))
+    assert np.all(angles < upper + TERMS.step_margin + 1e-6)
+    assert np.all(angles > lower - TERMS.step_margin - 1e-6)
+    orients = (
+        np.concatenate([motion.global_orient for motion in found]),
+        true_hands(side).global_orient[::step],
+    )
+    backs = [rotvec_to_rotmat(orient)[:, :, 1] for orient in orients]
+    assert np.mean((backs[0] * backs[1]).sum(axis=1) > 0) >= 0.875
 
 
+@pytest.mark.slow
 def test_fingers_without_points() -> None:
     """Of a fist, index and little fingertips are enough for the two between them."""
     bends = []
@@ -146,7 +145,7 @@ def test_path_does_not_count() -> None:
     hand, other = added("right", pixels, POINTS[6]), added("right", pixels + 40.0, POINTS[3])
     draft = refit_each(hand, refit_each(other), draft=True)
     np.testing.assert_array_equal(draft.transl, refit_each(hand, draft=True).transl)
-    away = distance(shown(draft), shown(posed_by("right", 6)[8]))
+    away = distance(shown(draft), shown(refit_each(hand)))
     assert away.mean() < 0.1 * np.ptp(pixels, axis=0).max()
 
 

@@ -119,19 +119,6 @@ def test_answers_do_not_hang_on_rounding(keypoint: int) -> None:
             assert distance(shown(found), shown(other)).max() < max(1.0, 0.01 * size_of(hand))
 
 
-@pytest.mark.parametrize("keypoint", FEW)
-def test_drafts_hold_other_fingers_too(keypoint: int) -> None:
-    """Each goes on from the one before, with few iterations, as a finger bends more and more."""
-    for hand in hands():
-        along = (shown(hand)[0, keypoint - 1] - shown(hand)[0, keypoint]) * 0.6
-        found = None
-        for share in np.linspace(0.1, 1.0, 10):
-            dragged = drag(hand, {keypoint: share * along})
-            found = refit_each(dragged, found, draft=True)
-        short = missed(dragged, refit_each(replace(dragged, locked=locked(0)))).item()
-        assert moved(hand, found)[others(keypoint)].max() <= LEAST * size_of(hand) + 2.0 * short
-
-
 @pytest.mark.parametrize("onto", [2, 3, 4])
 def test_drag_over_thumb(onto: int) -> None:
     for hand in hands():

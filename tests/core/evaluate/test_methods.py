@@ -5,11 +5,9 @@ import pytest
 
 from handfit_core.common.errors import OptionError
 from handfit_core.evaluate.methods import (
-    fused_landmarks,
     get_method,
     in_metres,
     method_names,
-    world_landmarks,
 )
 from handfit_core.geometry.similarity import align
 from handfit_core.hand_model import load_model
@@ -64,12 +62,3 @@ def test_the_papers_protocol_takes_the_papers_own_picture_points() -> None:
     fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints)
     fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
     np.testing.assert_allclose(result.picture_points[0], fit.in_picture(fitted))
-
-
-def test_fused_depth_is_the_mean_of_both_sets_and_the_picture_stays() -> None:
-    detection = seen(joints())
-    keypoints = detection.keypoints * [1, 1, 0.5]
-    fused = fused_landmarks(keypoints, detection.world)
-    np.testing.assert_array_equal(fused[:, :2], keypoints[:, :2])
-    both = keypoints[:, 2] + world_landmarks(keypoints, detection.world)[:, 2]
-    np.testing.assert_allclose(fused[:, 2], both / 2)

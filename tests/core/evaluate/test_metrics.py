@@ -27,33 +27,6 @@ def noisy_pair() -> tuple[np.ndarray, np.ndarray]:
     return points, truth
 
 
-def labelled_rows(truth: np.ndarray) -> list[int]:
-    return [i for i in range(len(truth)) if not any(math.isnan(x) for x in truth[i])]
-
-
-def test_centroid_alignment_by_a_loop() -> None:
-    points, truth = noisy_pair()
-    rows = labelled_rows(truth)
-    there = [sum(points[i][c] for i in rows) / len(rows) for c in range(3)]
-    here = [sum(truth[i][c] for i in rows) / len(rows) for c in range(3)]
-    found = metrics.centroid_aligned_distances(points, truth)
-    for i in range(21):
-        if i in rows:
-            assert found[i] == pytest.approx(math.dist(points[i] - there, truth[i] - here))
-        else:
-            assert math.isnan(found[i])
-
-
-def test_root_alignment() -> None:
-    points, truth = noisy_pair()
-    found = metrics.root_aligned_distances(points, truth)
-    assert found[0] == 0.0
-    for i in labelled_rows(truth):
-        assert found[i] == pytest.approx(math.dist(points[i] - points[0], truth[i] - truth[0]))
-    truth[1:] = np.nan
-    assert np.isnan(metrics.root_aligned_distances(points, truth)).all()
-
-
 def test_similarity_alignment_agrees_with_scipy() -> None:
     truth, points = RNG.normal(size=(2, 21, 3))
     points += 3.0 * truth  # near enough for no reflection to be better
@@ -104,14 +77,6 @@ def test_2d_error_is_over_the_longer_side_of_the_box() -> None:
     assert np.isnan(metrics.distances_2d(points, truth)).all()
 
 
-def test_vertices_of_the_same_topology_are_aligned_by_themselves() -> None:
-    truth = RNG.normal(size=(60, 3))
-    vertices = truth + 0.1 * RNG.normal(size=(60, 3))
-    _, _, disparity = procrustes(truth, vertices)
-    rms = math.sqrt(disparity * np.sum((truth - truth.mean(axis=0)) ** 2))
-    assert np.linalg.norm(metrics.aligned_vertices(vertices, vertices, truth) - truth) == pytest.approx(rms)
-
-
 def test_meshes_of_different_topology_are_aligned_by_their_labelled_joints() -> None:
     points, truth_points = noisy_pair()
     truth_points[:] = 2.0 * points + 7.0
@@ -153,15 +118,6 @@ def test_auc_has_closed_forms() -> None:
     assert metrics.auc(metrics.pck_curve(even, thresholds), thresholds) == pytest.approx(0.35, abs=1e-4)
 
 
-def test_mean_of_labelled() -> None:
-    errors = np.array([[1.0, np.nan, 5.0], [np.nan, np.nan, np.nan]])
-    np.testing.assert_array_equal(metrics.mean_of_labelled(errors, axis=1), [3.0, np.nan])
-    assert metrics.mean_of_labelled(errors) == 3.0
-    assert np.isnan(metrics.mean_of_labelled(np.zeros((0, 21))))
-    # An infinite error is an error, not a missing label.
-    assert metrics.mean_of_labelled(np.array([1.0, np.inf])) == np.inf
-
-
 # Clips
 
 
@@ -177,14 +133,6 @@ def swaying(hz: float, millimetres: float) -> np.ndarray:
     wave = np.zeros((FRAMES, 21, 3))
     wave[:, 1:, 0] = millimetres / 1000.0 * np.sin(2 * np.pi * hz * TIMES)[:, None]
     return wave
-
-
-def test_jitter_of_white_noise_has_its_share_of_the_spectrum() -> None:
-    truth = moving_hand()
-    noise = 0.002 * RNG.normal(size=truth.shape)
-    noise[:, 0] = 0.0
-    expected = 0.002 * math.sqrt(3 * 7.5 / 12.5)
-    assert jitter_spectrum(truth + noise, truth, FPS) == pytest.approx(expected, rel=0.05)
 
 
 def test_jitter_rises_with_noise_and_not_with_a_smooth_error() -> None:

@@ -17,7 +17,6 @@ from handfit_core.evaluate.rows import Rows, rows_of
 from handfit_core.evaluate.scores import Scores
 from handfit_core.evaluate.scoring import (
     baselines,
-    collapsed_to_centroid,
     mean_pose_at_truth,
     results_of_rows,
     score,
@@ -26,7 +25,6 @@ from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
 from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, seen
-from tests.core.evaluate.made import make_hands
 
 RIGHT, LEFT = load_model(None, "right"), load_model(None, "left")
 DIGESTS = frozenset({RIGHT.digest, LEFT.digest})
@@ -117,16 +115,6 @@ def test_rows_take_their_tracks_frames_and_misses_are_nan() -> None:
 
 
 # Baselines
-
-
-def test_all_points_at_the_centroid_of_the_labelled_ones() -> None:
-    labels = make_hands(1)[0]
-    labels[[0, 5, 13]] = np.nan
-    rows = [i for i in range(21) if i not in (0, 5, 13)]
-    np.testing.assert_allclose(
-        collapsed_to_centroid(labels), np.tile(sum(labels[i] for i in rows) / 18, (21, 1))
-    )
-    assert np.isnan(collapsed_to_centroid(np.full((21, 3), np.nan))).all()
 
 
 @pytest.mark.parametrize("side", SIDES)

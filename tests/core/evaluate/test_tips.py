@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -156,33 +155,3 @@ def test_a_missing_picture_shifts_no_label(tmp_path: Path) -> None:
         assert [(p.kind, p.where.split(": ")[-1]) for p in dataset.problems] == [
             ("label without a picture", "line 2")
         ]
-
-
-def test_what_does_not_pair_is_told(tmp_path: Path) -> None:
-    write_ego(tmp_path, frames(4))
-    shutil.rmtree(tmp_path / "data" / "Desk" / "color")
-    pictures(tmp_path, "Desk", [1, 2, 3])  # numbers that start nowhere sure pair in order
-    pictures(tmp_path, "Kitchen", [4])
-    dataset = open_dataset(tmp_path)
-    assert [(p.kind, p.where.rsplit("/")[-1]) for p in dataset.problems] == [
-        (
-            "pictures and labels differ in number, paired in order",
-            "annotation.txt_3D.txt: 4 lines for 3 pictures",
-        ),
-        ("label without a picture", "annotation.txt_3D.txt: line 4"),
-        ("picture without a label", "image_00004_color.png"),
-    ]
-    _, points = labels_of(dataset.entries[0])
-    np.testing.assert_allclose(points[TIPS], projected(EGO_M, frames(4)[0]), atol=1e-6)
-
-
-def test_part_of_a_set(tmp_path: Path) -> None:
-    truth = frames(1)
-    pictures(tmp_path, "Rotate", range(1))
-    with pytest.raises(DatasetError, match=r"Rotate3D\.txt \(original labels\) is missing; expected Dexter"):
-        open_dataset(tmp_path)
-    write_tips(tmp_path / "data" / "Rotate" / "annotations" / "Rotate3D.txt", truth)
-    dataset = open_dataset(tmp_path)
-    assert [e.name for e in dataset.entries] == ["Rotate/image_00000_color"]
-    assert [p.where.split(": ")[-1] for p in dataset.problems] == list(DEXTER[:-1])
-    assert {p.kind for p in dataset.problems} == {"sequence missing"}

@@ -11,7 +11,7 @@ from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
 from handfit_core.hand_model.chain import FIXED_SHAPE, HAND_SIZE, Chain, State
 from handfit_core.hand_model.landmarks import NO_OFFSETS
 from tests.core.fit.detections import Pose, landmarks_of
-from tests.core.fit.differences import close, of_increments, random
+from tests.core.fit.differences import close, of_increments
 from tests.core.fit.hands import OFFSETS, chain_of, make_state, repeated
 from tests.imitation_mano import imitation_model
 
@@ -79,12 +79,3 @@ def test_jacobian_by_finite_differences(spread: float, shape: bool) -> None:
 
 def by_place(batch: int) -> np.ndarray:
     return np.tile(np.eye(3, 4), (batch, 21, 1, 1))
-
-
-def test_rows_go_through_the_jacobian() -> None:
-    """Rows by the point are multiplied, other columns stay."""
-    chain = chain_of("left", OFFSETS)
-    posed, rows = chain.pose(make_state(2, chain)), random(2, 21, 4, 6)
-    whole, by_point = (chain.jacobian(posed, r, shape=True) for r in (rows, by_place(2)))
-    close(whole[..., :25], rows[..., :3] @ by_point[..., :25])
-    close(whole[..., 25:], rows[..., 3:])

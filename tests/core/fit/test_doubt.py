@@ -13,7 +13,6 @@ from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit import doubt
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.fit.fast import fit_track, fitter_of
-from handfit_core.fit.gaps import Times
 from tests.core.fit.detections import CAMERA, columns, detections_of, fit_frames, model_of, poses
 
 COUNT = 16
@@ -45,29 +44,8 @@ def test_displaced_finger_has_larger_error() -> None:
 @pytest.mark.parametrize("side", SIDES)
 def test_unsure_side_raises_error(side: Side) -> None:
     (one,) = seen(side=side, count=1)
-    other: Side = "left" if side == "right" else "right"
-    for named, probability, given, expected in (
-        (side, None, None, DOUBT.max_side_logit),  # nobody judged
-        (side, 0.3, side, DOUBT.max_side_logit),  # a person has said it
-        (side, 0.75, None, np.log(3.0)),
-        (side, 0.5, None, 0.0),
-        (other, 0.25, None, np.log(3.0)),
-    ):
-        detection = replace(one, side=named, right_side=probability, given_side=given)
-        assert doubt.side_logits(columns([detection]), side).item() == pytest.approx(expected)
     errors = [expected_of([replace(one, right_side=p)], side).mean() for p in (0.999, 0.9, 0.6)]
     assert np.all(np.diff(errors) > 0.0)
-
-
-def test_crops_that_differ_raise_the_error() -> None:
-    """By how far they differ, in parts of the hand's size; a single crop tells nothing."""
-    one, clean, apart = seen()[:3]
-    hands = columns([one, *(replace(d, spread=np.full((21, 3), s)) for d, s in ((clean, 0.0), (apart, 9.0)))])
-    spread = 9.0 * np.sqrt(2.0) / apart.extent / DOUBT.clean_crop_spread
-    expected = np.array([1.0, DOUBT.min_crop_spread, spread]) ** DOUBT.crop_spread_power
-    factor = doubt.crop_spread_factor(hands)
-    np.testing.assert_allclose(factor, DOUBT.calibration_factor * expected)
-    assert doubt.crop_spread_factor(columns([one])) == factor[0]
 
 
 def test_degenerate_hands_have_errors() -> None:
@@ -91,14 +69,3 @@ def test_errors_of_a_track() -> None:
     fit = fit_track(0.0, model_of("right"), track, CAMERA, lambda: None)
     np.testing.assert_array_equal(np.isfinite(fit.expected_error).all(axis=1), track.detected)
     np.testing.assert_array_equal(fit.doubtful, fit.expected_error.mean(axis=1) > DOUBT.doubtful_error)
-
-
-def test_temporal_mean() -> None:
-    expected = np.where(np.arange(12) == 6, 0.04, 0.005)[:, None].repeat(5, axis=1)
-    frames = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 20, 21, 22])
-    shots = (frames > 6).astype(int)
-    found = doubt.temporal_mean(expected, Times(frames, shots, 25.0))
-    np.testing.assert_allclose(found[[0, 1, 2, 7, 8, 9, 10, 11]], 0.005)
-    assert np.all(found[3:7] > 0.005)
-    np.testing.assert_allclose(found[6], (0.005**3 * 0.04) ** 0.25)
-    np.testing.assert_allclose(doubt.temporal_mean(expected, Times(frames, shots, 1.0)), expected)

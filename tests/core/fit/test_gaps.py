@@ -17,10 +17,7 @@ from tests.core.fit.hands import chain_of, make_state
     ("found", "fps", "cuts", "ends"),
     [
         (range(7), 25.0, None, [(0, 6)]),
-        ([5], 25.0, None, [(5, 5)]),
         ([0, 1, 3], 1.0, None, [(0, 1), (3, 3)]),  # half a second is no frame
-        ([3, 4, 7, 8], 5.0, None, [(3, 8)]),
-        ([3, 4, 8, 9], 5.0, None, [(3, 4), (8, 9)]),
         ([0, 15], 29.97, None, [(0, 15)]),
         ([0, 16], 29.97, None, [(0, 0), (16, 16)]),
         ([0, 1, 2, 5, 6], 25.0, [False, True, False, False], [(0, 1), (2, 6)]),

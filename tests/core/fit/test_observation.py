@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from handfit_core.detect.correction.canonical import canonical
 from handfit_core.detect.correction.corrected import Trust, landmarked
 from handfit_core.detect.correction.network import landmark_network
-from handfit_core.fit.observation import observation_of
-from tests.core.fit.detections import CAMERA, columns, detections_of, mirror_image, poses
-from tests.core.fit.differences import close, unit
+from tests.core.fit.detections import columns, detections_of, poses
+from tests.core.fit.differences import close
 
 HANDS = detections_of("right", poses(6, seed=5))
 DETECTIONS = columns(HANDS)
@@ -33,36 +30,3 @@ def test_trust_lies_between_detection_and_network() -> None:
         found = landmarked(DETECTIONS, "right", Trust(plane=plane, depth=depth))
         close(found.pixels, (1.0 - plane) * none.pixels + plane * said[..., :2])
         close(found.depth, (1.0 - depth) * none.depth + depth * aim)
-
-
-def test_expected_errors_scale() -> None:
-    large = replace(DETECTIONS, keypoints=2 * DETECTIONS.keypoints)
-    small, twice = (landmarked(hands, "right", Trust()) for hands in (DETECTIONS, large))
-    close(twice.pixel_sigma, 2 * small.pixel_sigma, rtol=1e-4)
-    close(twice.depth_sigma, 2 * small.depth_sigma, rtol=1e-4)
-    floor = Trust(floor=10.0, plane_sigma=0.5, depth_sigma=0.7, knuckles=3.0)
-    least = landmarked(DETECTIONS, "right", floor)
-    size, knuckles = (
-        canonical(DETECTIONS, DETECTIONS.side).size[:, None],
-        np.isin(np.arange(21), [5, 9, 13, 17]),
-    )
-    close(least.depth_sigma, 7.0 * size * np.where(knuckles, 3.0, 1.0))
-    close(least.pixel_sigma[:, ~knuckles], np.broadcast_to(5.0 * size[..., None], (6, 17, 2)))
-
-
-def test_a_mirrored_picture_is_seen_alike() -> None:
-    ours = landmarked(DETECTIONS, "right", Trust())
-    theirs = landmarked(columns([mirror_image(hand) for hand in HANDS]), "left", Trust())
-    flipped = np.abs(theirs.pixels - [2 * CAMERA.cx, 0.0])
-    close(flipped, ours.pixels, atol=1e-3)
-    close(theirs.depth, ours.depth, atol=1e-3)
-    close(theirs.pixel_sigma, ours.pixel_sigma, rtol=1e-4)
-
-
-def test_through_a_camera() -> None:
-    found = landmarked(DETECTIONS, "right", Trust())
-    observation = observation_of(found, CAMERA)
-    middle = (found.pixels.mean(axis=1) - [CAMERA.cx, CAMERA.cy]) / CAMERA.fx
-    close(observation.ray, unit(np.append(middle, np.ones((6, 1)), axis=1)), rtol=1e-5)
-    close(observation.focal, np.full((6, 2), CAMERA.fx))
-    close(observation.centre, np.tile([CAMERA.cx, CAMERA.cy], (6, 1)))

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.fit.blocks import Blocks
-from handfit_core.fit.problem import Held, Problem
+from handfit_core.fit.problem import Problem
 from handfit_core.fit.terms import Limits, Shape, coupling, depth, distance, near_pose, reprojection
 from handfit_core.hand_model.chain import HAND_SIZE, State
 from handfit_core.hand_model.length import betas_of_length, length_rates
@@ -87,23 +87,3 @@ def test_matrices_are_half_hessians() -> None:
     assert blocks.cost[0] < 1e-9
     hessian = of_increments(lambda by: gradients_of(moved_by(problem, state, by)), HAND_SIZE + 45)
     assert np.abs(matrix_of(blocks) - hessian).max() < 1e-6 * np.abs(hessian).max()
-
-
-def test_held_joints() -> None:
-    """Thumb 13, 14, 15 and index 1, 2, 3 come first, then middle, ring and little finger; the first of two
-    hands is held."""
-    chain = chain_of()
-    state, other = make_state(2, chain), make_state(2, chain, seed=3)
-    joints = np.isin(np.arange(16), [0, 1, 14]) & np.array([[True], [False]])
-    held = Held(joints, other)
-    assert np.flatnonzero(held.variables[0, 3:48]).tolist() == [3, 4, 5, 9, 10, 11]
-    problem = replace(problem_of(chain, observe(chain.points(other)), "given"), held=held)
-    of_hand, of_fingers = problem.blocks(state).step(np.full(2, 1e-3))
-    found = np.concatenate([of_hand[:, :3], of_fingers.reshape(-1, 45), of_hand[:, 3:6]], axis=1)
-    np.testing.assert_array_equal(found == 0.0, held.variables)
-    assert of_hand[:, 6].all()
-    put = held.put(state)
-    for found, mine, theirs in ((put.root, state.root, other.root), (put.wrist, state.wrist, other.wrist)):
-        np.testing.assert_array_equal(found, np.stack([theirs[0], mine[1]]))
-    fingers = held.variables[:, 3:48].reshape(2, 5, 9)
-    np.testing.assert_array_equal(put.angles, np.where(fingers, other.angles, state.angles))

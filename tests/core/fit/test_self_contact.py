@@ -103,17 +103,6 @@ def added_by_term(
     return ours.cost - theirs.cost, np.concatenate([of_hand[..., -1], of_fingers[..., -1]], axis=1)
 
 
-def test_batch_equals_loop() -> None:
-    own, state = fitter(), fists(batch=4)
-    problem = own.problem(replace(seen_of(state), self_contact=anything(4)), solid=True)
-    whole = problem.blocks(state)
-    close(whole.between, whole.between.swapaxes(1, 2))
-    for i in range(4):
-        one = problem.select(slice(i, i + 1)).blocks(state.select(slice(i, i + 1)))
-        for name, values in one._rows():
-            close(getattr(whole, name)[i], values[0], rtol=1e-9, atol=1e-6)
-
-
 def solved(state: State, side: Side = "right", **noise: float) -> tuple[Solution, Observation, Solution]:
     """Without and with the terms that keep hands solid."""
     own, seen = fitter(side), seen_of(state, side, **noise)

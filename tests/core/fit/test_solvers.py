@@ -75,8 +75,6 @@ def as_clip(problem: Problem, start: State, truth: State) -> State:
 @pytest.mark.parametrize(
     ("side", "spread", "near", "most"),
     [
-        ("right", 0.15, False, 0.002),
-        ("left", 0.15, False, 0.002),
         ("right", 0.25, False, 0.004),
         ("left", 0.2, True, 0.002),
     ],

@@ -10,12 +10,11 @@ import pytest
 
 from handfit_core.detect.keypoints import HandDetection, Track
 from handfit_core.fit.fast import fit_track
-from handfit_core.fit.settings import MOTION
-from handfit_core.fit.stationary import palm_motion_scale, wrist_distance_factors
+from handfit_core.fit.stationary import wrist_distance_factors
 from handfit_core.hand_model.chain import State
 from tests.core.fit.detections import CAMERA, landmarks_of, model_of, poses, seen, track_of
 from tests.core.fit.differences import random
-from tests.core.fit.hands import chain_of, make_state, observe, repeated
+from tests.core.fit.hands import chain_of, make_state, repeated
 
 FPS = 25.0
 COUNT = 100
@@ -116,11 +115,6 @@ def distances(state: State, smoothing: float = 1.0, known: Any = True, certain: 
     return state.wrist[:, 2] * wrist_distance_factors(state, known, certain, FPS, smoothing)
 
 
-def test_time_has_no_direction() -> None:
-    back = distances(reach().select(np.arange(COUNT - 1, -1, -1)))[::-1]
-    np.testing.assert_allclose(back, distances(reach()), rtol=1e-6)
-
-
 def test_what_does_not_count() -> None:
     """Frames without a detection, and such as are far off all others."""
     state, known = reach(), (np.arange(COUNT) < 40) | (np.arange(COUNT) > 47)
@@ -137,23 +131,6 @@ def test_held_wrist() -> None:
     found_at = distances(state, certain=certain)
     np.testing.assert_allclose(found_at[certain], state.wrist[25, 2], rtol=1e-4)
     assert np.abs(np.diff(found_at)).max() < 0.02  # metres; nothing jumps where it begins
-
-
-def test_more_smoothing_holds_firmer() -> None:
-    state = repeated(make_state(1, chain_of()), COUNT)
-    state = replace(state, wrist=state.wrist * np.exp(3.0 * wobble(2))[:, None])
-    steps = [step(distances(state, smoothing=s)) for s in (0.1, 1.0, 10.0)]
-    assert steps[0] > 1.5 * steps[1] > 3.0 * steps[2]
-
-
-def test_palms_that_hold_still() -> None:
-    """Shown as a hand rests, moves, and rests elsewhere."""
-    state = repeated(make_state(1, chain_of()), COUNT)
-    state.wrist[:, 0] += 0.15 * np.clip((TIME - 1.5) / 0.8, 0.0, 1.0)
-    known = ~np.isin(np.arange(COUNT), [5, 6, 7])
-    scale = palm_motion_scale(observe(chain_of().points(state), noise=0.2), known, FPS)
-    np.testing.assert_array_equal(scale[known & ((TIME < 1.0) | (TIME > 2.8))], MOTION.min_scale)
-    np.testing.assert_array_equal(scale[~known | ((TIME > 1.6) & (TIME < 2.2))], 1.0)
 
 
 @pytest.mark.parametrize("fps", [25.0, 1e5])

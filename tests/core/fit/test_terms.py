@@ -14,7 +14,6 @@ from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms import (
     Limits,
     PosePrior,
-    Rows,
     Shape,
     Term,
     coupling,
@@ -25,9 +24,8 @@ from handfit_core.fit.terms import (
     second_view,
 )
 from handfit_core.fit.terms.limits import CLOSED_HAND_MARGIN
-from handfit_core.fit.terms.motion import inverse_right_jacobian, place_acceleration, rotation_acceleration
+from handfit_core.fit.terms.motion import inverse_right_jacobian, rotation_acceleration
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES
-from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import BEND, SPREAD
 from handfit_core.hand_model.chain import BETAS, DEPTH_ZERO, PLACE, Posed
@@ -115,36 +113,18 @@ def test_behind_camera_stays_finite(term: Term) -> None:
     assert np.isfinite(term(posed, seen).columns).all()
 
 
-def test_reprojection() -> None:
-    posed, seen = hands()
-    for i in range(3):
-        camera = Intrinsics(*seen.focal[i].tolist(), *seen.centre[i].tolist())
-        expected = (camera.project(posed.points[i]) - seen.pixels[i]) / seen.pixel_sigma[i]
-        close(reprojection(posed, seen).residual[i], expected, rtol=1e-12, atol=1e-9)
-    posed.points[0, 3, 2] = -0.4
-    as_if = replace(posed, points=posed.points.copy())
-    as_if.points[0, 3, 2] = TERMS.nearest
-    close(reprojection(posed, seen).residual, reprojection(as_if, seen).residual)
-
-
 def test_depth_zero() -> None:
     """It is solved where it is not known, so that a hand twice as large and far away is seen alike."""
     posed, seen = hands()
     plain = depth(posed, seen)
     moved = changed(posed, points=2 * posed.points, depth_zero=2 * posed.state.depth_zero)
     close(depth(moved, seen).residual, plain.residual)
-    # On the optical axis, the distance along the ray is z.
-    along = replace(seen, ray=np.tile([0.0, 0.0, 1.0], (3, 1)))
-    expected = (1200.0 * (posed.points[..., 2] - 0.5) - seen.depth) / seen.depth_sigma
-    close(depth(posed, along).residual[..., 0], expected)
     # NaN says where it is not known.
     known = replace(seen, depth_zero=np.array([0.6, np.nan, 0.7]))
     rows = depth(posed, known)
     close(rows.columns[1], plain.columns[1])
     elsewhere = depth(changed(posed, depth_zero=known.depth_zero), seen)
     close(rows.residual[[0, 2]], elsewhere.residual[[0, 2]])
-    assert np.all(rows.jacobian[[0, 2], ..., 3] == 0.0)
-    close(rows.jacobian[[0, 2], ..., :3], elsewhere.jacobian[[0, 2], ..., :3])
 
 
 def test_limits() -> None:
@@ -160,37 +140,7 @@ def test_limits() -> None:
     assert np.abs(residual).sum() == pytest.approx(6.5)
 
 
-@pytest.mark.parametrize(("finger", "left"), [(0, 1.0), (1, (1 + TERMS.bent_spread_share) / 2)])
-def test_knuckle_spread_tightens(finger: int, left: float) -> None:
-    """Half of the way at 45 degrees; not the thumb's."""
-    limits = Limits("right")
-    angles = np.zeros((1, 5, 9))
-    angles[0, finger, BEND] = np.radians(45)
-    angles[0, finger, SPREAD] = limits.upper[finger, SPREAD] * left + 2 * TERMS.limits_sigma
-    assert limits(*with_angles(angles)).residual[0, finger, SPREAD] == pytest.approx(2.0)
-
-
-def test_limits_about_kept_pose() -> None:
-    """By the passive range, or as far as that pose goes."""
-    limits, sigma = Limits("right"), 0.005
-    kept = make_state(1, CHAIN, spread=0.0)
-    kept.angles[0, 1, 5] = limits.upper[1, 5] + 0.4
-    posed, seen = with_angles(np.zeros((1, 5, 9)))
-    angles = posed.state.angles
-    angles[0, [1, 2], 5] = limits.upper[[1, 2], 5] + [0.41, TERMS.passive_range + 0.02]
-    residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
-    assert (residual[0, 1, 5], residual[0, 2, 5]) == pytest.approx((0.01 / sigma, 0.02 / sigma))
-    # No less than closed hands have.
-    angles[0, 3, 8] = limits.upper[3, 8] + CLOSED_HAND_MARGIN[3, 8] + 0.03
-    residual = limits(posed, replace(seen, kept=kept_near(kept, sigma))).residual
-    assert residual[0, 3, 8] == pytest.approx(0.03 / sigma)
-    # A frame without a pose among those that keep one is as if nobody kept any.
-    free = limits(posed, replace(seen, kept=kept_near(kept))).residual
-    np.testing.assert_array_equal(free, limits(posed, seen).residual)
-
-
 def test_pose_prior() -> None:
-    """Also while a finger goes for its pin alone, which is then no surer than other points."""
     posed, seen = hands()
     prior = PosePrior(MEAN, COVARIANCE)
     away = (posed.state.angles - MEAN)[..., None]
@@ -198,96 +148,12 @@ def test_pose_prior() -> None:
     left = changed(posed, angles=posed.state.angles * MIRROR)
     for found in (prior(posed, seen), PosePrior(MEAN, COVARIANCE, "left")(left, seen)):
         close(np.square(found.residual).sum(axis=-1), TERMS.pose_weight * expected)
-    more = np.sqrt(TERMS.pinned_pose_weight / TERMS.pose_weight)
-    for given, factors in (
-        (replace(seen, pinned=np.arange(63).reshape(3, 21) == 25), (1.0, more, 1.0)),
-        (replace(seen, kept=kept_near(posed.state, 0.005)), (more,) * 3),
-        (replace(seen, kept=kept_near(posed.state)), (1.0,) * 3),  # at a distance
-    ):
-        columns = prior(posed, seen).columns * np.reshape(factors, (3, 1, 1, 1))
-        close(prior(posed, given).columns, columns)
-
-
-def test_coupling() -> None:
-    angles = np.zeros((1, 5, 9))
-    angles[0, :, 8] = 0.5
-    expected = (0.5 + np.radians([25.0, 18.0, 20.5, 20.5])) / np.radians(18.0)
-    rows = coupling(*with_angles(angles))
-    close(rows.residual[0, :, 0], [0.0, *expected])
-    assert not rows.jacobian[0, 0].any()
-    # As the index finger does by itself:
-    angles[0, 1, 5], angles[0, 1, 8] = 1.0, 0.87 - np.radians(25.0)
-    assert abs(coupling(*with_angles(angles)).residual[0, 1, 0]) < 1e-14
-
-
-def test_near_pose() -> None:
-    posed, seen = with_angles(np.full((1, 5, 9), 0.1 - np.pi))
-    start = replace(posed.state, angles=np.full((1, 5, 9), np.pi - 0.1))
-    rows = near_pose(posed, replace(seen, kept=kept_near(start)))
-    close(rows.residual[0], np.array([2.0, 1.0, 0.4, 0.2, 0.0])[:, None].repeat(9, axis=1))
-    assert not rows.jacobian[0, 4].any()
-
-
-def test_distance() -> None:
-    posed, seen = hands()
-    start = seen.kept.wrist
-    for wrist, expected in ((1.03 * start, 1.5), (start + np.cross(start, random(3, 3)), 0.0)):
-        rows = distance(changed(posed, wrist=wrist), seen)
-        close(rows.residual[:, 0, 0], np.full(3, expected), atol=1e-9)
-    nothing = replace(seen, kept=replace(seen.kept, distance_sigma=np.full(3, np.inf)))
-    assert not distance(posed, nothing).columns.any()
-
-
-def across_length() -> np.ndarray:
-    across = random(10, seed=3)
-    return across - RATES * (across @ RATES) / (RATES @ RATES)
-
-
-def test_measured_length() -> None:
-    posed, seen = hands(1)
-    expected = random(10, seed=6)
-    for by, lengths in ((0.0 * RATES, 0.0), (across_length(), 0.0), (RATES, RATES @ RATES)):
-        shaped = changed(posed, betas=(expected + by)[None])
-        residual = Shape(expected, RATES)(shaped, seen).residual[0, 0]
-        close(residual[:10], by)
-        assert residual[10] == pytest.approx(lengths / 0.001, abs=1e-9)
-
-
-def test_unknown_length() -> None:
-    posed, seen = hands(1)
-    for way, share in ((RATES, 1.0), (across_length(), TERMS.shape_weight)):
-        shaped = changed(posed, betas=2.0 * way[None] / np.linalg.norm(way))
-        # Of a model whose shapes do not change its length, all are proportions.
-        for rates, weight in ((RATES, share), (np.zeros(10), TERMS.shape_weight)):
-            residual = Shape(np.zeros(10), rates, measured=False)(shaped, seen).residual
-            assert np.square(residual).sum() == pytest.approx(4.0 * weight)
-
-
-def test_huber_kernel() -> None:
-    """Huber's kernel, as weights: cost, gradient, and no weight above one."""
-    columns = random(2, 21, 2, 5)
-    columns[0, 0, :, -1], columns[0, 1, :, -1] = [3.0, 4.0], [0.3, 0.4]
-    certain = np.zeros((2, 21), dtype=bool)
-    certain[1] = True
-    weighted, cost = Rows(POINTS, columns, certain).weighted()
-    norm = np.linalg.norm(columns[..., -1], axis=-1)
-    assert (norm[0, 0], norm[0, 1]) == pytest.approx((5.0, 0.5))
-    expected = np.where((norm > 1.0) & ~certain, 2 * norm - 1, norm**2).sum(axis=1)
-    close(cost, expected)
-    close(weighted[0, 0], columns[0, 0] * np.sqrt(0.2))
-    close(weighted[0, 1], columns[0, 1])
-    close(weighted[1], columns[1])
-    # Half the cost's derivative by a scale of the residual is J^T r of the weighted rows.
-    slope = by_each(
-        lambda by: Rows(POINTS, columns * np.append(np.ones(4), by), certain).weighted()[1], np.ones(1)
-    )
-    close(np.square(weighted[..., -1]).sum(axis=(1, 2)), slope[:, 0] / 2, rtol=1e-6)
 
 
 AXES = unit(random(8, 3, seed=3))
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.99e-4, 1.01e-4, 1e-3, 0.5, 2.0, 3.1, np.pi - 1e-5])
+@pytest.mark.parametrize("angle", [0.0, 0.99e-4, 1.01e-4, 0.5, np.pi - 1e-5])
 def test_inverse_right_jacobian(angle: float) -> None:
     """log(exp(w) exp(d)) = w + Jr^-1 d, for small d; beyond pi the logarithm jumps."""
     for axis in AXES:
@@ -296,7 +162,7 @@ def test_inverse_right_jacobian(angle: float) -> None:
         close(inverse_right_jacobian(axis * angle), expected, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("spread", [0.0, 1e-6, 0.02, 0.5, 2.0])
+@pytest.mark.parametrize("spread", [0.0, 0.02, 2.0])
 def test_derivatives_of_rotation_acceleration(spread: float) -> None:
     turns = rotvec_to_rotmat(np.concatenate([random(1, 2, 3), random(4, 2, 3, seed=1) / 2 * spread]))
     rotations = [turns[0]]
@@ -311,15 +177,3 @@ def test_derivatives_of_rotation_acceleration(spread: float) -> None:
     for t, frame, joint in product(range(3), range(3), range(2)):
         found[t, joint, :, t + frame, joint] = jacobian[t, frame, joint]
     close(found, expected, rtol=0, atol=1e-7)
-
-
-def test_rotation_acceleration_about_one_axis() -> None:
-    """Then it is the second difference of the angle, also over a full circle."""
-    angle = np.cumsum([0.0, 0.1, 0.3, 0.2, -0.1, 2.5, 2.5, 2.5, 2.5])
-    residual, _ = rotation_acceleration(rotvec_to_rotmat(angle[:, None] * AXES[0]))
-    close(residual, np.diff(angle, 2)[:, None] * AXES[0], rtol=0, atol=1e-12)
-
-
-def test_place_acceleration() -> None:
-    t, a = np.arange(6.0)[:, None], np.array([0.01, -0.02, 0.03])
-    close(place_acceleration(0.5 * a * t**2 + 2.0 * t + 1.0), np.tile(a, (4, 1)))

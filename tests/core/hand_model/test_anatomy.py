@@ -99,19 +99,6 @@ def test_relaxed_hands() -> None:
         assert np.all(np.degrees(angles[:, 2]) < 60)
 
 
-def test_mirrored_pose_has_mirrored_limits() -> None:
-    pose = np.random.default_rng(3).normal(scale=0.4, size=(15, 3))
-    right, left = (
-        anatomical_angles(rotvec_to_rotmat(turned), anatomical_axes(load_model(None, side)))
-        for side, turned in (("right", pose), ("left", pose * MIRROR))
-    )
-    right_limits, left_limits = joint_limits("right"), joint_limits("left")
-    np.testing.assert_allclose(left[:, 2], right[:, 2], atol=1e-9)
-    mirrored = np.where([[True, True, False]], right_limits.upper - right, right - right_limits.lower)
-    np.testing.assert_allclose(left - left_limits.lower, mirrored, atol=1e-9)
-    assert np.all(left_limits.lower < left_limits.upper)
-
-
 def test_penalty_of_the_paper() -> None:
     axes, limits = anatomical_axes(load_model(None, "right")), joint_limits("right")
     penalty = AnatomicalPenalty(axes, limits)

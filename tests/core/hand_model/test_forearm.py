@@ -74,27 +74,6 @@ def test_directions_carry_over(model, wrist):
         np.testing.assert_allclose(moved, first, atol=1e-12)
 
 
-def test_forearm_profile(model):
-    closed = with_wrist(model, "forearm")
-    size = len(wrist_ring(model.polygons))
-    rings = closed.v_template[len(model.v_template) : -1].reshape(-1, size, 3)
-    thickness, breadth = np.ptp(rings[..., 1], axis=1), np.ptp(rings[..., 2], axis=1)
-    edge = closed.v_template[wrist_ring(model.polygons)]
-    whole = slice(0, 7)  # the last rings round off the end
-    assert (breadth[whole] > 1.2 * thickness[whole]).all(), "a wrist is broader than thick"
-    narrowest = int(breadth[whole].argmin())
-    assert 0 < narrowest < 6, "it is narrowest between the hand and the forearm"
-    assert breadth[6] > 1.05 * breadth[narrowest]
-    assert np.abs(rings[0] - edge).max() < 0.008, "it goes on where the hand ends"
-
-
-def test_the_left_wrist_mirrors_the_right(model):
-    right, left = (with_wrist(load_model(None, side), "forearm") for side in ("right", "left"))
-    flipped = right.v_template * np.array([-1.0, 1.0, 1.0])
-    distance = np.linalg.norm(left.v_template[:, None] - flipped[None], axis=-1).min(axis=1)
-    assert distance.max() < 1e-3
-
-
 def test_the_texture_goes_on_from_the_edge():
     model = load_model(None, "right")
     closed = with_wrist(model, "forearm")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handfit_core.common.skeleton import JOINT_NAMES, KEYPOINT_NAMES, SIDES
+from handfit_core.common.skeleton import SIDES
 from handfit_core.hand_model import HandModel, load_model
 from handfit_core.hand_model.anatomy import anatomical_axes
 from handfit_core.hand_model.landmarks import LANDMARK_BONES, NO_OFFSETS, Landmarks, bone_axes, hand_length
@@ -18,13 +18,6 @@ STEP = 1e-6
 @pytest.fixture(params=["open-hand", "mano"])
 def model(request: pytest.FixtureRequest) -> HandModel:
     return load_model(None, "right") if request.param == "open-hand" else imitation_model("right")
-
-
-def test_landmarks_are_on_their_fingers() -> None:
-    assert LANDMARK_BONES[0] == 0
-    for keypoint, bone in zip(KEYPOINT_NAMES[1:], LANDMARK_BONES[1:], strict=True):
-        assert JOINT_NAMES[bone].split("_")[0] == keypoint.split("_")[0]
-    assert [LANDMARK_BONES[tip] for tip in range(4, 21, 4)] == [LANDMARK_BONES[i] for i in range(3, 20, 4)]
 
 
 def test_left_offsets_are_mirrored() -> None:
@@ -61,7 +54,7 @@ def test_rates_are_the_lengths_derivatives(model: HandModel) -> None:
     np.testing.assert_allclose(length_rates(model, betas), slope(model, betas), atol=1e-8)
 
 
-@pytest.mark.parametrize("factor", [0.8, 0.95, 1.0, 1.1, 1.3])
+@pytest.mark.parametrize("factor", [0.8, 1.1])
 def test_the_shape_has_the_length(model: HandModel, factor: float) -> None:
     """And no shape nearby that has it, too, is nearer to the mean."""
     length = factor * flat_hand_length(model)

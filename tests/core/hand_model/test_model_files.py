@@ -15,7 +15,7 @@ from handfit_core.common.errors import HandModelError, OptionError, OutputError
 from handfit_core.hand_model import load_model, load_model_npz, save_model_npz
 from handfit_core.hand_model.commands import add_model_commands
 from handfit_core.hand_model.mano_pickle import load_mano_pickle
-from tests.imitation_mano import imitation_arrays, imitation_model, write_mano_pickle
+from tests.imitation_mano import imitation_arrays, write_mano_pickle
 
 
 def message_of(model: str | Path) -> str:
@@ -56,19 +56,14 @@ def test_a_model_comes_back(tmp_path: Path) -> None:
     ("changes", "said"),
     [
         ({"version": 2}, "format version 2"),
-        ({"name": ["hand"]}, "name must be a text"),
         ({"side": "up"}, "left or right, not 'up'"),
         ({"format": "handfit-take"}, "another format"),
         ({"weights": None}, "lacks weights"),
-        ({"weights": np.array(["1"])}, "holds <U1 as weights"),
         ({"faces": np.zeros((3, 3))}, "faces holds float64, expected whole numbers"),
         ({"faces": np.zeros((200_000, 3), dtype=np.int32)}, "more than 100000"),
-        ({"uv_faces": np.zeros((5, 4), dtype=np.int32)}, "uv_faces has shape (5, 4), expected (1598, 4)"),
         ({"uv": np.full((10, 2), np.nan)}, "uv is not finite"),
         ({"v_template": np.zeros((1609, 3))}, "0 m long"),
-        ({"v_template": np.zeros((0, 3))}, "1 to 50000 vertices, not 0"),
         ({"v_template": np.random.default_rng(0).normal(size=(1609, 3)) * 200}, "a hand model is in metres"),
-        ({"hands_mean": np.full(45, 1e300)}, "hands_mean holds numbers beyond 10000"),
         ({"tip_vertices": np.array([-1, 2, 3, 4, 5])}, "do not exist"),
     ],
     ids=lambda value: str(value)[:50],
@@ -134,15 +129,9 @@ def test_bad_sources_are_one_line(tmp_path: Path, command: tuple[str, ...]) -> N
     assert not (tmp_path / "out.npz").exists()
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".pkl"])
-def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
-    path = tmp_path / f"hand{suffix}"
-    if suffix == ".npz":
-        save_model_npz(imitation_model(), path)
-        expected = load_model_npz(path)
-    else:
-        write_mano_pickle(path, imitation_arrays())
-        expected = load_mano_pickle(path)
+def test_info(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write_mano_pickle(tmp_path / "hand.pkl", imitation_arrays())
+    expected = load_mano_pickle(path)
     assert run("info", path) == 0
     lines = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()}
     assert lines["side"] == ["right"]

@@ -72,18 +72,6 @@ def test_pictures_show_the_poses() -> None:
         assert int(np.argmin([np.abs(one - now).mean() for one in stored])) == at, name
 
 
-def test_mirrored_pose() -> None:
-    pose = READY["Pinch"].pose
-    left = Pose("left", pose.on("left"))
-    np.testing.assert_array_equal(left.on("right"), pose.hand_pose)
-    mirror = np.array([-1.0, 1.0, 1.0])
-    points = {}
-    for side in SIDES:
-        still = np.zeros(3)
-        points[side] = load_model(None, side).keypoints(None, still, pose.on(side), still)
-    np.testing.assert_allclose(points["left"], points["right"] * mirror, atol=1e-6)
-
-
 @pytest.mark.parametrize("side", SIDES)
 def test_turns_and_back(side: Side) -> None:
     pose = READY["Fist"].pose
@@ -107,16 +95,9 @@ ZEROS = [0.0] * 44
 @pytest.mark.parametrize(
     "values",
     [
-        *(None, {}, [], "right", {"side": "right"}, {"side": "middle", "hand_pose": [0.0, *ZEROS]}),
-        {"side": ["right"], "hand_pose": [0.0, *ZEROS]},
-        *(
-            {"side": "right", "hand_pose": [number, *ZEROS]}
-            for number in (np.nan, np.inf, 1e30, 10**400, "a")
-        ),
-        *(
-            {"side": "right", "hand_pose": wrong}
-            for wrong in (ZEROS, [[0.0, *ZEROS]], [[1.0], ZEROS], {"a": 1})
-        ),
+        *(None, {}, {"side": "right"}, {"side": ["right"], "hand_pose": [0.0, *ZEROS]}),
+        *({"side": "right", "hand_pose": [number, *ZEROS]} for number in (np.nan, 1e30, 10**400, "a")),
+        *({"side": "right", "hand_pose": wrong} for wrong in (ZEROS, [[0.0, *ZEROS]], [[1.0], ZEROS])),
     ],
 )
 def test_refuses_other_values(values: object) -> None:
@@ -138,17 +119,6 @@ def test_a_picture_is_a_hand_on_nothing() -> None:
     picture = colored(drawn)
     assert picture.shape == (64, 64, 4)
     np.testing.assert_array_equal(picture[..., 3], drawn[..., 1])
-
-
-def test_views() -> None:
-    """The flat hand is wide from before, thumb on the right, and narrow from the side."""
-    model = load_model(None, "right")
-    front, side = (drawn_pose(model, np.zeros(45), 64, turned, 0.0)[..., 1] > 127 for turned in (0.0, 90.0))
-    wide, narrow = (np.ptp(np.flatnonzero(seen.any(axis=0))) for seen in (front, side))
-    assert wide > 2 * narrow
-    middle = np.flatnonzero(front[2]).mean()  # the tip of the middle finger
-    columns = np.flatnonzero(front.any(axis=0))
-    assert columns[-1] - middle > middle - columns[0]
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])

@@ -62,15 +62,6 @@ def test_each_effect_by_its_name(model: HandModel) -> None:
     assert shape_names(shaped) == (*names, *(None,) * 6)
 
 
-def test_thickness_is_no_length(model: HandModel) -> None:
-    """Fingers of the flat hand lie along x: growing in y and z makes them thicker."""
-    movement = np.zeros_like(model.v_template)
-    for finger in FINGERS[1:]:
-        rows = of_finger(model, finger)
-        movement[rows, 1:] = (model.v_template[rows] - model.v_template[rows].mean(axis=0))[:, 1:]
-    assert shape_names(with_shapes(model, 0.2 * movement))[0] in ("Thicker Fingers", "Thicker Hand")
-
-
 def test_no_name_where_nothing_dominates(model: HandModel) -> None:
     rng = np.random.default_rng(3)
     three = [pulled_out(model, finger) for finger in ("thumb", "middle", "little")]
@@ -92,18 +83,4 @@ def test_names_are_unique(model: HandModel) -> None:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_the_open_hand(side: Side) -> None:
     model = load_model(None, side)
-    names = shape_names(model)
-    assert names == OPEN_HAND_NAMES
-
-    def lengths(betas: np.ndarray) -> np.ndarray:
-        shaped = model.shaped(betas)
-        chains = [[*shaped.joints[list(FINGER_JOINTS[f])], shaped.tips[i]] for i, f in enumerate(FINGERS)]
-        return np.linalg.norm(np.diff(chains, axis=1), axis=2).sum(axis=1)
-
-    # What the names say, measured from the bones: this finger changes most, that way.
-    for beta, name in enumerate(names):
-        finger = next((i for i, f in enumerate(FINGERS) if name and f.title() in name), None)
-        if name is not None and finger is not None:
-            changes = lengths(np.eye(NUM_BETAS)[beta]) / lengths(np.zeros(NUM_BETAS)) - 1
-            assert np.abs(changes).argmax() == finger
-            assert (changes[finger] > 0) == name.startswith("Longer")
+    assert shape_names(model) == OPEN_HAND_NAMES

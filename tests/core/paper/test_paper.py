@@ -1,5 +1,7 @@
 """The paper's method: recover what a forward pass made, fall in cost, place what it fitted."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,11 @@ from tests.core.fit.detections import track_of
 
 RNG = np.random.default_rng(11)
 ZERO = np.zeros(3)
+
+
+def every_day_one(first: str, *others: str) -> list[Any]:
+    """Values to try, of which all but the first are slow."""
+    return [first, *(pytest.param(other, marks=pytest.mark.slow) for other in others)]
 
 
 def seen(model: HandModel, *, seed: int, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -46,7 +53,7 @@ def test_normalisation_is_the_papers() -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-@pytest.mark.parametrize("name", ["paper-a", "paper-c", "paper-g"])
+@pytest.mark.parametrize("name", every_day_one("paper-a", "paper-c", "paper-g"))
 def test_recovers_what_a_forward_pass_made(name: str, side: Side) -> None:
     model = load_model(None, side)
     keypoints, _ = seen(model, seed=4)
@@ -58,7 +65,7 @@ def test_recovers_what_a_forward_pass_made(name: str, side: Side) -> None:
     np.testing.assert_allclose(direct - direct[0], fitted - fitted[0], atol=1e-6)
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", every_day_one(*EXPERIMENTS))
 def test_every_solver_beats_its_start(name: str) -> None:
     model = load_model(None, "right")
     keypoints, _ = seen(model, seed=2, noise=4.0)
@@ -76,6 +83,7 @@ def test_every_solver_beats_its_start(name: str) -> None:
     np.testing.assert_array_equal(fixed.betas, np.zeros(10))
 
 
+@pytest.mark.slow
 def test_prior_keeps_hinges_straight() -> None:
     """Noise must not come out as twisted finger joints; that is what the default's prior is for."""
     from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes
@@ -93,7 +101,7 @@ def test_prior_keeps_hinges_straight() -> None:
     assert twists["paper-a-plus"] < 0.5 * twists["paper-a"]
 
 
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("side", every_day_one(*SIDES))
 def test_track_is_placed_before_the_camera(side: Side) -> None:
     """Keypoints made by a perspective camera off its axis: the fitted track lies over them."""
     model = load_model(None, side)

@@ -130,13 +130,6 @@ def test_an_arm_is_found_and_points_as_captured(side, pose, fields):
     assert (np.sum(np.cross(upper, fore) * hinge, axis=-1) > 0.0).all()
 
 
-@pytest.mark.parametrize("pose", DOWN)
-def test_an_arm_that_does_as_at_rest_does_not_turn(pose):
-    found = arm("left", pose)
-    upper, fore = found.rest[:1], found.rest[1:]
-    np.testing.assert_allclose(found.turned(upper, fore, np.eye(3)[None])[0], [np.eye(3)] * 2, atol=1e-9)
-
-
 def test_the_forearm_takes_a_part_of_the_hands_twist():
     found, (upper, fore) = arm("left"), directions(1)
     plain = found.turned(upper, fore, np.eye(3)[None])[:, 1]

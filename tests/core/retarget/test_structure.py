@@ -11,7 +11,7 @@ import pytest
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, NUM_JOINTS, SIDES, Side
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import HandMap, SeveralHands, the_surest
+from handfit_core.retarget.hand_map import HandMap, the_surest
 from handfit_core.retarget.structure import structured_hands
 
 from .rigs import Built, add_hand, body
@@ -56,7 +56,7 @@ def turned(bones: Bones, turn: np.ndarray, scale: float) -> Bones:
 
 @pytest.mark.parametrize("tips", [False, True], ids=["", "tips"])
 @pytest.mark.parametrize("palm", [False, True], ids=["", "palm"])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_finds_bones_by_place(seed, palm, tips):
     rng = np.random.default_rng(seed)
     bones = two_hands(rng, palm=palm, tips=tips, bend=np.radians(25.0), stretch=0.2)
@@ -138,17 +138,6 @@ def test_side_of_flat_hand():
     flat = replace(bones, heads=bones.heads * [1.0, 1.0, 0.0])
     for side in SIDES:
         assert hand_in(flat, side).bones[0].endswith(side)
-
-
-def test_several_hands_of_a_side():
-    built = Built()
-    for number in range(2):
-        fore, place = body(built, "left", name=f"c{number}")
-        names = {slot: f"{name}{number}" for slot, name in numbered("left").items()}
-        add_hand(built, "left", names, np.random.default_rng(1), parent=fore, place=place - number)
-    bones = built.bones()
-    with pytest.raises(SeveralHands, match="there are several left hands here, "):
-        the_surest(structured_hands(bones, "left"), bones)
 
 
 def test_feet_and_hair_are_no_hands():

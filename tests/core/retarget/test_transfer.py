@@ -27,7 +27,6 @@ from handfit_core.retarget.transfer import (
     finger_end,
     globally,
     mirrored_turns,
-    palm_frame,
     smoothed_travel,
     swing,
     target_hand,
@@ -298,15 +297,6 @@ def test_refuses_hand_bone_as_finger(side):
     for hand_map, bone in wrong:
         with pytest.raises(HandModelError, match=f"the bone '?{bone}'? moves the whole {side} hand"):
             target_hand(bones, hand_map, source(side))
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_palm_frame(side):
-    own = source(side)
-    frame, size = palm_frame(own.joints[0], {f: own.joints[FINGER_JOINTS[f][0]] for f in FINGERS[1:]}, side)
-    assert frame[2, 2] > 0.9
-    assert frame[1, 1] < -0.9  # the index finger's side is the thumb's, -Y
-    assert size == pytest.approx(np.linalg.norm(own.joints[4] - own.joints[0]))
 
 
 def test_where_fingers_end():

@@ -158,8 +158,6 @@ def test_arms_come_back():
     ("changes", "words"),
     [
         ({"fps": 0.0}, "frame rate"),
-        ({"fps": float("nan")}, "frame rate"),
-        ({"width": 0}, "frame rate and size"),
         ({"frame_numbers": np.array([7, 9, 9, 12])}, "must increase"),
         ({"frame_numbers": np.array([], dtype=int), "hands": ()}, "at least one frame"),
         ({"source": Source("photo", ())}, "pictures"),
@@ -169,7 +167,6 @@ def test_arms_come_back():
             "the right hand's transl is not finite where the hand is present",
         ),
         ({"hands": (full(keypoints_depth=np.full((FRAMES, 21), np.nan)),)}, "keypoints_depth is not finite"),
-        ({"hands": (full(right_side=np.full(FRAMES, 1.5)),)}, "right_side must lie between 0 and 1"),
         (
             {"hands": (with_arm(present=DETECTED),)},
             "the right arm's shoulder is not finite where the hand is present",
@@ -187,9 +184,6 @@ def test_detections():
     assert hand.refinable
     hands = hand.detections()
     check_arrays(hands)
-    assert hand.keypoints_depth is not None
-    assert hand.world_landmarks is not None
-    assert hands.overlapped is not None
     np.testing.assert_array_equal(hands.frame, np.flatnonzero(DETECTED))
     np.testing.assert_array_equal(hands.overlapped[1], np.arange(21) > 5)
     np.testing.assert_array_equal(hands.keypoints_2d, hand.keypoints_2d[DETECTED])
@@ -241,34 +235,21 @@ def camera(**changes: Any) -> dict[str, Any]:
     [
         ({"version": FORMAT_VERSION + 1}, "update the add-on"),
         ({"version": "1"}, "not a take file"),
-        ({"version": 0}, "not a take file"),
         ({"format": "something else"}, "not a take file"),
         ({"fps": 10**400}, "fps must be a finite number"),
-        ({"fps": 1e-300}, "frame rate"),
         ({"width": 10**30}, "width must be a whole number"),
-        ({"height": 720.5}, "height must be a whole number"),
         ({"solver": "a" * 1000}, "solver must be a text"),
-        ({"model": "a\0b"}, "model must be a text"),
         ({"model_digests": "abc"}, "model_digests must be an object"),
-        ({"model_digests": {"left": 3}}, "model_digests must be a text"),
         ({"sides": None}, "sides must be a list"),
-        ({"sides": [["right"], {}]}, "sides must be"),
         ({"sides": ["right"] * 100_000}, "sides must be at most"),
         ({"sides": ["right", "left", "right"]}, "it lacks 'hand2_"),
-        (camera(fx="1"), "fx must be a finite number"),
         (camera(fx=-1.0), "focal lengths"),
-        (camera(k1=0.0), "intrinsics must be"),
-        ({"source": "a photo"}, "source must be an object"),
         (source(kind="clip"), "kind must be one of"),
-        (source(files="/a"), "files must be a list"),
         (source(files=["\ud800"]), "files must be a text"),
-        (source(orientation=9), "orientation must be"),
-        ({"frame_numbers": None}, "it lacks 'frame_numbers"),
         ({"frame_numbers": np.zeros((4, 2), dtype=int)}, "frame_numbers must be a list"),
         ({"frame_numbers": np.array([1, 2, 3, 2**64 - 1], dtype=np.uint64)}, "frame_numbers lie beyond"),
         ({"hand0_betas": None}, "it lacks 'hand0_betas"),
         ({"arms": ["0"]}, "arms must be an object"),
-        ({"arms": {"0": None}}, "arms must be a text"),
         ({"arms": {"0": ""}}, "it lacks 'arms/hand0_shoulder"),
         ({"hand0_detected": np.ones(FRAMES)}, "holds float64 as hand0_detected"),
     ],

@@ -188,13 +188,13 @@ class TestFiles:
         for _ in range(12):
             film.write(np.full((240, 320, 3), 90, np.uint8))
         film.release()
-        said = "No hand was found in the {} view. The {} view, {}, was used alone."
-        for views, nth in (((clip, empty), ("second", "first")), ((empty, clip), ("first", "second"))):
-            take = capture(views[0], view=str(views[1]), quality="draft", hands="auto")
-            assert take.verdict is not None
-            assert take.verdict.text == said.format(*nth, clip.stem)
-            assert take.hands
+        take = capture(empty, view=str(clip), quality="draft", hands="auto")
+        assert take.verdict is not None
+        said = f"No hand was found in the first view. The second view, {clip.stem}, was used alone."
+        assert take.verdict.text == said
+        assert take.hands
 
+    @pytest.mark.slow
     def test_stopped_while_views_are_joined(self, samples):
         stages: list[str] = []
 

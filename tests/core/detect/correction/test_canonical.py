@@ -1,14 +1,11 @@
 """Detections in the canonical frame: the same hand looks the same, wherever and however it is seen."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import SIDES, Side, other_side
-from handfit_core.detect.correction.canonical import FEATURES, KNUCKLES, WORLD_SCALE, Canonical, canonical
+from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.geometry.similarity import align
 from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 RIGHT: Side = "right"
@@ -18,27 +15,6 @@ DETECTIONS = columns(HANDS)
 
 def canonical_right(detections: Detections) -> Canonical:
     return canonical(detections, np.full(len(detections), SIDES.index(RIGHT)))
-
-
-def test_there_and_back():
-    frame = canonical(DETECTIONS, np.arange(8) % 2)
-    points = np.random.default_rng(0).normal(size=(8, 21, 3))
-    np.testing.assert_allclose(frame.from_picture(frame.to_picture(points)), points, atol=1e-12)
-    np.testing.assert_allclose(frame.to_picture(frame.from_picture(100 * points)), 100 * points, atol=1e-9)
-
-
-def test_upright_centred_and_of_unit_size():
-    frame = canonical_right(DETECTIONS)
-    assert frame.features.shape == (8, FEATURES)
-    image = frame.features[:, :63].reshape(-1, 21, 3)
-    keypoints = DETECTIONS.keypoints
-    expected = keypoints - keypoints.mean(axis=1, keepdims=True) * [0, 0, 1]
-    np.testing.assert_allclose(frame.to_picture(image), expected, atol=1e-9)
-    np.testing.assert_allclose(image.mean(axis=1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.square(image[..., :2]).sum(axis=-1).mean(axis=1), 1.0)
-    up = image[:, KNUCKLES, :2].mean(axis=1) - image[:, 0, :2]
-    np.testing.assert_allclose(up[:, 0], 0.0, atol=1e-12)
-    assert np.all(up[:, 1] < 0)  # y points down
 
 
 def changed(
@@ -66,25 +42,6 @@ def test_how_the_picture_is_held_makes_no_difference(mirror, angle, scale, shift
     np.testing.assert_allclose(after.size, scale * before.size)
     # And the way back leads to where each was.
     np.testing.assert_allclose(after.to_picture(after.fused)[..., :2], moved.keypoints_2d, atol=1e-7)
-
-
-def test_world_landmarks_are_laid_over_the_image_ones():
-    frame = canonical_right(DETECTIONS)
-    image, world, over = (frame.features[:, i : i + 63].reshape(-1, 21, 3) for i in (0, 63, 126))
-    for one, other, laid in zip(image, world, over, strict=True):
-        np.testing.assert_allclose(laid, align(other, one, with_scale=True).apply(other), atol=1e-9)
-    size = np.linalg.norm(world, axis=-1).mean(axis=1)
-    metres = [np.linalg.norm(d.world - d.world.mean(axis=0), axis=1).mean() for d in HANDS]
-    np.testing.assert_allclose(size, WORLD_SCALE * np.array(metres))
-    np.testing.assert_allclose(frame.fused[..., :2], image[..., :2])
-    np.testing.assert_allclose(frame.fused[..., 2], (image[..., 2] + over[..., 2]) / 2)
-
-
-def test_the_detectors_word_on_the_side():
-    detection = replace(HANDS[0], score=0.7)
-    both = canonical(columns([detection, detection]), np.array([SIDES.index(RIGHT), SIDES.index("left")]))
-    np.testing.assert_allclose(both.features[:, -1], [0.7, -0.7])
-    np.testing.assert_array_equal(both.mirror, [1.0, -1.0])
 
 
 def test_points_in_one_place_do_no_harm():

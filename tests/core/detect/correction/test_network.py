@@ -56,12 +56,6 @@ def shipped() -> dict[str, np.ndarray]:
         return dict(arrays)
 
 
-def test_the_file_is_small_and_whole():
-    assert FILE.stat().st_size < 500_000
-    assert all(np.isfinite(a).all() for a in shipped().values())
-    assert np.all(shipped()["deviation"] > 0)
-
-
 def probability(hands: list[HandDetection]) -> np.ndarray:
     detections = columns(hands)
     return corrected(detections, detections.side)[1]
