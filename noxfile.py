@@ -70,7 +70,7 @@ RELEASE_CHECK = [
 ]
 """Sessions with what `.ci/run` leaves out"""
 
-NOT_IN_CI = "anny,smplx,openssl"
+NOT_IN_CI = "CUDA,anny,smplx,openssl"
 """Parts of the reasons for which tests of the core may be skipped in CI"""
 
 AROUND_BLENDER = (

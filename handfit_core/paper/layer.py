@@ -64,7 +64,9 @@ class HandLayer(torch.nn.Module):
     faces: torch.Tensor
     """(F, 3) int64"""
 
-    def __init__(self, model: HandModel) -> None:
+    def __init__(
+        self, model: HandModel, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
+    ) -> None:
         super().__init__()
         self.model = model
         self.has_pose_blendshapes = model.has_pose_blendshapes
@@ -114,7 +116,7 @@ class HandLayer(torch.nn.Module):
                 arrays["_point_base"] = arrays["_point_base"] - tip_rows @ rest_feature[tips].reshape(-1)
                 arrays["_point_map"] = np.concatenate([arrays["_point_map"], tip_rows.T])
         for name, array in arrays.items():
-            tensor = torch.tensor(np.ascontiguousarray(array), dtype=torch.float64)
+            tensor = torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
             self.register_buffer(name, tensor, persistent=False)
         for name, indices in (
             ("_tip_vertices", tips),
@@ -122,7 +124,7 @@ class HandLayer(torch.nn.Module):
             ("_mano_order", np.argsort(_LEVEL_ORDER)),
             ("faces", model.faces),
         ):
-            tensor = torch.tensor(np.array(indices), dtype=torch.int64)
+            tensor = torch.tensor(np.array(indices), dtype=torch.int64, device=device)
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(
@@ -135,7 +137,7 @@ class HandLayer(torch.nn.Module):
         """Pose the whole mesh.
 
         betas (B, 10), or (10,) or (1, 10) for all; global_orient (B, 3) and hand_pose (B, 45) in
-        radians; transl (B, 3) in metres or None for zero.
+        radians; transl (B, 3) in metres or None for zero. Dtype and device are the layer's.
         """
         batch = hand_pose.shape[0]
         betas = betas.expand(batch, NUM_BETAS)

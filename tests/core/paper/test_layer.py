@@ -91,3 +91,31 @@ def test_keypoint_gradients(model: HandModel, angle: float) -> None:
         axes = torch.nn.functional.normalize(args[i].detach().reshape(2, count, 3), dim=-1)
         args[i] = (axes * angle).reshape(2, -1).requires_grad_()
     assert torch.autograd.gradcheck(HandLayer(model).keypoints, args, atol=1e-7)
+
+
+def test_float32_stays_within_a_micrometre(model: HandModel) -> None:
+    args = arguments(8, seed=7)
+    exact = HandLayer(model)(*args)
+    single = HandLayer(model).to(torch.float32)
+    close = single(*(a.float() for a in args))
+    assert close.vertices.dtype == torch.float32
+    assert (close.vertices.double() - exact.vertices).abs().max() < 1e-6
+    assert (single.keypoints(*(a.float() for a in args)).double() - exact.keypoints).abs().max() < 1e-6
+    zero = torch.zeros(1, 45, requires_grad=True)
+    single.keypoints(torch.zeros(10), torch.zeros(1, 3), zero).sum().backward()
+    assert zero.grad is not None
+    assert torch.isfinite(zero.grad).all()
+    assert zero.grad.abs().max() > 1e-3
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
+def test_cuda_agrees_with_the_cpu(model: HandModel) -> None:
+    args = arguments(4, seed=11)
+    expected = HandLayer(model)(*args)
+    layer = HandLayer(model, device="cuda")
+    moved = [a.cuda().requires_grad_() for a in args]
+    keypoints = layer.keypoints(*moved)
+    torch.testing.assert_close(keypoints.cpu(), expected.keypoints, rtol=0, atol=1e-10)
+    torch.testing.assert_close(layer(*moved).vertices.cpu(), expected.vertices, rtol=0, atol=1e-10)
+    keypoints.sum().backward()
+    assert all(a.grad is not None and torch.isfinite(a.grad).all() for a in moved)
