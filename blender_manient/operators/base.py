@@ -18,6 +18,8 @@ from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, why_not_reachable
 from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand, active_hand, hand_of
+from ..session import details
+from ..session.shared_worker import Waiting
 
 NO_CHARACTER: Final = "Select a character first: its armature, or a mesh that it deforms"
 LINKED_SCENE: Final = "This scene is linked from another file: open or make one of your own"
@@ -176,7 +178,8 @@ class ModalOperator(ManientOperator):
         try:
             return self.follow(context, event)
         except HandfitError as error:
-            self.failed(error)
+            if more := getattr(error, "details", ""):
+                details.write_details(self.bl_label, str(error), more)
             self.report({"ERROR"}, str(error))
             self.end(context)
             return {"CANCELLED"}
@@ -184,9 +187,6 @@ class ModalOperator(ManientOperator):
             # An operator that Blender ends after an error cannot clean up later.
             self.end(context)
             raise
-
-    def failed(self, error: HandfitError) -> None:
-        """Keep what more there is to say of an error."""
 
     def cancel(self, context):
         """Blender ends the operator itself, as on loading a file, or a dialog that has begun nothing."""
@@ -207,10 +207,6 @@ class ModalOperator(ManientOperator):
         """Show a line in the status bar; None: Blender's own again."""
         if context.workspace is not None:
             context.workspace.status_text_set(text)
-
-
-class Waiting(str):
-    """What steps yield while another process works: how far that is."""
 
 
 def finish(steps: Generator[str, None, Any]) -> Any:

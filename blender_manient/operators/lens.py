@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import bpy
@@ -16,9 +15,9 @@ from handfit_core.media.opening import VIDEO_SUFFIXES
 
 from ..common import screen
 from ..common.section import sentence
-from ..session import details, shared_worker
+from ..session import shared_worker
 from ..session.cache import cache_folder
-from .base import LINKED_SCENE, InternalOperator, StepsOperator, Waiting
+from .base import LINKED_SCENE, InternalOperator, StepsOperator
 
 ADVICE = (
     "Film the chessboard for half a minute, with the camera set as for captures and stabilization off: the "
@@ -82,22 +81,12 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
         return {"CANCELLED"}
 
     def steps(self, context):
-        path, name, began = Path(bpy.path.abspath(self.filepath)), checked_name(self.lens), time.monotonic()
+        path, name = Path(bpy.path.abspath(self.filepath)), checked_name(self.lens)
         if not path.is_file():
             raise OptionError("Choose the film of the chessboard")
-        request = shared_worker.worker().submit("lens", input=[str(path)], name=name)
-        try:
-            while (done := shared_worker.answer(request)) is None:
-                yield Waiting(f"Measuring the lens of {path.name}  {time.monotonic() - began:.0f} s")
-            request = 0
-        finally:
-            if request:
-                shared_worker.worker().cancel(request)
-                shared_worker.abandon(request)
+        text = f"Measuring the lens of {path.name}"
+        done = yield from shared_worker.ask("lens", text, input=[str(path)], name=name)
         return name, done["said"]
-
-    def failed(self, error):
-        details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
 
     def finished(self, context, result):
         name, said = result

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
@@ -19,9 +18,9 @@ from ..scene.corrections import corrections_of
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import active_hand, scene_frames
 from ..scene.timing import span_of
-from ..session import details, shared_worker
+from ..session import shared_worker
 from ..session.refiner import BonePoses, Refiner, smoothing_of, why_not
-from .base import ModalState, StepsOperator, Waiting, polled_hand, show_frame_again
+from .base import ModalState, StepsOperator, polled_hand, show_frame_again
 
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
@@ -166,17 +165,8 @@ class RangeFitOperator(StepsOperator):
         return self._fitting(self.make_fit(context))
 
     def _fitting(self, fit: RangeFit) -> Generator[str, None, RangeFit]:
-        began = time.monotonic()
-        request = shared_worker.worker().submit("refit", **fit.fields())
-        try:
-            while (done := shared_worker.answer(request)) is None:
-                spent = time.monotonic() - began
-                yield Waiting(f"{self.progress_text}: {fit.count} frames  {spent:.0f} s")
-            request = 0
-        finally:
-            if request:
-                shared_worker.worker().cancel(request)
-                shared_worker.abandon(request)
+        text = f"{self.progress_text}: {fit.count} frames"
+        done = yield from shared_worker.ask("refit", text, **fit.fields())
         fit.received(fit.refiner.poses(done, len(fit.rows)))
         if type(self).bl_idname in self.running:
             self.running[type(self).bl_idname].can_stop = False
@@ -184,9 +174,6 @@ class RangeFitOperator(StepsOperator):
         for part in fit.writing():
             yield f"Writing keys  {part:.0%}"
         return fit
-
-    def failed(self, error):
-        details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
 
     def ended(self, context):
         super().ended(context)

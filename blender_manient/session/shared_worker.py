@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -94,23 +96,47 @@ def stop() -> None:
     remove_temporary_takes()
 
 
-def answer(
-    request: int, from_worker: Worker | None = None, on_event: Callable[[Event], None] | None = None
-) -> Event | None:
-    """The `done` event of a request to the shared worker, or to `from_worker`; None while there is none.
-    `on_event` gets those before it. Raises HandfitError where the request failed."""
-    for event in (from_worker or worker()).events(request):
-        if on_event is not None:
-            on_event(event)
-        if event["event"] == "error":
-            raise as_error(event)
-        if event["event"] == "done":
-            return event
-    return None
+class Waiting(str):
+    """What steps yield while another process works: how far that is."""
+
+
+def ask(
+    kind: str, title: str, of_worker: Worker | None = None, **fields: Any
+) -> Generator[Waiting, None, Event]:
+    """Send a request to the shared worker, or to `of_worker`, and wait for it: yields the title with what is
+    done, or with the seconds so far. Returns the `done` event; where it is closed, the request is cancelled.
+    Raises HandfitError where the request failed."""
+    asked, began, progress = of_worker or worker(), time.monotonic(), ""
+    request = asked.submit(kind, **fields)
+    try:
+        while True:
+            for event in asked.events(request):
+                if event["event"] == "progress" and event.get("total"):
+                    progress = f"{event['done']}/{event['total']}"
+                if (done := _done(event)) is not None:
+                    request = 0
+                    return done
+            yield Waiting(f"{title}  {progress or f'{time.monotonic() - began:.0f} s'}")
+    finally:
+        if request and of_worker is None:
+            abandon(request)
+
+
+def answer(request: int) -> Event | None:
+    """The `done` event of a request to the shared worker; None while there is none. Raises HandfitError where
+    the request failed."""
+    return next(filter(None, map(_done, worker().events(request))), None)
+
+
+def _done(event: Event) -> Event | None:
+    if event["event"] == "error":
+        raise as_error(event)
+    return event if event["event"] == "done" else None
 
 
 def abandon(request: int) -> None:
-    """Throw the answer to a request away when it comes, so that the worker is not kept busy."""
+    """Cancel a request and throw its answer away when it comes, so that the worker is not kept busy."""
+    worker().cancel(request)
     _abandoned.add(request)
     if not bpy.app.timers.is_registered(_collect):
         bpy.app.timers.register(_collect, first_interval=_POLL_SECONDS, persistent=True)

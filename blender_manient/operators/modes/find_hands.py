@@ -175,7 +175,6 @@ class FindMode(view.Overlay):
 
     def _cancel_requests(self) -> None:
         for request in self._asked:
-            shared_worker.worker().cancel(request)
             shared_worker.abandon(request)
         self._asked.clear()
 

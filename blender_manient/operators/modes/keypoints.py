@@ -409,7 +409,6 @@ class KeypointMode(view.Overlay):
         if drag is None:
             return
         if drag.asked is not None and drag.waiting:
-            shared_worker.worker().cancel(drag.asked.number)
             shared_worker.abandon(drag.asked.number)
         armature = self.refiner.armature_or_none
         if armature is not None and armature.manient.is_hand:
