@@ -18,7 +18,6 @@ from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, why_not_reachable
 from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand, active_hand, hand_of
-from ..session import details
 from ..session.shared_worker import Waiting
 
 NO_CHARACTER: Final = "Select a character first: its armature, or a mesh that it deforms"
@@ -90,7 +89,7 @@ class SceneOperator(ManientOperator):
 
     @classmethod
     def poll_reason(cls, context) -> str | None:
-        return None if context.scene.is_editable else "This scene is linked from another file"
+        return None if context.scene is not None and context.scene.is_editable else LINKED_SCENE
 
 
 class HandOperator(ManientOperator):
@@ -178,8 +177,6 @@ class ModalOperator(ManientOperator):
         try:
             return self.follow(context, event)
         except HandfitError as error:
-            if more := getattr(error, "details", ""):
-                details.write_details(self.bl_label, str(error), more)
             self.report({"ERROR"}, str(error))
             self.end(context)
             return {"CANCELLED"}

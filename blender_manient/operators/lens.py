@@ -17,7 +17,7 @@ from ..common import screen
 from ..common.section import sentence
 from ..session import shared_worker
 from ..session.cache import cache_folder
-from .base import LINKED_SCENE, InternalOperator, StepsOperator
+from .base import InternalOperator, SceneOperator, StepsOperator
 
 ADVICE = (
     "Film the chessboard for half a minute, with the camera set as for captures and stabilization off: the "
@@ -39,7 +39,7 @@ class MANIENT_OT_show_chessboard(InternalOperator, bpy.types.Operator):
         return f"Film {path} on the whole screen"
 
 
-class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
+class MANIENT_OT_measure_lens(StepsOperator, SceneOperator, bpy.types.Operator, ImportHelper):
     """Measure a camera's lens from a film of the chessboard, and keep it for all captures with that one."""
 
     bl_label = "Measure Lens"
@@ -55,10 +55,6 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
     )
 
     _browsing = False
-
-    @classmethod
-    def poll_reason(cls, context):
-        return LINKED_SCENE if context.scene is None or not context.scene.is_editable else None
 
     def invoke(self, context, event):
         """Ask for the film and the name, or measure while the window stays free."""

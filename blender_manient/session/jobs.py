@@ -260,7 +260,7 @@ def tick() -> bool:
     except Cancelled:
         job.state, job.message = "cancelled", "Cancelled"
     except HandfitError as error:
-        _fail(job, str(error), getattr(error, "details", "") or "")
+        _fail(job, str(error), error)
     except Exception as error:  # a defect of ours, which must not end the queue
         _fail(job, f"Unexpected {type(error).__name__}: {error}", traceback.format_exc())
     return True
@@ -454,7 +454,7 @@ def _make_active(hands: tuple[str, ...]) -> None:
     layer.objects.active = armatures[0]
 
 
-def _fail(job: Job, sentence: str, more: str) -> None:
+def _fail(job: Job, sentence: str, more: Exception | str) -> None:
     # Wherever it is shown, the job's name stands before it.
     names = (job.name, *job.files[:1], *(Source(kind, job.files).name for kind in ("photo", "sequence")))
     job.state, job.message = "failed", capitalised(without_name(sentence or "the capture failed", names))

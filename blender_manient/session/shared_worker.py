@@ -11,6 +11,7 @@ from typing import Any
 
 import bpy
 
+from handfit_core.common.errors import HandfitError
 from handfit_core.fit.solvers import SOLVERS
 from handfit_core.worker.client import CHOOSE_PYTHON, Worker
 from handfit_core.worker.events import Event, as_error
@@ -18,7 +19,7 @@ from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
 
 from ..common import installation, preferences
-from . import properties
+from . import details, properties
 from .cache import remove_temporary_takes
 
 _EXIT_WAIT_SECONDS = 3.0
@@ -117,6 +118,10 @@ def ask(
                     request = 0
                     return done
             yield Waiting(f"{title}  {progress or f'{time.monotonic() - began:.0f} s'}")
+    except HandfitError as error:
+        if of_worker is None:
+            details.write_details(title, str(error), error)
+        raise
     finally:
         if request and of_worker is None:
             abandon(request)

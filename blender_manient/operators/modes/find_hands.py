@@ -165,7 +165,7 @@ class FindMode(view.Overlay):
         except (HandfitError, RuntimeError) as error:
             self._cancel_requests()
             self.message = capitalised(str(error).strip())
-            details.write_details("Find Hands", self.message, getattr(error, "details", "") or "")
+            details.write_details("Find Hands", self.message, error)
             screen.redraw("VIEW_3D")
 
     def _ask(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> int:

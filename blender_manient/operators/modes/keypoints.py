@@ -435,7 +435,7 @@ class KeypointMode(view.Overlay):
             self._warming, self.message = 0, str(error)
             if self.drag is not None:
                 self.drag.waiting = False
-            details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
+            details.write_details("Edit Keypoints", str(error), error)
             self.cancel_drag(context)
             show_frame_again(context)
 
