@@ -128,7 +128,6 @@ def start_empty(*, keep_addons: bool) -> None:
 
 
 def _export(exports: Exports, task: Task, exported: Exported, *, keep_addons: bool) -> str:
-    """Make what is missing of a take. Returns why that failed; empty where it did not."""
     given, started = exports.given, time.perf_counter()
     try:
         left = exported.left(exports.formats, again=given["again"], overwrite=given["overwrite"])

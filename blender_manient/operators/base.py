@@ -41,7 +41,6 @@ class ManientOperator:
 
     @classmethod
     def poll(cls: Any, context):
-        """Whether it can begin."""
         why = cls.poll_reason(context)
         if why:
             cls.poll_message_set(why)
@@ -129,7 +128,6 @@ class ModalState:
     """Whether that was asked for"""
 
     def stop(self) -> None:
-        """Have it end with its next event, as long as it can."""
         self.stopped |= self.can_stop
         self.can_stop = False
 
@@ -233,7 +231,6 @@ class StepsOperator(ModalOperator):
         raise NotImplementedError
 
     def finished(self, context: bpy.types.Context, result: Any) -> str | set[str] | None:
-        """Report, as `run` does."""
         raise NotImplementedError
 
     def run(self, context):

@@ -47,7 +47,6 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         self.first, self.last = touching_range(context, int(self.point), int(self.other))
 
     def check(self, context):
-        """Suggest frames anew for other points."""
         if self._suggested != (self.point, self.other):
             self.suggest(context)
         return True
@@ -58,7 +57,6 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         row.prop(self, "other", text="")
 
     def summary(self, context):
-        """How far apart the points are."""
         try:
             gaps = _TouchFit(self, context).gaps
         except HandfitError as error:

@@ -115,7 +115,6 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
 
 
 def _row(layout, enabled: bool, scale: float = 1.0):
-    """A row of buttons that are grey where they are not `enabled`."""
     row = layout.row(align=True)
     row.scale_y = scale
     row.enabled = enabled

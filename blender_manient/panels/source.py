@@ -104,7 +104,6 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        """Only where there is a second view to tell of."""
         settings = context.scene.manient
         return bool(settings.second_view) and source_info.has_views(source_info.of(settings))
 
@@ -126,7 +125,6 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
             layout.prop(settings, "baseline", text="Meters")
 
     def _pair(self, settings) -> None:
-        """A frame of each view, with its picture."""
         for index, field in enumerate(source_info.VIEWS):
             column, info = self.layout.column(align=True), source_info.of(settings, field)
             picture = source_info.frame_picture(info, settings.pair[index])

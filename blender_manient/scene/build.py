@@ -293,7 +293,6 @@ class _Build:
     def build_hand(
         self, track: HandTrack, shaped: ShapedHand, name: str
     ) -> Generator[float | None, None, BuiltHand]:
-        """One hand's rig, mesh and keys, linked nowhere."""
         model = self.models[track.side]
         rig = build_rig(name, shaped, track.side)
         armature = rig.armature
@@ -467,7 +466,6 @@ class ChangeWatch:
 
 
 def _remove(made: Sequence[bpy.types.ID]) -> None:
-    """Take away what is still there of what was made."""
     there = []
     for block in made:
         try:

@@ -661,7 +661,6 @@ def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> No
 
 
 def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into: Into) -> None:
-    """Have the armature use a finished action."""
     data = armature.animation_data or armature.animation_data_create()
     if into == "STRIP":
         add_strip(data, action, slot)

@@ -334,7 +334,6 @@ def _on_progress(job: Job, event: dict[str, Any]) -> None:
 
 
 def _build(job: Job) -> bool:
-    """One slice of building."""
     is_over = slice_clock()
     try:
         if job._builder is None:
