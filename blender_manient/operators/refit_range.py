@@ -132,7 +132,7 @@ class RangeFitOperator(StepsOperator):
         if self._summary is None or self._summary[0] != asked:
             self._summary = asked, self.summary(context)
         text, alert = self._summary[1]
-        sentence(self.layout, context, text, "ERROR" if alert else "INFO", alert=alert, width=_WIDTH)
+        sentence(self.layout, context, text, "ERROR" if alert else "INFO", width=_WIDTH)
 
     def run(self, context):
         """Fit and wait for it. From the dialog: an operator cannot go on running from its own dialog, so

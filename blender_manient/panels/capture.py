@@ -97,7 +97,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 sentence(box, context, f"{fitted(context, job.name, ': Undone')}: Undone", "LOOP_BACK")
             else:
                 text = f"{fitted(context, job.name, ':')}: {job.message}"
-                sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
+                sentence(box, context, text, _ICONS[job.state])
                 if job.views_message:
                     sentence(box, context, job.views_message, "VIEW_CAMERA")
                 if job.scene_message:
@@ -158,7 +158,7 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
         if settings.camera == "FOCAL":
             layout.prop(settings, "focal_length", text="Millimeters")
         elif settings.camera == "ACTIVE" and context.scene.camera is None:
-            sentence(layout, context, "The scene has no active camera", "ERROR", alert=True)
+            sentence(layout, context, "The scene has no active camera", "ERROR")
         elif settings.camera == "LENS":
             layout.prop(settings, "measured_lens")
             row = layout.row(align=True)

@@ -39,7 +39,7 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         if session is None:
             row.operator("manient.live", icon="RADIOBUT_ON")
             if live.current is not None and live.current.error is not None:
-                sentence(layout, context, capitalised(str(live.current.error)), "ERROR", alert=True)
+                sentence(layout, context, capitalised(str(live.current.error)), "ERROR")
             elif live.current is not None and live.current.message:
                 sentence(layout, context, live.current.message, "INFO")
         else:

@@ -42,7 +42,7 @@ def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     row.enabled = bool(self.mano_folder)
     row.operator("manient.check_mano", icon="CHECKMARK").path = self.mano_folder
     for result in housekeeping.results(self.mano_folder):
-        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok)
+        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR")
 
 
 def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
@@ -64,4 +64,4 @@ def _draw_plugins(_self, layout: bpy.types.UILayout, context: bpy.types.Context)
     layout.separator()
     layout.operator("manient.open_plugins", icon="FILE_FOLDER")
     for trouble in plugins.troubles():
-        sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
+        sentence(layout, context, capitalised(trouble), "ERROR")

@@ -77,7 +77,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         verdict = captures.verdict(capture)
         if verdict is not None:
             good = verdict.agreement == "good"
-            sentence(layout, context, verdict.text, "VIEW_CAMERA" if good else "ERROR", alert=not good)
+            sentence(layout, context, verdict.text, "VIEW_CAMERA" if good else "ERROR")
         cameras = captures.cameras_of(capture)
         if len(cameras) > 1:
             other = captures.other_camera(context.scene, capture)
@@ -89,7 +89,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         if not built:
             return
         text = f"Built for {built:.5g} fps, and the scene has {rate:.5g}: it plays at another speed"
-        sentence(box, context, text, "ERROR", alert=True)
+        sentence(box, context, text, "ERROR")
         row = box.row(align=True)
         row.operator("manient.retime", text=f"Retime to {rate:.5g}").hand = hand.armature.name
         back = row.operator("manient.retime", text=f"Back to {built:.5g} fps")
@@ -121,7 +121,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
         select.hand = armature.name
         if hand.is_of_other_model():
             text = "Captured with another version of the hand model: what is fitted anew may not match it"
-            sentence(box, context, text, "ERROR", alert=True)
+            sentence(box, context, text, "ERROR")
         track = hand.track
         found, count = int(track.detected.sum()), len(track.detected)
         if track.added:

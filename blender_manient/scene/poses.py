@@ -257,7 +257,7 @@ class _CharacterPosable(PosableHand):
         skins = Fingertips.of(self._model, np.zeros(NUM_BETAS))
         turns = pose.turns(self._source.side)[None]
         motion = Motion(self._source, np.zeros(1), turns, np.zeros((1, 3)), skins)
-        onto = TransferOptions("ACTION", contacts=self._armature.manient.character.contacts)
+        onto = TransferOptions(into="ACTION", contacts=self._armature.manient.character.contacts)
         (found,) = run_to_completion(computing(self._armature, [(self._target.hand_map, motion)], onto)).keys
         return np.where(found.keyed[:, None], found.keys.quats[0], np.nan)
 
