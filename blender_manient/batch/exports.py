@@ -59,7 +59,6 @@ class Exports:
 
     formats: tuple[str, ...]
     given: Mapping[str, Any]
-    """The arguments of the command line that it was made of, as JSON can hold them"""
     character: Character | None
     """What gets the motion; None: the captured hands themselves are written"""
 

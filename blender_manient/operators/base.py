@@ -125,7 +125,6 @@ class ModalState:
     can_stop: bool = True
     """Whether it can still be stopped before anything is changed"""
     stopped: bool = False
-    """Whether that was asked for"""
 
     def stop(self) -> None:
         self.stopped |= self.can_stop

@@ -16,7 +16,6 @@ from .modes import find_hands as mode
 from .modes import view
 
 _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
-"""Keys that do what they do elsewhere"""
 
 
 class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):

@@ -33,7 +33,6 @@ class RangeFit:
     """The frames of a range on their way through the worker."""
 
     fields: Callable[[], dict[str, Any]]
-    """Makes the request's fields"""
     poses: BonePoses
     fitted: int
     """What is written, and of how many frames"""
@@ -63,7 +62,6 @@ class RangeFitOperator(StepsOperator):
     title = "Re-fitting"
     undone = "re-fitting was stopped by an undo: nothing more was changed"
     progress_text = "Re-fitting"
-    """What is said while the worker fits"""
 
     scope: bpy.props.EnumProperty(  # type: ignore
         name="Range",
@@ -81,7 +79,6 @@ class RangeFitOperator(StepsOperator):
     )
 
     _dialog = False
-    """Whether this instance asks for the range"""
     _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
     """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
 

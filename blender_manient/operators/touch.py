@@ -39,7 +39,6 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")  # type: ignore
 
     _suggested: tuple[str, str] | None = None
-    """The points that the range was suggested for"""
 
     def suggest(self, context):
         """The frames in which these points are nearly together; else those that Re-fit Range suggests."""

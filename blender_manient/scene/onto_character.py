@@ -134,7 +134,6 @@ class TransferOptions(ArmOptions):
     reference: float = 1.0
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
     contacts: bool = True
-    """Whether fingertips that touch do so on the character, too"""
     travel: float = 1.0
     """How far a placed hand goes, as a share of the captured way"""
     smoothing: float = 0.0

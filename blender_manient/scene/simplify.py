@@ -85,7 +85,6 @@ class Thinned:
     chosen: tuple[int | None, ...]
     """The bones that get the keys of `result.splines`, in this order; None: the first one's location"""
     before: int
-    """the number of keys that the chosen bones' channels had"""
     result: Simplified
     made_of: str
     """`state_of` the hand when it was read"""

@@ -96,7 +96,6 @@ class LiveSession:
         self.message = "Starting"
         """What is to be known, a sentence; empty: nothing"""
         self.error: HandfitError | None = None
-        """What has ended it"""
         self.fps, self.dropped = 0.0, 0
 
     @property
@@ -368,7 +367,6 @@ class LiveSession:
 
 
 current: LiveSession | None = None
-"""What goes on"""
 
 
 def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> LiveSession:

@@ -82,11 +82,9 @@ class Button:
     """A text to click on."""
 
     name: str
-    """What is done"""
     text: str
     box: Box
     hand: FoundHand | None = None
-    """Whose side it is"""
 
     def holds(self, x: float, y: float) -> bool:
         return self.box[0] <= x < self.box[2] and self.box[1] <= y < self.box[3]
@@ -106,11 +104,9 @@ class FindMode(view.Overlay):
         self.message = ""
         self.hovered: FoundHand | None = None
         self.pressed = ""
-        """Name of the button under the mouse"""
         self.dragged: tuple[np.ndarray, np.ndarray] | None = None
         """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
         self.nothing_there = False
-        """Whether the last box had no hand in it"""
         self._texture: gpu.types.GPUTexture | None = None
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
         self._asked: dict[int, tuple[float, ...] | None] = {}
@@ -358,4 +354,3 @@ def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> li
 
 
 current: FindMode | None = None
-"""The mode that runs"""

@@ -68,7 +68,6 @@ class _Request(NamedTuple):
     moved_at: float
     pins: Pins
     final: bool
-    """Whether the result is to be kept, and no draft"""
 
 
 @dataclass(eq=False)
@@ -78,9 +77,7 @@ class _Drag:
     keypoint: int
     row: int
     frame: float
-    """Scene frame"""
     pins_before: Pins
-    """The frame's pins until now"""
     start: BonePoses
     """What the pins are measured against"""
     poses_before: BonePoses
@@ -95,13 +92,10 @@ class _Drag:
     moved: bool = False
     released: bool = False
     asked: _Request | None = None
-    """The last request"""
     waiting: bool = False
-    """Whether it is with the worker"""
     answer: tuple[Pins, BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
-    """Whether the view was asked to show the newest place"""
 
     @property
     def pins(self) -> Pins:
@@ -144,7 +138,6 @@ class KeypointMode(view.Overlay):
         self._solved_in = _ANSWER_WAIT_SECONDS
         self.view = view.CaptureView(viewport, refiner.cameras, context)
         self.solid = False
-        """Whether the hand hides the picture, whatever its opacity is otherwise"""
         self._look()
         self._frame = context.scene.frame_current_final
         self._places = self.picture_places()

@@ -27,7 +27,6 @@ _STEP: Final = 1.25
 _SWIPE: Final = 20.0
 """pixels that fingers move on a trackpad for the same"""
 _ZOOMS: Final = {"WHEELUPMOUSE": 1, "NUMPAD_PLUS": 1, "WHEELDOWNMOUSE": -1, "NUMPAD_MINUS": -1}
-"""By how many notches events enlarge"""
 
 
 @dataclass(frozen=True)
