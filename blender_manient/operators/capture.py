@@ -33,13 +33,11 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
     only_frame: bpy.props.BoolProperty(  # type: ignore
         name="This Frame",
         description="Capture only the scene's current frame of the source",
-        default=False,
         options={"SKIP_SAVE"},
     )
 
     queued: bpy.props.BoolProperty(  # type: ignore
         description="Start nothing new, only follow what is queued",
-        default=False,
         options={"HIDDEN", "SKIP_SAVE"},
     )
 

@@ -104,7 +104,6 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     as_sequence: bpy.props.BoolProperty(  # type: ignore
         name="Image Sequence",
         description="The numbered pictures are the frames of one clip",
-        default=False,
         options={"SKIP_SAVE"},
     )
 

@@ -135,7 +135,6 @@ class MANIENT_OT_save_pose_asset(ManientOperator, bpy.types.Operator):
         name="Wrist Rotation",
         description="Keep how a captured hand's wrist is turned too, for Blender's own way of applying "
         "poses; its place is never kept",
-        default=False,
     )
 
     @classmethod

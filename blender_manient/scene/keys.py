@@ -468,15 +468,9 @@ def new_curve(
     curve = holder.fcurves.new(f"{bone_path(bone)}.{attribute}" if bone else attribute, index=index)
     if bone:
         curve.group = holder.groups.get(bone) or holder.groups.new(bone)
-    count = len(frames)
     # Sensible handles, for users who switch a curve to Bezier.
-    kinds = {
-        "interpolation": "LINEAR",
-        "handle_left_type": "AUTO_CLAMPED",
-        "handle_right_type": "AUTO_CLAMPED",
-    }
-    data = {name: np.full(count, _kind(name, kind), dtype=np.int32) for name, kind in kinds.items()}
-    _rebuild(curve, {"co": np.stack([frames, values], axis=-1), **data})
+    data, kept = _plain(frames, values), ("co", "interpolation", "handle_left_type", "handle_right_type")
+    _rebuild(curve, {name: data[name] for name in kept})
 
 
 def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
