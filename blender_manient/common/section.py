@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import blf
 import bpy
 
@@ -37,6 +39,12 @@ def sentence(
     column.scale_y = 0.8
     for number, line in enumerate(wrapped(text, _room(context, width))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
+
+
+def props(layout: bpy.types.UILayout, data: Any, *names: str) -> None:
+    """Properties one below the other."""
+    for name in names:
+        layout.prop(data, name)
 
 
 def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:

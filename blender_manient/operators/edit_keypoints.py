@@ -229,7 +229,7 @@ def unregister(*_args) -> None:
 
 def _on_load(*_args) -> None:
     unregister()
-    mode.forget_views()
+    mode.saved_views.clear()
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": _on_load}

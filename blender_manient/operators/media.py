@@ -12,7 +12,7 @@ from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, sequence_
 from handfit_core.take import Take
 
 from ..common import preferences, screen
-from ..common.section import sentence
+from ..common.section import props, sentence
 from ..scene.build import build_take
 from ..scene.captures import becomes_active
 from ..scene.matching import Footage, clear_view, matches, scene_sentence
@@ -54,10 +54,7 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
 
     def draw(self, context):
         layout, scene = self.layout, context.scene
-        layout.prop(self, "pose_correctives")
-        layout.prop(self, "picture")
-        layout.prop(self, "render_setup")
-        layout.prop(self, "matching")
+        props(layout, self, "pose_correctives", "picture", "render_setup", "matching")
         # After the import the scene is another one, which the choice is not about.
         if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
             text = scene_sentence(

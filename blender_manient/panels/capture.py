@@ -6,7 +6,7 @@ import bpy
 
 from handfit_core.capturing.options import OPTIONS
 
-from ..common.section import Section, fitted, sentence, split
+from ..common.section import Section, fitted, props, sentence, split
 from ..common.wording import counted
 from ..operators import add_hand, lens
 from ..operators.modes import find_hands as find_mode
@@ -168,6 +168,4 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
                 sentence(layout, context, lens.ADVICE, "INFO")
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
-        column.prop(settings, "render_setup")
-        column.prop(settings, "pose_correctives")
-        column.prop(settings, "add_controls")
+        props(column, settings, "render_setup", "pose_correctives", "add_controls")

@@ -304,7 +304,7 @@ class _Build:
         mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
         self.made += [mesh, mesh.data, *mesh.data.materials]
         yield self.progress.done(1)
-        if self.progress.has_correctives(track):
+        if self.progress.correctives[track.side]:
             offsets = axes.corrective_offsets(model, rest.frames)
             yield None
             for _ in adding_correctives(mesh, rig, offsets):
@@ -418,15 +418,12 @@ class _Progress:
     """How much of all steps is done, a curve being one."""
 
     def __init__(self, take: Take, models: dict[Side, HandModel], pose_correctives: bool) -> None:
-        self._correctives = {
+        self.correctives = {
             side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
         }
         keys = 0.3 * 9 * (NUM_JOINTS - 1)
-        self._all = sum(CURVES + 3 + keys * self._correctives[t.side] for t in take.hands) or 1.0
+        self._all = sum(CURVES + 3 + keys * self.correctives[t.side] for t in take.hands) or 1.0
         self._done = 0.0
-
-    def has_correctives(self, track: HandTrack) -> bool:
-        return self._correctives[track.side]
 
     def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
         """Go through steps that are not counted, as numbers are fast; returns what they return."""

@@ -120,7 +120,7 @@ def keying_arm(
 
     capsules = _capsules(armature, target) if how.arms_outside else None
     shown = yield from _sampling(armature, arm, every, capsules.bones if capsules is not None else ())
-    if moved is None and _is_applied(armature):
+    if moved is None and any(MARK in user.action for user in users_of(armature)):
         shown = replace(shown, at_rest=True)
     upper, fore = captured.upper[at] @ target.body.T, captured.fore[at] @ target.body.T
     turned = target.body @ captured.facing @ wrists[at] @ hand.aligned.T
@@ -283,10 +283,6 @@ def _others(armature: bpy.types.Object) -> list:
 
 def _tracks(armature: bpy.types.Object) -> list[bpy.types.NlaTrack]:
     return [*armature.animation_data.nla_tracks] if armature.animation_data is not None else []
-
-
-def _is_applied(armature: bpy.types.Object) -> bool:
-    return any(MARK in user.action for user in users_of(armature))
 
 
 def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[float, float] | None:

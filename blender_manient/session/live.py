@@ -79,7 +79,8 @@ class LiveSession:
         self._watch = ChangeWatch()
         self._hands: dict[Side, LiveHand] = {}
         self._newest: dict[Side, HandMotion] = {}
-        self._states: dict[Side, str] = {}
+        self.hand_states: dict[Side, str] = {}
+        """By the person's side: seen, held or resting"""
         self._sequence = 0
         self._latencies: list[float] = []
         self._ending_until: float | None = None
@@ -138,10 +139,6 @@ class LiveSession:
     def has_set_aside(self) -> bool:
         """Whether takes are hidden, since hands that follow stand where they do."""
         return bool(self._hands) and any(c.hide_viewport for take in self._taken for c in take.collections)
-
-    def hand_states(self) -> dict[Side, str]:
-        """By the person's side: seen, held or resting."""
-        return self._states
 
     # What the artist does
 
@@ -288,7 +285,7 @@ class LiveSession:
                     continue  # one at a time takes long enough; or none was seen yet
                 self._hands[side], made = self._made(side, motion), True
             self._hands[side].show(motion)
-            self._newest[side], self._states[side] = motion, told["state"]
+            self._newest[side], self.hand_states[side] = motion, told["state"]
         for take in self._taken if self._hands else ():
             take.set_aside(True)
         self._latencies = [*self._latencies[1 - _MEASURED :], 1000.0 * (time.perf_counter() - event["time"])]

@@ -49,15 +49,10 @@ _FRAME_SIZES: Final = 2.0
 
 latencies: deque[float] = deque(maxlen=2000)
 """seconds from a movement of the mouse to the hand that followed it, newest last"""
-_saved_views: dict[tuple[int, int], tuple[float, tuple[float, ...], np.ndarray]] = {}
+saved_views: dict[tuple[int, int], tuple[float, tuple[float, ...], np.ndarray]] = {}
 """The camera view, its zoom and offset, in which the artist last saw a hand, and where that was then, (21, 2)
 pixels of the picture; by the armatures' session_uid, which a rename and an undo leave and which no other
 file's hand gets, and by the view"""
-
-
-def forget_views() -> None:
-    """Forget all saved views: another file is opened."""
-    _saved_views.clear()
 
 
 class _Request(NamedTuple):
@@ -220,7 +215,7 @@ class KeypointMode(view.Overlay):
     def _restore_view(self, viewport: view.Viewport) -> None:
         """Restore the saved view of the hand; without one, or where no point would be seen, frame the
         hand."""
-        saved = _saved_views.get((self.refiner.armature.session_uid, self.looking))
+        saved = saved_views.get((self.refiner.armature.session_uid, self.looking))
         if saved is not None:
             viewport.set_zoom(*saved[:2])
         if saved is None or not self._keep_visible(viewport, saved[2]):
@@ -230,7 +225,7 @@ class KeypointMode(view.Overlay):
         viewport, armature = self.viewport(), self.refiner.armature_or_none
         if viewport is not None and armature is not None and self.view.shows(viewport):
             zoom, offset = viewport.view.view_camera_zoom, tuple(viewport.view.view_camera_offset)
-            _saved_views[armature.session_uid, self.looking] = zoom, offset, self._places
+            saved_views[armature.session_uid, self.looking] = zoom, offset, self._places
 
     def _follow_hand(self, context: bpy.types.Context) -> None:
         if context.scene.frame_current_final == self._frame:

@@ -156,6 +156,12 @@ class Overlay:
             (self.draw if here else self.draw_beside)(viewport)
 
 
+def _kept(view: bpy.types.RegionView3D) -> dict[str, float | str | tuple[float, ...]]:
+    # Vectors of Blender are views of what will change.
+    now = {name: getattr(view, name) for name in _OF_REGION}
+    return {name: v if isinstance(v, float | str) else tuple(v) for name, v in now.items()}
+
+
 class CaptureView:
     """Turns a viewport to one of a capture's cameras, and back to how it was."""
 
@@ -171,10 +177,9 @@ class CaptureView:
             looking = next((i for i, camera in enumerate(cameras) if camera == context.scene.camera), 0)
         self.camera = self._cameras[looking]
         """The name of the camera that is looked through, or was last"""
-        view, space = viewport.view, viewport.space
-        # Vectors of Blender are views of what will change, and objects are named, never held.
-        kept = {name: getattr(view, name) for name in _OF_REGION}
-        self._region = {name: v if isinstance(v, float | str) else tuple(v) for name, v in kept.items()}
+        space = viewport.space
+        self._region = _kept(viewport.view)
+        # Objects are named, never held.
         self._space = {name: getattr(space, name) for name in _OF_SPACE}
         self._space["camera"] = space.camera.name if space.camera is not None else None
         shows = self.shows(viewport)
@@ -245,8 +250,7 @@ class FrontView:
 
     def __init__(self, viewport: Viewport, scene: bpy.types.Scene) -> None:
         self._address, view = viewport.area.as_pointer(), viewport.view
-        kept = {name: getattr(view, name) for name in _OF_REGION}
-        self._before = {name: v if isinstance(v, float | str) else tuple(v) for name, v in kept.items()}
+        self._before = _kept(view)
         units = 1.0 / scene.unit_settings.scale_length
         view.view_perspective = "PERSP"
         view.view_rotation = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
