@@ -42,9 +42,14 @@ class MANIENT_OT_add_arms(StepsOperator, bpy.types.Operator):
         if any(track.arm is None and not track.no_arm for track in take.hands):
             source, found = temporary_take(take.source.name), temporary_take(take.source.name)
             take.save(source)
-            paths = {"take": str(source), "output": str(found)}
-            most = preferences.get(context).max_megapixels or None
-            yield from shared_worker.ask("arms", "Finding arms", **paths, compact=True, max_megapixels=most)
+            yield from shared_worker.ask(
+                "arms",
+                "Finding arms",
+                take=str(source),
+                output=str(found),
+                compact=True,
+                max_megapixels=preferences.get(context).max_megapixels or None,
+            )
             take = Take.load(found)
         if type(self).bl_idname in self.running:
             self.running[type(self).bl_idname].can_stop = False

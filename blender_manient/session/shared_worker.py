@@ -138,9 +138,10 @@ def _done(event: Event) -> Event | None:
     return event if event["event"] == "done" else None
 
 
-def abandon(request: int) -> None:
-    """Cancel a request and throw its answer away when it comes, so that the worker is not kept busy."""
-    worker().cancel(request)
+def abandon(request: int, *, cancel: bool = True) -> None:
+    """Throw the answer to a request away when it comes, and unless that is of use later, cancel it."""
+    if cancel:
+        worker().cancel(request)
     _abandoned.add(request)
     if not bpy.app.timers.is_registered(_collect):
         bpy.app.timers.register(_collect, first_interval=_POLL_SECONDS, persistent=True)

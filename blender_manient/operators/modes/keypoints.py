@@ -147,7 +147,7 @@ class KeypointMode(view.Overlay):
             return
         self.cancel_drag(context)
         if self._warming:
-            shared_worker.abandon(self._warming)
+            shared_worker.abandon(self._warming, cancel=False)
         see_through.end()
         self._save_view()
         self.view.leave(context)
