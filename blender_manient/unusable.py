@@ -19,7 +19,7 @@ class MANIENT_PT_unusable(Section, bpy.types.Panel):
 
     def draw(self, context):
         """Why, and what to do."""
-        sentence(self.layout, context, installation.why_not, "ERROR", alert=True)
+        sentence(self.layout, context, installation.why_not, "ERROR")
 
 
 register, unregister = bpy.utils.register_classes_factory((MANIENT_PT_unusable,))

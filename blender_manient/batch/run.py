@@ -77,7 +77,6 @@ def run(args: argparse.Namespace, host: Host) -> int:
 
 
 def _run(args: argparse.Namespace, host: Host) -> int:
-    """Do both steps of the batch. Raises HandfitError where nothing can be tried."""
     exports, output = Exports.of_arguments(args), args.output.absolute()
     options = CaptureOptions.of_arguments(args)
     if exports.character is not None:  # before hours of work for nothing
@@ -162,7 +161,6 @@ class _Batch:
             yield task, result, left
 
     def tell(self) -> int:
-        """Say what would be done."""
         count, again, retried = 0, self.args.again, self.args.again or self.args.retry_failed
         for task, result, left in self.look(again=again):
             status, said = "done" if result.status == "ok" else "to do", task.error

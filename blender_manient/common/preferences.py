@@ -73,7 +73,6 @@ class Values:
     threads: IntProperty(  # type: ignore
         name="Threads",
         description="How many processor threads a capture may use. 0: as many as are useful",
-        default=0,
         min=0,
         soft_max=32,
         max=256,
@@ -82,7 +81,6 @@ class Values:
         name="Largest Picture",
         description="Megapixels that any picture, and any frame of a video, may have; larger ones are "
         f"refused before they fill the memory. 0: {OPTIONS['max_megapixels'].by_default}",
-        default=0,
         min=0,
         soft_max=500,
         max=4000,

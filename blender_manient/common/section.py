@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import blf
 import bpy
 
@@ -28,16 +30,21 @@ def sentence(
     context: bpy.types.Context,
     text: str,
     icon: str = "NONE",
-    alert: bool = False,
     width: int | None = None,
 ) -> None:
     """A text of any length, wrapped to the region's width; in a dialog, which has none, to `width` pixels at
-    scale 1."""
+    scale 1. With the icon ERROR it is red."""
     column = layout.column(align=True)
-    column.alert = alert
+    column.alert = icon == "ERROR"
     column.scale_y = 0.8
     for number, line in enumerate(wrapped(text, _room(context, width))):
         column.label(text=line, icon=icon if number == 0 else "BLANK1", translate=False)
+
+
+def props(layout: bpy.types.UILayout, data: Any, *names: str) -> None:
+    """Properties one below the other."""
+    for name in names:
+        layout.prop(data, name)
 
 
 def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from pathlib import Path
-
 import bpy
 
 from handfit_core.common.errors import OptionError
 from handfit_core.take import Take
-from handfit_core.worker.events import Event
 
 from ..common import preferences, screen
 from ..common.block_reference import BlockReference
@@ -17,9 +13,9 @@ from ..common.wording import capitalised, counted
 from ..rigs.arm import has_arm
 from ..scene.arms import add_arms, check_lacks_arms, hands_of
 from ..scene.store import captured_take
-from ..session import details, shared_worker
+from ..session import shared_worker
 from ..session.cache import temporary_take
-from .base import StepsOperator, Waiting, named_hand, show_frame_again
+from .base import StepsOperator, named_hand, show_frame_again
 from .capture import why_no_capture
 
 
@@ -46,7 +42,14 @@ class MANIENT_OT_add_arms(StepsOperator, bpy.types.Operator):
         if any(track.arm is None and not track.no_arm for track in take.hands):
             source, found = temporary_take(take.source.name), temporary_take(take.source.name)
             take.save(source)
-            yield from _finding(source, found, preferences.get(context).max_megapixels or None)
+            yield from shared_worker.ask(
+                "arms",
+                "Finding arms",
+                take=str(source),
+                output=str(found),
+                compact=True,
+                max_megapixels=preferences.get(context).max_megapixels or None,
+            )
             take = Take.load(found)
         if type(self).bl_idname in self.running:
             self.running[type(self).bl_idname].can_stop = False
@@ -64,27 +67,3 @@ class MANIENT_OT_add_arms(StepsOperator, bpy.types.Operator):
         reasons = dict.fromkeys(capitalised(hand.track.no_arm) for hand in hands if hand.track.no_arm)
         said = [f"{counted(count, 'arm')} added"] if count else []
         return self._done(". ".join([*said, *reasons]), kind="INFO" if count else "WARNING")
-
-    def failed(self, error):
-        details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
-
-
-def _finding(take: Path, output: Path, max_megapixels: float | None) -> Generator[Waiting, None, None]:
-    """Have the worker add arms to a take's file; yields how far it is. Raises what the worker raises."""
-    worker, text = shared_worker.worker(), "Finding arms"
-    paths = {"take": str(take), "output": str(output)}
-    request = worker.submit("arms", **paths, compact=True, max_megapixels=max_megapixels)
-
-    def show(event: Event) -> None:
-        nonlocal text
-        if event["event"] == "progress" and event.get("total"):
-            text = f"Finding arms  {event['done']}/{event['total']}"
-
-    try:
-        while shared_worker.answer(request, on_event=show) is None:
-            yield Waiting(text)
-        request = 0
-    finally:
-        if request:
-            worker.cancel(request)
-            shared_worker.abandon(request)

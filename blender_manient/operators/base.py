@@ -18,6 +18,7 @@ from ..scene.build import ChangeWatch
 from ..scene.characters import active_character, why_not_reachable
 from ..scene.editable import why_not_editable
 from ..scene.store import CapturedHand, active_hand, hand_of
+from ..session.shared_worker import Waiting
 
 NO_CHARACTER: Final = "Select a character first: its armature, or a mesh that it deforms"
 LINKED_SCENE: Final = "This scene is linked from another file: open or make one of your own"
@@ -40,7 +41,6 @@ class ManientOperator:
 
     @classmethod
     def poll(cls: Any, context):
-        """Whether it can begin."""
         why = cls.poll_reason(context)
         if why:
             cls.poll_message_set(why)
@@ -88,7 +88,7 @@ class SceneOperator(ManientOperator):
 
     @classmethod
     def poll_reason(cls, context) -> str | None:
-        return None if context.scene.is_editable else "This scene is linked from another file"
+        return None if context.scene is not None and context.scene.is_editable else LINKED_SCENE
 
 
 class HandOperator(ManientOperator):
@@ -125,10 +125,8 @@ class ModalState:
     can_stop: bool = True
     """Whether it can still be stopped before anything is changed"""
     stopped: bool = False
-    """Whether that was asked for"""
 
     def stop(self) -> None:
-        """Have it end with its next event, as long as it can."""
         self.stopped |= self.can_stop
         self.can_stop = False
 
@@ -176,7 +174,6 @@ class ModalOperator(ManientOperator):
         try:
             return self.follow(context, event)
         except HandfitError as error:
-            self.failed(error)
             self.report({"ERROR"}, str(error))
             self.end(context)
             return {"CANCELLED"}
@@ -184,9 +181,6 @@ class ModalOperator(ManientOperator):
             # An operator that Blender ends after an error cannot clean up later.
             self.end(context)
             raise
-
-    def failed(self, error: HandfitError) -> None:
-        """Keep what more there is to say of an error."""
 
     def cancel(self, context):
         """Blender ends the operator itself, as on loading a file, or a dialog that has begun nothing."""
@@ -207,10 +201,6 @@ class ModalOperator(ManientOperator):
         """Show a line in the status bar; None: Blender's own again."""
         if context.workspace is not None:
             context.workspace.status_text_set(text)
-
-
-class Waiting(str):
-    """What steps yield while another process works: how far that is."""
 
 
 def finish(steps: Generator[str, None, Any]) -> Any:
@@ -240,7 +230,6 @@ class StepsOperator(ModalOperator):
         raise NotImplementedError
 
     def finished(self, context: bpy.types.Context, result: Any) -> str | set[str] | None:
-        """Report, as `run` does."""
         raise NotImplementedError
 
     def run(self, context):

@@ -12,7 +12,7 @@ from handfit_core.worker.interpreter import is_current_interpreter
 from ..common import installation, screen
 from ..common.wording import capitalised
 from ..session import details, shared_worker
-from .base import InternalOperator, StepsOperator, Waiting
+from .base import InternalOperator, StepsOperator
 
 TEXT_NAME = "Hand Capture Check"
 WHOLE = "Everything works"
@@ -41,16 +41,14 @@ class MANIENT_OT_check_installation(StepsOperator, bpy.types.Operator):
         return self._done(f"{sentence} (text {TEXT_NAME})", kind="INFO" if sentence == WHOLE else "WARNING")
 
 
-def checking(python: str | None = None) -> Generator[Waiting, None, tuple[str, str]]:
+def checking(python: str | None = None) -> Generator[shared_worker.Waiting, None, tuple[str, str]]:
     """Try the Python that the preferences choose, or `python`, in a process of its own: the shared one may be
     busy for minutes. Returns `WHOLE` or what is wrong, and the text for a bug report."""
     worker = shared_worker.new_worker(python)
     sentence, said = WHOLE, ""
     try:
-        request = worker.submit("check")
-        while (done := shared_worker.answer(request, worker)) is None:
-            yield Waiting("Checking the installation, which takes up to half a minute")
-        said = done["versions"]
+        text = "Checking the installation, which takes up to half a minute"
+        said = (yield from shared_worker.ask("check", text, worker))["versions"]
     except HandfitError as error:
         sentence = capitalised(str(error))
         said = "\n".join([sentence, *getattr(error, "__notes__", ())])

@@ -44,7 +44,6 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
         return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
     def begin(self, context):
-        """Begin the mode in the viewport under the mouse, or the largest one."""
         global _mode
         hand, viewport = active_hand(context), view.first_viewport(context)
         if viewport is None:
@@ -208,7 +207,6 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
         return hand.armature
 
     def _pins(self, pins: Pins) -> Pins:
-        """The pins with the new one."""
         others = {k: place for k, place in pins.items() if k != self.keypoint}
         if not self.remove:
             return {**others, self.keypoint: (self.x, self.y)}
@@ -231,7 +229,7 @@ def unregister(*_args) -> None:
 
 def _on_load(*_args) -> None:
     unregister()
-    mode.forget_views()
+    mode.saved_views.clear()
 
 
 HANDLERS = {"undo_post": _on_undo, "redo_post": _on_undo, "load_pre": _on_load}

@@ -87,7 +87,6 @@ class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
     source_frame: bpy.props.IntProperty(  # type: ignore
         name="Source Frame",
         description="Which of the take file's frames the pose comes from; 0 is the first with a hand",
-        default=0,
         min=0,
     )
     wrist: bpy.props.BoolProperty(  # type: ignore
@@ -97,7 +96,6 @@ class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
     )
 
     def invoke(self, context, event):
-        """Take the other selected hand, or ask for a file."""
         target = polled_hand(context).armature
         others = [o for o in captured_hands(context.scene) if o != target and o.select_get()]
         if not self.source and len(others) == 1:

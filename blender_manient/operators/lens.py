@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import bpy
@@ -16,9 +15,9 @@ from handfit_core.media.opening import VIDEO_SUFFIXES
 
 from ..common import screen
 from ..common.section import sentence
-from ..session import details, shared_worker
+from ..session import shared_worker
 from ..session.cache import cache_folder
-from .base import LINKED_SCENE, InternalOperator, StepsOperator, Waiting
+from .base import InternalOperator, SceneOperator, StepsOperator
 
 ADVICE = (
     "Film the chessboard for half a minute, with the camera set as for captures and stabilization off: the "
@@ -40,7 +39,7 @@ class MANIENT_OT_show_chessboard(InternalOperator, bpy.types.Operator):
         return f"Film {path} on the whole screen"
 
 
-class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
+class MANIENT_OT_measure_lens(StepsOperator, SceneOperator, bpy.types.Operator, ImportHelper):
     """Measure a camera's lens from a film of the chessboard, and keep it for all captures with that one."""
 
     bl_label = "Measure Lens"
@@ -57,19 +56,13 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
 
     _browsing = False
 
-    @classmethod
-    def poll_reason(cls, context):
-        return LINKED_SCENE if context.scene is None or not context.scene.is_editable else None
-
     def invoke(self, context, event):
-        """Ask for the film and the name, or measure while the window stays free."""
         if self.filepath:
             return self._reported(self._begun, context)
         self._browsing = True
         return ImportHelper.invoke(self, context, event)
 
     def draw(self, context):
-        """The name beside the file browser, and how to film."""
         self.layout.prop(self, "lens")
         sentence(self.layout, context, ADVICE, "INFO")
 
@@ -82,22 +75,12 @@ class MANIENT_OT_measure_lens(StepsOperator, bpy.types.Operator, ImportHelper):
         return {"CANCELLED"}
 
     def steps(self, context):
-        path, name, began = Path(bpy.path.abspath(self.filepath)), checked_name(self.lens), time.monotonic()
+        path, name = Path(bpy.path.abspath(self.filepath)), checked_name(self.lens)
         if not path.is_file():
             raise OptionError("Choose the film of the chessboard")
-        request = shared_worker.worker().submit("lens", input=[str(path)], name=name)
-        try:
-            while (done := shared_worker.answer(request)) is None:
-                yield Waiting(f"Measuring the lens of {path.name}  {time.monotonic() - began:.0f} s")
-            request = 0
-        finally:
-            if request:
-                shared_worker.worker().cancel(request)
-                shared_worker.abandon(request)
+        text = f"Measuring the lens of {path.name}"
+        done = yield from shared_worker.ask("lens", text, input=[str(path)], name=name)
         return name, done["said"]
-
-    def failed(self, error):
-        details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
 
     def finished(self, context, result):
         name, said = result

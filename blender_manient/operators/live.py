@@ -16,7 +16,7 @@ from ..common.block_reference import BlockReference
 from ..scene.timing import frame_rate
 from ..session import jobs, live
 from ..session.live_takes import LiveTake, takes
-from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
+from .base import InternalOperator, ManientOperator, ModalOperator, SceneOperator
 from .capture import lens_of, model_of
 from .modes.view import FrontView, first_viewport
 
@@ -24,7 +24,7 @@ _REDRAW_EVERY = 0.1
 """seconds from one drawing of the panel to the next: its numbers are read, not watched"""
 
 
-class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
+class MANIENT_OT_live(ModalOperator, SceneOperator, bpy.types.Operator):
     """Open the camera and have hands of the scene move as yours do, without keys. Space records, Esc ends it
     and leaves the scene as it was."""
 
@@ -34,9 +34,8 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        if context.scene is None or not context.scene.is_editable:
-            return LINKED_SCENE
-        return "Live runs already" if live.running() is not None else None
+        runs = "Live runs already" if live.running() is not None else None
+        return super().poll_reason(context) or runs
 
     def run(self, context):
         raise OptionError("Live needs Blender's window")
@@ -48,7 +47,6 @@ class MANIENT_OT_live(ModalOperator, bpy.types.Operator):
             self._view = FrontView(viewport, context.scene)
 
     def follow(self, context, event):
-        """Go on; Space records, Esc ends."""
         session = self._session
         if event.value == "PRESS" and event.type == "ESC":
             session.stop()
@@ -223,7 +221,6 @@ def _take(index: int) -> LiveTake:
 
 
 def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
-    """Whether the mouse is in a 3D viewport, where Space means Record."""
     return any(
         area.type == "VIEW_3D"
         and 0 <= event.mouse_x - area.x < area.width

@@ -84,7 +84,6 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
-        """The tooltip: what is put, and on which frames."""
         kind = properties.bl_rna.properties
         source, scope = (
             kind[name].enum_items[getattr(properties, name)].description for name in ("source", "scope")
@@ -136,7 +135,6 @@ class MANIENT_OT_save_pose_asset(ManientOperator, bpy.types.Operator):
         name="Wrist Rotation",
         description="Keep how a captured hand's wrist is turned too, for Blender's own way of applying "
         "poses; its place is never kept",
-        default=False,
     )
 
     @classmethod
@@ -178,7 +176,6 @@ def _in_menu(menu, context) -> None:
 
 
 def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
-    """Suggest a range when Range is chosen."""
     if settings.pose_scope == "RANGE":
         with contextlib.suppress(HandfitError):
             owner = posed_by(bpy.context)

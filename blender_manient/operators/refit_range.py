@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any
 
@@ -19,9 +18,9 @@ from ..scene.corrections import corrections_of
 from ..scene.own_keys import keyed_by_hand
 from ..scene.store import active_hand, scene_frames
 from ..scene.timing import span_of
-from ..session import details, shared_worker
+from ..session import shared_worker
 from ..session.refiner import BonePoses, Refiner, smoothing_of, why_not
-from .base import ModalState, StepsOperator, Waiting, polled_hand, show_frame_again
+from .base import ModalState, StepsOperator, polled_hand, show_frame_again
 
 _WIDTH = 360
 """pixels of the dialog, at a user interface scale of 1"""
@@ -34,7 +33,6 @@ class RangeFit:
     """The frames of a range on their way through the worker."""
 
     fields: Callable[[], dict[str, Any]]
-    """Makes the request's fields"""
     poses: BonePoses
     fitted: int
     """What is written, and of how many frames"""
@@ -64,7 +62,6 @@ class RangeFitOperator(StepsOperator):
     title = "Re-fitting"
     undone = "re-fitting was stopped by an undo: nothing more was changed"
     progress_text = "Re-fitting"
-    """What is said while the worker fits"""
 
     scope: bpy.props.EnumProperty(  # type: ignore
         name="Range",
@@ -82,19 +79,16 @@ class RangeFitOperator(StepsOperator):
     )
 
     _dialog = False
-    """Whether this instance asks for the range"""
     _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
     """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
 
     @classmethod
     def fitting(cls) -> tuple[str, ModalState] | None:
-        """The operator by which a range is being fitted, and its work; None where none is."""
         names = [each.bl_idname for each in RangeFitOperator.__subclasses__()]
         return next(((name, cls.running[name]) for name in names if name in cls.running), None)
 
     @classmethod
     def stop(cls) -> None:
-        """Stop what is being fitted, as long as nothing is written."""
         if fit := cls.fitting():
             fit[1].stop()
 
@@ -107,7 +101,6 @@ class RangeFitOperator(StepsOperator):
         return why_not(context, active_hand(context))
 
     def make_fit(self, context: bpy.types.Context) -> RangeFit:
-        """What is to be fitted. Raises HandfitError."""
         raise NotImplementedError
 
     def suggest(self, context: bpy.types.Context) -> None:
@@ -119,14 +112,12 @@ class RangeFitOperator(StepsOperator):
         return {}
 
     def summary(self, context: bpy.types.Context) -> tuple[str, bool]:
-        """A sentence about what would be done, and whether it is a warning."""
         raise NotImplementedError
 
     def draw_properties(self):
         """Draw the properties beside the range."""
 
     def check(self, _context):
-        """Say anew what would be done whenever something changes."""
         return True
 
     def draw(self, context):
@@ -138,7 +129,7 @@ class RangeFitOperator(StepsOperator):
         if self._summary is None or self._summary[0] != asked:
             self._summary = asked, self.summary(context)
         text, alert = self._summary[1]
-        sentence(self.layout, context, text, "ERROR" if alert else "INFO", alert=alert, width=_WIDTH)
+        sentence(self.layout, context, text, "ERROR" if alert else "INFO", width=_WIDTH)
 
     def run(self, context):
         """Fit and wait for it. From the dialog: an operator cannot go on running from its own dialog, so
@@ -166,17 +157,8 @@ class RangeFitOperator(StepsOperator):
         return self._fitting(self.make_fit(context))
 
     def _fitting(self, fit: RangeFit) -> Generator[str, None, RangeFit]:
-        began = time.monotonic()
-        request = shared_worker.worker().submit("refit", **fit.fields())
-        try:
-            while (done := shared_worker.answer(request)) is None:
-                spent = time.monotonic() - began
-                yield Waiting(f"{self.progress_text}: {fit.count} frames  {spent:.0f} s")
-            request = 0
-        finally:
-            if request:
-                shared_worker.worker().cancel(request)
-                shared_worker.abandon(request)
+        text = f"{self.progress_text}: {fit.count} frames"
+        done = yield from shared_worker.ask("refit", text, **fit.fields())
         fit.received(fit.refiner.poses(done, len(fit.rows)))
         if type(self).bl_idname in self.running:
             self.running[type(self).bl_idname].can_stop = False
@@ -184,9 +166,6 @@ class RangeFitOperator(StepsOperator):
         for part in fit.writing():
             yield f"Writing keys  {part:.0%}"
         return fit
-
-    def failed(self, error):
-        details.write_details(self.bl_label, str(error), getattr(error, "details", "") or "")
 
     def ended(self, context):
         super().ended(context)
@@ -198,7 +177,6 @@ class RangeFitOperator(StepsOperator):
         return self._done(text, kind=kind)
 
     def report_text(self, fit: Any) -> tuple[str, str]:
-        """The kind and the text of the report at the end."""
         return "INFO", f"{counted(fit.fitted, 'frame')} fitted again"
 
     def rows(self, context: bpy.types.Context, refiner: Refiner) -> np.ndarray:

@@ -152,7 +152,6 @@ class MANIENT_OT_jump_worst(_NamedHandOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, context, properties):
-        """The tooltip with the hand's figures."""
         try:
             hand = named_hand(context, properties.hand)
         except OptionError:
@@ -197,7 +196,6 @@ class MANIENT_OT_retime(SceneOperator, bpy.types.Operator):
 
     @classmethod
     def poll_reason(cls, context):
-        """A scene that may be changed, and no mode that holds on to keys."""
         return (
             "Leave Edit Keypoints first"
             if "manient.edit_keypoints" in ModalOperator.running

@@ -6,7 +6,7 @@ import bpy
 
 from handfit_core.capturing.options import OPTIONS
 
-from ..common.section import Section, fitted, sentence, split
+from ..common.section import Section, fitted, props, sentence, split
 from ..common.wording import counted
 from ..operators import add_hand, lens
 from ..operators.modes import find_hands as find_mode
@@ -97,7 +97,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 sentence(box, context, f"{fitted(context, job.name, ': Undone')}: Undone", "LOOP_BACK")
             else:
                 text = f"{fitted(context, job.name, ':')}: {job.message}"
-                sentence(box, context, text, _ICONS[job.state], alert=job.state == "failed")
+                sentence(box, context, text, _ICONS[job.state])
                 if job.views_message:
                     sentence(box, context, job.views_message, "VIEW_CAMERA")
                 if job.scene_message:
@@ -115,7 +115,6 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
 
 
 def _row(layout, enabled: bool, scale: float = 1.0):
-    """A row of buttons that are grey where they are not `enabled`."""
     row = layout.row(align=True)
     row.scale_y = scale
     row.enabled = enabled
@@ -159,7 +158,7 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
         if settings.camera == "FOCAL":
             layout.prop(settings, "focal_length", text="Millimeters")
         elif settings.camera == "ACTIVE" and context.scene.camera is None:
-            sentence(layout, context, "The scene has no active camera", "ERROR", alert=True)
+            sentence(layout, context, "The scene has no active camera", "ERROR")
         elif settings.camera == "LENS":
             layout.prop(settings, "measured_lens")
             row = layout.row(align=True)
@@ -169,6 +168,4 @@ class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
                 sentence(layout, context, lens.ADVICE, "INFO")
         column = layout.column(heading="New Hands")
         column.active = settings.target == "NEW"
-        column.prop(settings, "render_setup")
-        column.prop(settings, "pose_correctives")
-        column.prop(settings, "add_controls")
+        props(column, settings, "render_setup", "pose_correctives", "add_controls")

@@ -48,7 +48,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         layout.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
         why = why_not_reachable(armature)
         if why is not None:
-            sentence(layout, context, why, "ERROR", alert=True)
+            sentence(layout, context, why, "ERROR")
         column = layout.column()
         column.enabled = why is None
         for side in SIDES:
@@ -67,7 +67,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             source = source_of(armature, side, context)
             wanted = source is not None
         except HandfitError as error:
-            sentence(box, context, capitalised(str(error)), "ERROR", alert=True)
+            sentence(box, context, capitalised(str(error)), "ERROR")
         else:
             if source is None:
                 text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
@@ -75,7 +75,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
                 text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
             sentence(box, context, text, "BLANK1" if source else "INFO")
         for text, icon in _hand_messages(armature, side, wanted):
-            sentence(box, context, text, icon, alert=icon == "ERROR")
+            sentence(box, context, text, icon)
 
     def _how(self, context, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
@@ -99,7 +99,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             told = hand_adjusting.message(armature)
             if told is not None:
                 text, alert = told
-                sentence(column, context, capitalised(text), "ERROR" if alert else "INFO", alert=alert)
+                sentence(column, context, capitalised(text), "ERROR" if alert else "INFO")
         column.prop(character, "contacts")
         if any(arms):
             self._arms(column, armature)
@@ -112,7 +112,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         layout.prop(character, "live", text=text, icon="LINKED", toggle=True)
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
-            sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
+            sentence(layout, context, capitalised(trouble), "ERROR")
 
     def _arms(self, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
@@ -174,7 +174,6 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
 
 
 def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:
-    """The captured hands that a character follows; none where that is not settled."""
     try:
         return [*sources_of(armature, context).values()]
     except HandfitError:

@@ -31,7 +31,7 @@ class MANIENT_PT_export(Section, bpy.types.Panel):
             layout.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
             why = why_not_written(character, context.scene)
             if why is not None:
-                sentence(layout, context, why, "ERROR", alert=True)
+                sentence(layout, context, why, "ERROR")
                 can = False
         elif hand is not None:
             layout.label(text=fitted(context, hand.collection.name), icon="VIEW_PAN", translate=False)

@@ -25,11 +25,11 @@ class MANIENT_PT_hand(Section, bpy.types.Panel):
             if not settings.model_path and folder:
                 sentence(layout, context, f"From the preferences: {folder}", "INFO")
             elif not settings.model_path:
-                sentence(layout, context, "Choose your MANO file or folder", "ERROR", alert=True)
+                sentence(layout, context, "Choose your MANO file or folder", "ERROR")
             layout.operator("manient.check_mano", text="Check Files")
             for result in housekeeping.results(settings.model_path or folder):
                 icon = "CHECKMARK" if result.ok else "ERROR"
-                sentence(layout, context, result.sentence, icon, alert=not result.ok)
+                sentence(layout, context, result.sentence, icon)
         row = layout.row(heading="Expected Size")
         row.prop(settings, "use_hand_length", text="")
         sub = row.row()

@@ -6,7 +6,7 @@ import bpy
 
 from handfit_core.common.skeleton import SIDES
 
-from ..common.section import Section, fitted, sentence, split
+from ..common.section import Section, fitted, props, sentence, split
 from ..common.wording import capitalised
 from ..session import live
 from ..session.live_takes import takes
@@ -24,22 +24,17 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         layout, settings, session = self.layout, context.scene.manient.live, live.running()
         column = split(layout.column())
         column.enabled = session is None
-        column.prop(settings, "source")
-        column.prop(settings, "size")
-        column.prop(settings, "fps")
-        column.prop(settings, "mirror")
+        props(column, settings, "source", "size", "fps", "mirror")
         for side in SIDES:
             self._hand(column, getattr(settings, side), side)
         column = split(layout.column())
-        column.prop(settings, "countdown")
-        column.prop(settings, "play")
-        column.prop(settings, "folder")
+        props(column, settings, "countdown", "play", "folder")
         row = layout.row(align=True)
         row.scale_y = 1.5
         if session is None:
             row.operator("manient.live", icon="RADIOBUT_ON")
             if live.current is not None and live.current.error is not None:
-                sentence(layout, context, capitalised(str(live.current.error)), "ERROR", alert=True)
+                sentence(layout, context, capitalised(str(live.current.error)), "ERROR")
             elif live.current is not None and live.current.message:
                 sentence(layout, context, live.current.message, "INFO")
         else:
@@ -68,7 +63,7 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         row.operator("manient.live_snapshot", icon="KEYTYPE_KEYFRAME_VEC")
         layout.operator("manient.live_calibrate", icon="VIEW_PAN")
         sentence(layout, context, session.status(), "REC" if session.is_recording else "TIME")
-        states = [f"{side}: {state}" for side, state in session.hand_states().items()]
+        states = [f"{side}: {state}" for side, state in session.hand_states.items()]
         if states:
             sentence(layout, context, ", ".join(states).capitalize(), "VIEW_PAN")
         if session.message:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..common import plugins, preferences
-from ..common.section import sentence, split
+from ..common.section import props, sentence, split
 from ..common.wording import capitalised
 from ..operators import check_installation, housekeeping
 from ..session import cache, details
@@ -24,9 +24,7 @@ class ManientPreferences(preferences.Values, bpy.types.AddonPreferences):
 
 
 def _draw_worker(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
-    layout.prop(self, "python")
-    layout.prop(self, "threads")
-    layout.prop(self, "max_megapixels")
+    props(layout, self, "python", "threads", "max_megapixels")
     row = layout.row(align=True)
     row.operator("manient.check_installation", icon="CHECKMARK")
     if details.local_text(check_installation.TEXT_NAME) is not None:
@@ -42,7 +40,7 @@ def _draw_mano(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> 
     row.enabled = bool(self.mano_folder)
     row.operator("manient.check_mano", icon="CHECKMARK").path = self.mano_folder
     for result in housekeeping.results(self.mano_folder):
-        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR", alert=not result.ok)
+        sentence(layout, context, result.sentence, "CHECKMARK" if result.ok else "ERROR")
 
 
 def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
@@ -55,13 +53,11 @@ def _draw_cache(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -
 
 def _draw_habits(self, layout: bpy.types.UILayout, _context: bpy.types.Context) -> None:
     layout.separator()
-    layout.prop(self, "default_preset")
-    layout.prop(self, "drop_captures")
-    layout.prop(self, "hand_opacity")
+    props(layout, self, "default_preset", "drop_captures", "hand_opacity")
 
 
 def _draw_plugins(_self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     layout.separator()
     layout.operator("manient.open_plugins", icon="FILE_FOLDER")
     for trouble in plugins.troubles():
-        sentence(layout, context, capitalised(trouble), "ERROR", alert=True)
+        sentence(layout, context, capitalised(trouble), "ERROR")

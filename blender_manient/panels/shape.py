@@ -54,7 +54,7 @@ class MANIENT_PT_proportions(Section, bpy.types.Panel):
                 column.prop(hand.armature.manient, "betas", index=index, text=name, slider=True)
         trouble = reshape.trouble(hand.armature)
         if trouble:
-            sentence(layout, context, trouble, "ERROR", alert=True)
+            sentence(layout, context, trouble, "ERROR")
         layout.operator("manient.reset_shape", icon="LOOP_BACK")
 
 

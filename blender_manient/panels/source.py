@@ -34,7 +34,7 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         info = source_info.of(settings)
         if info.files is None:
             missing = not settings.source
-            sentence(layout, context, info.problem, "INFO" if missing else "ERROR", alert=not missing)
+            sentence(layout, context, info.problem, "INFO" if missing else "ERROR")
             return
         self._describe(context, info)
         if info.unsized:
@@ -64,7 +64,7 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
     def _second_view(self, context) -> None:
         layout, view = self.layout, source_info.of(context.scene.manient, "second_view")
         if view.files is None:
-            sentence(layout, context, view.problem, "ERROR", alert=True)
+            sentence(layout, context, view.problem, "ERROR")
         else:
             # The field beside its name is too narrow for the file's.
             name = Source(view.files.kind, view.files.files).name
@@ -81,7 +81,7 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             rate = f", {info.fps:.5g} fps" if info.fps and info.files.kind in ("video", "data") else ""
             lines.append(f"Frames {info.first}-{info.last}{rate}")
         if info.problem:
-            sentence(layout, context, info.problem, "ERROR", alert=True)
+            sentence(layout, context, info.problem, "ERROR")
             return
         picture = source_info.thumbnail(info)
         row = layout.row()
@@ -104,7 +104,6 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        """Only where there is a second view to tell of."""
         settings = context.scene.manient
         return bool(settings.second_view) and source_info.has_views(source_info.of(settings))
 
@@ -126,7 +125,6 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
             layout.prop(settings, "baseline", text="Meters")
 
     def _pair(self, settings) -> None:
-        """A frame of each view, with its picture."""
         for index, field in enumerate(source_info.VIEWS):
             column, info = self.layout.column(align=True), source_info.of(settings, field)
             picture = source_info.frame_picture(info, settings.pair[index])

@@ -166,7 +166,6 @@ def _source_wrist(take: Take, track: HandTrack, hand: CapturedHand) -> np.ndarra
 
 
 def _apply(hand: CapturedHand, keys: PoseKeys, mode: Mode, wrist: bool) -> int:
-    """Write keys about the target's own bones. Returns how many frames they have."""
     joints: Sequence[int] = range(NUM_JOINTS)
     if not wrist:
         joints = range(1, NUM_JOINTS)

@@ -85,9 +85,7 @@ class BuildOptions:
     model: str | None = None
     """Instead of `take.model`, for takes whose model file has moved"""
     pose_correctives: bool = True
-    """Whether shape keys fill out bent joints, where the model has any"""
     picture: bool = True
-    """Whether the picture is shown behind the hands"""
     match_scene: bool = True
     """Whether the scene gets the take's frame rate, frame range, picture size and camera; else it stays as it
     is, and the take starts at `frame`, at its rate"""
@@ -97,7 +95,6 @@ class BuildOptions:
     """Whether a scene that is matched, or shows this in front, gets lights and the picture in its renders
     too"""
     wrist: Wrist = "forearm"
-    """How the meshes end"""
     frame: float | None = None
     """None: the current one"""
     camera: bpy.types.Object | None = None
@@ -293,7 +290,6 @@ class _Build:
     def build_hand(
         self, track: HandTrack, shaped: ShapedHand, name: str
     ) -> Generator[float | None, None, BuiltHand]:
-        """One hand's rig, mesh and keys, linked nowhere."""
         model = self.models[track.side]
         rig = build_rig(name, shaped, track.side)
         armature = rig.armature
@@ -308,7 +304,7 @@ class _Build:
         mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
         self.made += [mesh, mesh.data, *mesh.data.materials]
         yield self.progress.done(1)
-        if self.progress.has_correctives(track):
+        if self.progress.correctives[track.side]:
             offsets = axes.corrective_offsets(model, rest.frames)
             yield None
             for _ in adding_correctives(mesh, rig, offsets):
@@ -422,15 +418,12 @@ class _Progress:
     """How much of all steps is done, a curve being one."""
 
     def __init__(self, take: Take, models: dict[Side, HandModel], pose_correctives: bool) -> None:
-        self._correctives = {
+        self.correctives = {
             side: pose_correctives and model.has_pose_blendshapes for side, model in models.items()
         }
         keys = 0.3 * 9 * (NUM_JOINTS - 1)
-        self._all = sum(CURVES + 3 + keys * self._correctives[t.side] for t in take.hands) or 1.0
+        self._all = sum(CURVES + 3 + keys * self.correctives[t.side] for t in take.hands) or 1.0
         self._done = 0.0
-
-    def has_correctives(self, track: HandTrack) -> bool:
-        return self._correctives[track.side]
 
     def counting(self, steps: Generator[Any, None, _T]) -> Generator[float, None, _T]:
         """Go through steps that are not counted, as numbers are fast; returns what they return."""
@@ -467,7 +460,6 @@ class ChangeWatch:
 
 
 def _remove(made: Sequence[bpy.types.ID]) -> None:
-    """Take away what is still there of what was made."""
     there = []
     for block in made:
         try:

@@ -54,13 +54,15 @@ _VERTICES = 6000
 class ArmOptions:
     """How a captured arm is put on a character's."""
 
-    influence: float = 1.0
+    arms: bool = False
+    """Whether the arms of hands that have one are put on the character's, instead of `wrist`"""
+    arms_influence: float = 1.0
     """0..1: at 0 the arm stays as it is, at 1 it is the captured one"""
-    ease: float = 10.0
+    arms_ease: float = 10.0
     """frames within which it comes and goes, where something else moves the arm's bones"""
-    turn: float = 0.0
+    arms_turn: float = 0.0
     """radians about the body's vertical by which the arm is turned, seen from above against the clock"""
-    outside: bool = False
+    arms_outside: bool = False
     """Whether the hand is kept outside of trunk and head"""
 
 
@@ -104,21 +106,21 @@ def keying_arm(
     Where something else moves the arm's bones, they get keys in all of its range, since the first and the
     last pose of an action stand for ever.
     """
-    if how.influence <= 0.0:
+    if how.arms_influence <= 0.0:
         return []
-    target, own, captured = arm.target, arm.controls, captured.turned(how.turn)
+    target, own, captured = arm.target, arm.controls, captured.turned(how.arms_turn)
     moved = _moved_range(armature, own.keyed)
-    every, weights = frames, np.full(len(frames), how.influence)
+    every, weights = frames, np.full(len(frames), how.arms_influence)
     if moved is not None:
         more = np.arange(np.ceil(moved[0]), moved[1] + 1.0)
         every = np.union1d(frames, more[(more < frames[0]) | (more > frames[-1])])
         weights = np.zeros(len(every))
-        weights[np.searchsorted(every, frames)] = how.influence * captured.weights(frames, how.ease)
+        weights[np.searchsorted(every, frames)] = how.arms_influence * captured.weights(frames, how.arms_ease)
     at = np.clip(np.searchsorted(frames, every), 0, len(frames) - 1)  # frames that are added weigh nothing
 
-    capsules = _capsules(armature, target) if how.outside else None
+    capsules = _capsules(armature, target) if how.arms_outside else None
     shown = yield from _sampling(armature, arm, every, capsules.bones if capsules is not None else ())
-    if moved is None and _is_applied(armature):
+    if moved is None and any(MARK in user.action for user in users_of(armature)):
         shown = replace(shown, at_rest=True)
     upper, fore = captured.upper[at] @ target.body.T, captured.fore[at] @ target.body.T
     turned = target.body @ captured.facing @ wrists[at] @ hand.aligned.T
@@ -281,10 +283,6 @@ def _others(armature: bpy.types.Object) -> list:
 
 def _tracks(armature: bpy.types.Object) -> list[bpy.types.NlaTrack]:
     return [*armature.animation_data.nla_tracks] if armature.animation_data is not None else []
-
-
-def _is_applied(armature: bpy.types.Object) -> bool:
-    return any(MARK in user.action for user in users_of(armature))
 
 
 def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[float, float] | None:

@@ -319,8 +319,6 @@ def _without_pose(one: Correction) -> str:
 def _keyed_poses(
     armature: bpy.types.Object, field: CorrectionField, holder: Any = None
 ) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """What the present keys, or those of a `holder`, say on corrected frames: the source frame, (16, 4) and
-    (3,)."""
     if not field.corrected:
         return []
     places = timing_of(armature).scene_frames(np.array(field.corrected, dtype=np.float64))

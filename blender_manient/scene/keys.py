@@ -468,15 +468,9 @@ def new_curve(
     curve = holder.fcurves.new(f"{bone_path(bone)}.{attribute}" if bone else attribute, index=index)
     if bone:
         curve.group = holder.groups.get(bone) or holder.groups.new(bone)
-    count = len(frames)
     # Sensible handles, for users who switch a curve to Bezier.
-    kinds = {
-        "interpolation": "LINEAR",
-        "handle_left_type": "AUTO_CLAMPED",
-        "handle_right_type": "AUTO_CLAMPED",
-    }
-    data = {name: np.full(count, _kind(name, kind), dtype=np.int32) for name, kind in kinds.items()}
-    _rebuild(curve, {"co": np.stack([frames, values], axis=-1), **data})
+    data, kept = _plain(frames, values), ("co", "interpolation", "handle_left_type", "handle_right_type")
+    _rebuild(curve, {name: data[name] for name in kept})
 
 
 def _read(curve: Any, names: tuple[str, ...]) -> dict[str, np.ndarray]:
@@ -498,7 +492,6 @@ def change_places(curve: Any, scale: Sequence[float], shift: Sequence[float]) ->
 
 
 def _rebuild(curve: Any, data: dict[str, np.ndarray]) -> None:
-    """Give the curve exactly these key points."""
     points = curve.keyframe_points
     count = len(data["co"])
     if count < len(points):
@@ -588,7 +581,6 @@ def _plain(
 
 
 def _kind(name: str, kind: str) -> int:
-    """The number of a key point's enumerated value."""
     return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value
 
 

@@ -126,7 +126,7 @@ class Anchor:
 
 
 @dataclass(frozen=True)
-class TransferOptions:
+class TransferOptions(ArmOptions):
     """How captured motion is transferred to a character."""
 
     into: Into = "NEW"
@@ -134,7 +134,6 @@ class TransferOptions:
     reference: float = 1.0
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
     contacts: bool = True
-    """Whether fingertips that touch do so on the character, too"""
     travel: float = 1.0
     """How far a placed hand goes, as a share of the captured way"""
     smoothing: float = 0.0
@@ -143,16 +142,6 @@ class TransferOptions:
     """(3,) what is added to where a placed hand is, in the armature's space and units; none where missing"""
     anchors: Mapping[Side, Anchor] = field(default_factory=dict)
     """What stands for the marked frame, by the character's side; such hands get no offset"""
-    arms: bool = False
-    """Whether the arms of hands that have one are put on the character's, instead of `wrist`"""
-    arms_influence: float = 1.0
-    """0..1: how much of the captured arm there is over what the character's does already"""
-    arms_ease: float = 10.0
-    """frames within which a captured arm comes and goes, where something else moves the character's"""
-    arms_turn: float = 0.0
-    """radians by which both captured arms are turned about the character's vertical"""
-    arms_outside: bool = False
-    """Whether hands on captured arms are kept outside of the character's trunk and head"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object, **changes: Any) -> TransferOptions:
@@ -324,9 +313,8 @@ def computing(
         wanted = PoseKeys.everywhere(motion.frames, quats)
         keys.append(BoneKeys(fingers, replace(wanted, rotation_keyed=wanted.rotation_keyed & keyed)))
         if arm is not None and motion.arm is not None:
-            how = ArmOptions(onto.arms_influence, onto.arms_ease, onto.arms_turn, onto.arms_outside)
             wrists = motion.turns[:, 0]
-            of_arm = yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, how)
+            of_arm = yield from keying_arm(armature, arm, target, motion.arm, motion.frames, wrists, onto)
             keys += of_arm
         elif not fingers_only:
             keys.append((yield from _moving(armature, target, motion, onto)))
@@ -661,7 +649,6 @@ def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> No
 
 
 def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into: Into) -> None:
-    """Have the armature use a finished action."""
     data = armature.animation_data or armature.animation_data_create()
     if into == "STRIP":
         add_strip(data, action, slot)

@@ -115,7 +115,6 @@ class Smoothed:
 
     keys: PoseKeys
     field: CorrectionField
-    """The corrections on top of the new motion"""
     numbers: list[int]
     """The M source frames that were fitted anew"""
     quats: np.ndarray

@@ -9,9 +9,10 @@ from ..common import installation
 TEXT_NAME = "Hand Capture Details"
 
 
-def write_details(title: str, sentence: str, details: str) -> bpy.types.Text:
+def write_details(title: str, sentence: str, why: Exception | str) -> bpy.types.Text:
     """Replace the text block Hand Capture Details: what was tried, what the interface said about it, the
-    versions at play, and `details` (a traceback, a process's last words)."""
+    versions at play, and a traceback or the `details` of an error (a process's last words)."""
+    details = why if isinstance(why, str) else getattr(why, "details", None) or ""
     parts = [title, "", sentence, "", installation.versions()]
     if details.strip():
         parts += ["", details.strip()]

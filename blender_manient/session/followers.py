@@ -25,7 +25,6 @@ class Follower:
         self.changed: float | None = time.monotonic()
         """When a change was last seen that is not followed yet"""
         self.steps: Iterator[float] | None = None
-        """What is under way"""
 
     def has_rested(self, seconds: float) -> bool:
         """Whether the last change that is not followed yet was so long ago."""

@@ -39,7 +39,6 @@ from .cache import folder_path, temporary_take
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
 _MAX_FINISHED = 6
-"""finished jobs that the panel still shows"""
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,6 @@ class Building:
     retimed: float | None = None
     """Frames per second of the scene that a clip of another rate will be retimed to"""
     camera: BlockReference | None = None
-    """An existing camera to look through instead of a new one"""
 
 
 @dataclass(eq=False)
@@ -81,13 +79,11 @@ class Job:
     then: Callable[[BuiltTake], Generator[float, None, None]] | None = None
     """What is done with new hands before they are an undo step, in slices"""
     hands_to_choose: int = 0
-    """the number of hands found, where there were too many to build without asking; else 0"""
     state: State = "waiting"
     stage: str = ""
     done: int = 0
     total: int = 0
     fraction: float = 0.0
-    """0..1 of the whole job"""
     message: str = ""
     """What went wrong, or what is to be known, in one sentence"""
     warnings: list[str] = field(default_factory=list)
@@ -103,7 +99,6 @@ class Job:
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
-    """Names of the armatures that came of it"""
     key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
     """the key under which scenes note the job, so that an undo is seen"""
     _request: int = 0
@@ -260,7 +255,7 @@ def tick() -> bool:
     except Cancelled:
         job.state, job.message = "cancelled", "Cancelled"
     except HandfitError as error:
-        _fail(job, str(error), getattr(error, "details", "") or "")
+        _fail(job, str(error), error)
     except Exception as error:  # a defect of ours, which must not end the queue
         _fail(job, f"Unexpected {type(error).__name__}: {error}", traceback.format_exc())
     return True
@@ -334,7 +329,6 @@ def _on_progress(job: Job, event: dict[str, Any]) -> None:
 
 
 def _build(job: Job) -> bool:
-    """One slice of building."""
     is_over = slice_clock()
     try:
         if job._builder is None:
@@ -454,7 +448,7 @@ def _make_active(hands: tuple[str, ...]) -> None:
     layer.objects.active = armatures[0]
 
 
-def _fail(job: Job, sentence: str, more: str) -> None:
+def _fail(job: Job, sentence: str, more: Exception | str) -> None:
     # Wherever it is shown, the job's name stands before it.
     names = (job.name, *job.files[:1], *(Source(kind, job.files).name for kind in ("photo", "sequence")))
     job.state, job.message = "failed", capitalised(without_name(sentence or "the capture failed", names))

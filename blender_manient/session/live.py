@@ -79,7 +79,8 @@ class LiveSession:
         self._watch = ChangeWatch()
         self._hands: dict[Side, LiveHand] = {}
         self._newest: dict[Side, HandMotion] = {}
-        self._states: dict[Side, str] = {}
+        self.hand_states: dict[Side, str] = {}
+        """By the person's side: seen, held or resting"""
         self._sequence = 0
         self._latencies: list[float] = []
         self._ending_until: float | None = None
@@ -96,7 +97,6 @@ class LiveSession:
         self.message = "Starting"
         """What is to be known, a sentence; empty: nothing"""
         self.error: HandfitError | None = None
-        """What has ended it"""
         self.fps, self.dropped = 0.0, 0
 
     @property
@@ -139,10 +139,6 @@ class LiveSession:
     def has_set_aside(self) -> bool:
         """Whether takes are hidden, since hands that follow stand where they do."""
         return bool(self._hands) and any(c.hide_viewport for take in self._taken for c in take.collections)
-
-    def hand_states(self) -> dict[Side, str]:
-        """By the person's side: seen, held or resting."""
-        return self._states
 
     # What the artist does
 
@@ -289,7 +285,7 @@ class LiveSession:
                     continue  # one at a time takes long enough; or none was seen yet
                 self._hands[side], made = self._made(side, motion), True
             self._hands[side].show(motion)
-            self._newest[side], self._states[side] = motion, told["state"]
+            self._newest[side], self.hand_states[side] = motion, told["state"]
         for take in self._taken if self._hands else ():
             take.set_aside(True)
         self._latencies = [*self._latencies[1 - _MEASURED :], 1000.0 * (time.perf_counter() - event["time"])]
@@ -359,7 +355,6 @@ class LiveSession:
             self.hide()  # the next pose makes hands of the shape
 
     def _close(self) -> None:
-        """The worker has ended, or has to."""
         self._closed = True
         self.hide()
         self.worker.stop()
@@ -369,7 +364,6 @@ class LiveSession:
 
 
 current: LiveSession | None = None
-"""What goes on"""
 
 
 def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> LiveSession:
@@ -393,7 +387,6 @@ class _Pictures:
         self._all: Any = None
 
     def show(self, rgb: np.ndarray) -> None:
-        """Show (H, W, 3) uint8."""
         if self._all is None:
             self._all = bpy.utils.previews.new()
             self._all.new("live")
@@ -408,11 +401,9 @@ class _Pictures:
 
     @property
     def icon(self) -> int:
-        """Its number; 0 where none has come."""
         return 0 if self._all is None else self._all["live"].icon_id
 
     def forget(self) -> None:
-        """Let go of it."""
         if self._all is not None:
             bpy.utils.previews.remove(self._all)
             self._all = None
@@ -430,7 +421,6 @@ def _frame_at(moment: float) -> float:
 
 
 def _motion(told: dict[str, Any]) -> HandMotion:
-    """A hand of an event, as a motion of one frame."""
     betas, *pose = (unpack(told[name]) for name in ("betas", "global_orient", "hand_pose", "transl"))
     return HandMotion(told["side"], betas, *(rows[None] for rows in pose))
 

@@ -175,7 +175,6 @@ class ManientSettings(bpy.types.PropertyGroup):
     as_sequence: BoolProperty(  # type: ignore
         name="Image Sequence",
         description="The numbered pictures beside this one are the frames of one clip",
-        default=False,
         update=notifier("as_sequence"),
     )
     keypoints: StringProperty(  # type: ignore
@@ -348,7 +347,6 @@ class ManientSettings(bpy.types.PropertyGroup):
     add_controls: BoolProperty(  # type: ignore
         name="Controls",
         description="Give new hands controls to animate them with by hand (Shape and Pose > Add Controls)",
-        default=False,
     )
     target: EnumProperty(  # type: ignore
         name="Output",
@@ -535,7 +533,6 @@ class ManientCharacter(bpy.types.PropertyGroup):
         name="Smoothing",
         description="Smooth how the hand itself turns and moves over so many frames before and after; "
         "fingers stay as they are",
-        default=0,
         min=0,
         soft_max=20,
         max=1000,
@@ -551,7 +548,6 @@ class ManientCharacter(bpy.types.PropertyGroup):
         name="Arms",
         description="Upper arm, forearm and hand follow the captured arm from the shoulder on, where one was "
         "captured, by FK or IK, whichever acts",
-        default=False,
         **_OF_CHARACTER,
     )
     arms_influence: FloatProperty(  # type: ignore
@@ -576,7 +572,6 @@ class ManientCharacter(bpy.types.PropertyGroup):
         name="Turn",
         description="Turn both captured arms about the character's vertical. Pictures hardly tell where a "
         "body faces: it may be 20 degrees off",
-        default=0.0,
         min=-math.pi,
         max=math.pi,
         subtype="ANGLE",
@@ -587,13 +582,11 @@ class ManientCharacter(bpy.types.PropertyGroup):
         description="Move hands that would sink into chest or face out of capsules, which stand for the "
         "character's trunk and head, towards the camera. Pictures hardly tell how far away a hand is: it may "
         "be 10 cm off",
-        default=False,
         **_OF_CHARACTER,
     )
     live: BoolProperty(  # type: ignore
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
-        default=False,
         **_OF_CHARACTER,
     )
     action: PointerProperty(  # type: ignore
@@ -633,7 +626,6 @@ class ManientHand(bpy.types.PropertyGroup):
         name="Forearm",
         description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
         "Exports have what is shown",
-        default=False,
         update=notifier("shape"),
     )
     wrist: StringProperty(  # type: ignore
@@ -673,7 +665,6 @@ class ManientHand(bpy.types.PropertyGroup):
     show_confidence: BoolProperty(  # type: ignore
         name="Confidence Colors",
         description="Color bones by how well they meet the picture in this frame",
-        default=False,
         update=notifier("confidence"),
     )
     own_colors: StringProperty(  # type: ignore
@@ -709,7 +700,6 @@ class ManientCapture(bpy.types.PropertyGroup):
     )
     source_digest: StringProperty()  # type: ignore
     scene_rate: FloatProperty(  # type: ignore
-        default=0.0,
         description="Frames per second of the scene that the clip was built for; 0: it has no rate, or an "
         "older version built it",
     )

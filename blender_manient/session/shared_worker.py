@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 
+from handfit_core.common.errors import HandfitError
 from handfit_core.fit.solvers import SOLVERS
 from handfit_core.worker.client import CHOOSE_PYTHON, Worker
 from handfit_core.worker.events import Event, as_error
@@ -16,7 +19,7 @@ from handfit_core.worker.interpreter import find_python, is_current_interpreter
 from handfit_core.worker.process import wait_for_killed
 
 from ..common import installation, preferences
-from . import properties
+from . import details, properties
 from .cache import remove_temporary_takes
 
 _EXIT_WAIT_SECONDS = 3.0
@@ -36,7 +39,6 @@ class _Settings:
 _worker: Worker | None = None
 _worker_settings: _Settings | None = None
 _abandoned: set[int] = set()
-"""Requests whose answers nobody waits for any more"""
 
 
 def worker() -> Worker:
@@ -94,23 +96,52 @@ def stop() -> None:
     remove_temporary_takes()
 
 
-def answer(
-    request: int, from_worker: Worker | None = None, on_event: Callable[[Event], None] | None = None
-) -> Event | None:
-    """The `done` event of a request to the shared worker, or to `from_worker`; None while there is none.
-    `on_event` gets those before it. Raises HandfitError where the request failed."""
-    for event in (from_worker or worker()).events(request):
-        if on_event is not None:
-            on_event(event)
-        if event["event"] == "error":
-            raise as_error(event)
-        if event["event"] == "done":
-            return event
-    return None
+class Waiting(str):
+    """What steps yield while another process works: how far that is."""
 
 
-def abandon(request: int) -> None:
-    """Throw the answer to a request away when it comes, so that the worker is not kept busy."""
+def ask(
+    kind: str, title: str, of_worker: Worker | None = None, **fields: Any
+) -> Generator[Waiting, None, Event]:
+    """Send a request to the shared worker, or to `of_worker`, and wait for it: yields the title with what is
+    done, or with the seconds so far. Returns the `done` event; where it is closed, the request is cancelled.
+    Raises HandfitError where the request failed."""
+    asked, began, progress = of_worker or worker(), time.monotonic(), ""
+    request = asked.submit(kind, **fields)
+    try:
+        while True:
+            for event in asked.events(request):
+                if event["event"] == "progress" and event.get("total"):
+                    progress = f"{event['done']}/{event['total']}"
+                if (done := _done(event)) is not None:
+                    request = 0
+                    return done
+            yield Waiting(f"{title}  {progress or f'{time.monotonic() - began:.0f} s'}")
+    except HandfitError as error:
+        if of_worker is None:
+            details.write_details(title, str(error), error)
+        raise
+    finally:
+        if request and of_worker is None:
+            abandon(request)
+
+
+def answer(request: int) -> Event | None:
+    """The `done` event of a request to the shared worker; None while there is none. Raises HandfitError where
+    the request failed."""
+    return next(filter(None, map(_done, worker().events(request))), None)
+
+
+def _done(event: Event) -> Event | None:
+    if event["event"] == "error":
+        raise as_error(event)
+    return event if event["event"] == "done" else None
+
+
+def abandon(request: int, *, cancel: bool = True) -> None:
+    """Throw the answer to a request away when it comes, and unless that is of use later, cancel it."""
+    if cancel:
+        worker().cancel(request)
     _abandoned.add(request)
     if not bpy.app.timers.is_registered(_collect):
         bpy.app.timers.register(_collect, first_interval=_POLL_SECONDS, persistent=True)

@@ -116,7 +116,6 @@ class SourceInfo:
     files: SourceFiles | None = None
     problem: str = ""
     siblings: int = 0
-    """Numbered pictures that lie beside a photo, with it"""
     frames: int = 0
     """0: not known yet"""
     width: int = 0
@@ -129,7 +128,6 @@ class SourceInfo:
     can_be_shown: bool = False
     """Whether Blender may decode its first picture for a thumbnail"""
     pictured: int | None = None
-    """The frame whose picture was asked for last"""
     picture: str = ""
     """The file with the newest picture of a frame that came"""
 

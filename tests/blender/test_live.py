@@ -61,7 +61,7 @@ def until(session, condition, seconds=60.0):
 
 
 def seen(session):
-    until(session, lambda: session.hand_states().get("right") == "seen" or session.over)
+    until(session, lambda: session.hand_states.get("right") == "seen" or session.over)
     assert not session.over, session.error
 
 

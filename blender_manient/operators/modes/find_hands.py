@@ -82,14 +82,11 @@ class Button:
     """A text to click on."""
 
     name: str
-    """What is done"""
     text: str
     box: Box
     hand: FoundHand | None = None
-    """Whose side it is"""
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a place in pixels of the region lies on it."""
         return self.box[0] <= x < self.box[2] and self.box[1] <= y < self.box[3]
 
 
@@ -107,11 +104,9 @@ class FindMode(view.Overlay):
         self.message = ""
         self.hovered: FoundHand | None = None
         self.pressed = ""
-        """Name of the button under the mouse"""
         self.dragged: tuple[np.ndarray, np.ndarray] | None = None
         """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
         self.nothing_there = False
-        """Whether the last box had no hand in it"""
         self._texture: gpu.types.GPUTexture | None = None
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
         self._asked: dict[int, tuple[float, ...] | None] = {}
@@ -121,14 +116,12 @@ class FindMode(view.Overlay):
         super().__init__(viewport)
 
     def end(self) -> None:
-        """Leave nothing behind. May be called twice."""
         if self.remove():
             self._texture = None
             self._cancel_requests()
             self._picture.unlink(missing_ok=True)
 
     def trouble(self, context: bpy.types.Context) -> str | None:
-        """Why the mode cannot go on, in a sentence."""
         if jobs.busy():
             return "Find Hands: a capture has begun"
         if self.viewport() is None:
@@ -141,11 +134,9 @@ class FindMode(view.Overlay):
 
     @property
     def busy(self) -> bool:
-        """Whether the worker still searches."""
         return bool(self._asked)
 
     def tick(self, context: bpy.types.Context) -> None:
-        """Look for answers."""
         try:
             for request, box in list(self._asked.items()):
                 found = shared_worker.answer(request)
@@ -165,7 +156,7 @@ class FindMode(view.Overlay):
         except (HandfitError, RuntimeError) as error:
             self._cancel_requests()
             self.message = capitalised(str(error).strip())
-            details.write_details("Find Hands", self.message, getattr(error, "details", "") or "")
+            details.write_details("Find Hands", self.message, error)
             screen.redraw("VIEW_3D")
 
     def _ask(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> int:
@@ -175,7 +166,6 @@ class FindMode(view.Overlay):
 
     def _cancel_requests(self) -> None:
         for request in self._asked:
-            shared_worker.worker().cancel(request)
             shared_worker.abandon(request)
         self._asked.clear()
 
@@ -188,7 +178,6 @@ class FindMode(view.Overlay):
             self._ask((*low.tolist(), *(high - low).tolist()))
 
     def regions(self) -> tuple[Region, ...]:
-        """The chosen hands as a capture's regions."""
         return self.choice.regions(self.source.frame)
 
     # The mouse
@@ -254,7 +243,6 @@ class FindMode(view.Overlay):
         )
 
     def status_line(self) -> tuple[str, bool]:
-        """The line over the picture, and whether it is a warning."""
         if self.message:
             return self.message, True
         if self.hovered is not None:
@@ -274,7 +262,6 @@ class FindMode(view.Overlay):
         return f"{where}{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
 
     def draw(self, viewport: view.Viewport) -> None:
-        """Draw the picture, hands and boxes over it, buttons and the line."""
         scale, free = ui_scale(), screen.free_box(viewport.area, viewport.region)
         with drawing.blended():
             drawing.fill_box((0.0, 0.0, viewport.region.width, viewport.region.height), (*DARK, 1.0))
@@ -321,7 +308,6 @@ class FindMode(view.Overlay):
                 draw_tag(said, box, (*DARK, 0.85), PIN_COLOR, scale)
 
     def _draw_skeletons(self, places: dict[FoundHand, np.ndarray], scale: float) -> None:
-        """Draw the lines of hands, those of small ones last and thinner."""
         for small in (False, True):
             hands = [
                 hand for hand, at in places.items() if (np.ptp(at, axis=0).max() < SMALL * scale) == small
@@ -368,4 +354,3 @@ def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> li
 
 
 current: FindMode | None = None
-"""The mode that runs"""

@@ -49,15 +49,10 @@ _FRAME_SIZES: Final = 2.0
 
 latencies: deque[float] = deque(maxlen=2000)
 """seconds from a movement of the mouse to the hand that followed it, newest last"""
-_saved_views: dict[tuple[int, int], tuple[float, tuple[float, ...], np.ndarray]] = {}
+saved_views: dict[tuple[int, int], tuple[float, tuple[float, ...], np.ndarray]] = {}
 """The camera view, its zoom and offset, in which the artist last saw a hand, and where that was then, (21, 2)
 pixels of the picture; by the armatures' session_uid, which a rename and an undo leave and which no other
 file's hand gets, and by the view"""
-
-
-def forget_views() -> None:
-    """Forget all saved views: another file is opened."""
-    _saved_views.clear()
 
 
 class _Request(NamedTuple):
@@ -68,7 +63,6 @@ class _Request(NamedTuple):
     moved_at: float
     pins: Pins
     final: bool
-    """Whether the result is to be kept, and no draft"""
 
 
 @dataclass(eq=False)
@@ -78,9 +72,7 @@ class _Drag:
     keypoint: int
     row: int
     frame: float
-    """Scene frame"""
     pins_before: Pins
-    """The frame's pins until now"""
     start: BonePoses
     """What the pins are measured against"""
     poses_before: BonePoses
@@ -95,17 +87,13 @@ class _Drag:
     moved: bool = False
     released: bool = False
     asked: _Request | None = None
-    """The last request"""
     waiting: bool = False
-    """Whether it is with the worker"""
     answer: tuple[Pins, BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
-    """Whether the view was asked to show the newest place"""
 
     @property
     def pins(self) -> Pins:
-        """The frame's pins with this one where it is to be."""
         pins = {k: p for k, p in self.pins_before.items() if k != self.keypoint}
         if self.place is not None:
             x, y = self.place
@@ -114,7 +102,6 @@ class _Drag:
 
     @property
     def needs_request(self) -> bool:
-        """Whether no request has the newest place yet."""
         asked = self.asked
         return asked is None or asked.place is not self.place or (self.released and not asked.final)
 
@@ -146,7 +133,6 @@ class KeypointMode(view.Overlay):
         self._solved_in = _ANSWER_WAIT_SECONDS
         self.view = view.CaptureView(viewport, refiner.cameras, context)
         self.solid = False
-        """Whether the hand hides the picture, whatever its opacity is otherwise"""
         self._look()
         self._frame = context.scene.frame_current_final
         self._places = self.picture_places()
@@ -157,18 +143,16 @@ class KeypointMode(view.Overlay):
     # Beginning and end
 
     def end(self, context: bpy.types.Context) -> None:
-        """Leave nothing behind. May be called twice."""
         if not self.remove():
             return
         self.cancel_drag(context)
         if self._warming:
-            shared_worker.abandon(self._warming)
+            shared_worker.abandon(self._warming, cancel=False)
         see_through.end()
         self._save_view()
         self.view.leave(context)
 
     def trouble(self, context: bpy.types.Context) -> str | None:
-        """Why the mode cannot go on, in a sentence."""
         if self.ended is not None:
             return self.ended
         if jobs.busy():
@@ -190,7 +174,6 @@ class KeypointMode(view.Overlay):
     # The view, its zoom and pan
 
     def switch_view(self, context: bpy.types.Context, viewport: view.Viewport) -> None:
-        """Show the capture's other view."""
         if len(self.refiner.cameras) > 1:
             self.view.switch(viewport, context.scene)
             if not viewport.space.use_local_camera:
@@ -198,7 +181,6 @@ class KeypointMode(view.Overlay):
             self._follow_view(context)
 
     def _look(self) -> None:
-        """Take up the view that is looked through."""
         self.looking = self.view.looking
         see_through.end()
         camera = bpy.data.objects[self.view.camera].data
@@ -227,14 +209,13 @@ class KeypointMode(view.Overlay):
             viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
 
     def show_picture(self, viewport: view.Viewport) -> None:
-        """Frame the whole picture."""
         self.view.face(viewport)
         viewport.show_picture(self.refiner.cameras[self.looking], bpy.context.scene)
 
     def _restore_view(self, viewport: view.Viewport) -> None:
         """Restore the saved view of the hand; without one, or where no point would be seen, frame the
         hand."""
-        saved = _saved_views.get((self.refiner.armature.session_uid, self.looking))
+        saved = saved_views.get((self.refiner.armature.session_uid, self.looking))
         if saved is not None:
             viewport.set_zoom(*saved[:2])
         if saved is None or not self._keep_visible(viewport, saved[2]):
@@ -244,10 +225,9 @@ class KeypointMode(view.Overlay):
         viewport, armature = self.viewport(), self.refiner.armature_or_none
         if viewport is not None and armature is not None and self.view.shows(viewport):
             zoom, offset = viewport.view.view_camera_zoom, tuple(viewport.view.view_camera_offset)
-            _saved_views[armature.session_uid, self.looking] = zoom, offset, self._places
+            saved_views[armature.session_uid, self.looking] = zoom, offset, self._places
 
     def _follow_hand(self, context: bpy.types.Context) -> None:
-        """Move the view with the hand where another frame is shown now."""
         if context.scene.frame_current_final == self._frame:
             return
         self._frame, before, now = context.scene.frame_current_final, self._places, self.picture_places()
@@ -275,7 +255,6 @@ class KeypointMode(view.Overlay):
         return len(places) > 0
 
     def toggle_solid(self) -> None:
-        """Make the hand solid, or see-through again."""
         self.solid = not self.solid
         see_through.follow()
         screen.redraw("VIEW_3D")
@@ -283,7 +262,6 @@ class KeypointMode(view.Overlay):
     # Places of the handles
 
     def row(self) -> int | None:
-        """The take's row that the scene shows."""
         scene = bpy.context.scene
         return None if scene is None else self.refiner.row_at(scene.frame_current_final)
 
@@ -292,8 +270,6 @@ class KeypointMode(view.Overlay):
         return self.refiner.row_of_view(bpy.context.scene.frame_current_final) if of_view else self.row()
 
     def pins(self, of_view: int = 0) -> Pins:
-        """The pins of the frame that the scene shows, with the dragged one where it is to be. The second view
-        has none."""
         row = self.row()
         if row is None or of_view:
             return {}
@@ -328,7 +304,6 @@ class KeypointMode(view.Overlay):
         return places
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
-        """Picture to region; None while the viewport does not look through the capture camera."""
         cameras, looking = self.refiner.cameras, self.view.looks(viewport)
         if looking is None or looking >= len(cameras):
             return None
@@ -356,7 +331,6 @@ class KeypointMode(view.Overlay):
     # Dragging
 
     def press(self, context: bpy.types.Context, viewport: view.Viewport, x: int, y: int) -> bool:
-        """Take the handle there, if there is one."""
         keypoint, row = self.handle_at(viewport, x, y), self.row()
         if keypoint is None or row is None or self.drag is not None:
             return False
@@ -369,7 +343,6 @@ class KeypointMode(view.Overlay):
         return True
 
     def move(self, viewport: view.Viewport, x: int, y: int) -> None:
-        """The mouse drags the handle there."""
         drag, matrix = self.drag, self.matrix(viewport)
         if drag is None or drag.mouse is None or matrix is None or drag.released:
             return
@@ -389,7 +362,6 @@ class KeypointMode(view.Overlay):
             self.drag = None
 
     def unpin(self, keypoint: int) -> bool:
-        """Let a pinned keypoint go: the hand follows the other pins only."""
         row = self.row()
         if row is None or self.drag is not None or keypoint not in self.pins():
             return False
@@ -404,12 +376,10 @@ class KeypointMode(view.Overlay):
         return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
 
     def cancel_drag(self, context: bpy.types.Context) -> None:
-        """Put the hand back to before the drag."""
         drag, self.drag = self.drag, None
         if drag is None:
             return
         if drag.asked is not None and drag.waiting:
-            shared_worker.worker().cancel(drag.asked.number)
             shared_worker.abandon(drag.asked.number)
         armature = self.refiner.armature_or_none
         if armature is not None and armature.manient.is_hand:
@@ -419,7 +389,6 @@ class KeypointMode(view.Overlay):
         screen.redraw("VIEW_3D")
 
     def tick(self, context: bpy.types.Context) -> None:
-        """Look for answers, and ask for what has not been asked for."""
         self._follow_view(context)
         self._follow_hand(context)
         try:
@@ -436,7 +405,7 @@ class KeypointMode(view.Overlay):
             self._warming, self.message = 0, str(error)
             if self.drag is not None:
                 self.drag.waiting = False
-            details.write_details("Edit Keypoints", str(error), getattr(error, "details", "") or "")
+            details.write_details("Edit Keypoints", str(error), error)
             self.cancel_drag(context)
             show_frame_again(context)
 
@@ -490,11 +459,9 @@ class KeypointMode(view.Overlay):
         self._redraw()
 
     def _is_constrained(self, drag: _Drag) -> bool:
-        """Whether the frame's hand has pins, or points that touch."""
         return bool(drag.pins or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
-        """Write the keys, and make an undo step of it."""
         self.drag = None
         if not self._is_constrained(drag):
             self.refiner.unpin(drag.row)
@@ -521,7 +488,6 @@ class KeypointMode(view.Overlay):
     # Undo and redo of single drags
 
     def undo(self, context: bpy.types.Context, *, redo: bool) -> None:
-        """Take the last drag of this mode back, or do it again."""
         self.cancel_drag(context)
         if (self.undone if redo else self.done) == 0:
             self.message = "Nothing to do again here" if redo else "Nothing to undo here"
@@ -543,7 +509,6 @@ class KeypointMode(view.Overlay):
     # Drawing
 
     def draw(self, viewport: view.Viewport) -> None:
-        """Draw the points, and the line about them."""
         if self.trouble(bpy.context) is None:
             dragged = self.drag.keypoint if self.drag is not None else None
             places, pinned = self.region_places(viewport), frozenset(self.pins(self.looking))
@@ -551,7 +516,6 @@ class KeypointMode(view.Overlay):
             drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
 
     def draw_beside(self, viewport: view.Viewport) -> None:
-        """Draw the points in another viewport that looks through one of the cameras."""
         looking = self.view.looks(viewport)
         if looking is not None and self.trouble(bpy.context) is None:
             dragged = self.drag.keypoint if self.drag is not None else None
@@ -560,7 +524,6 @@ class KeypointMode(view.Overlay):
             drawing.draw(drawing.Picture(places, pinned, None, dragged, "", False, corner))
 
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
-        """The line over the picture about this frame, and whether it is a warning."""
         row = self.row()
         if self.message:
             return capitalised(self.message), True

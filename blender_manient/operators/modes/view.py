@@ -27,7 +27,6 @@ _STEP: Final = 1.25
 _SWIPE: Final = 20.0
 """pixels that fingers move on a trackpad for the same"""
 _ZOOMS: Final = {"WHEELUPMOUSE": 1, "NUMPAD_PLUS": 1, "WHEELDOWNMOUSE": -1, "NUMPAD_MINUS": -1}
-"""By how many notches events enlarge"""
 
 
 @dataclass(frozen=True)
@@ -40,12 +39,9 @@ class Viewport:
 
     @property
     def view(self) -> bpy.types.RegionView3D:
-        """What the region shows."""
         return self.space.region_3d
 
     def contains(self, x: int, y: int) -> bool:
-        """Whether a place in window pixels lies in the view, and not in what overlaps it."""
-
         def inside(region: bpy.types.Region) -> bool:
             shown = min(region.width, region.height) > 1
             return shown and 0 <= x - region.x < region.width and 0 <= y - region.y < region.height
@@ -144,11 +140,9 @@ class Overlay:
         return True
 
     def viewport(self) -> Viewport | None:
-        """The viewport; None where it is gone."""
         return viewport_at(bpy.context, self.address)
 
     def draw(self, viewport: Viewport) -> None:
-        """Draw in the viewport's region, in pixels."""
         raise NotImplementedError
 
     def draw_beside(self, viewport: Viewport) -> None:
@@ -160,6 +154,12 @@ class Overlay:
         if viewport is not None and context.region == viewport.region:
             here = context.area.as_pointer() == self.address
             (self.draw if here else self.draw_beside)(viewport)
+
+
+def _kept(view: bpy.types.RegionView3D) -> dict[str, float | str | tuple[float, ...]]:
+    # Vectors of Blender are views of what will change.
+    now = {name: getattr(view, name) for name in _OF_REGION}
+    return {name: v if isinstance(v, float | str) else tuple(v) for name, v in now.items()}
 
 
 class CaptureView:
@@ -177,10 +177,9 @@ class CaptureView:
             looking = next((i for i, camera in enumerate(cameras) if camera == context.scene.camera), 0)
         self.camera = self._cameras[looking]
         """The name of the camera that is looked through, or was last"""
-        view, space = viewport.view, viewport.space
-        # Vectors of Blender are views of what will change, and objects are named, never held.
-        kept = {name: getattr(view, name) for name in _OF_REGION}
-        self._region = {name: v if isinstance(v, float | str) else tuple(v) for name, v in kept.items()}
+        space = viewport.space
+        self._region = _kept(viewport.view)
+        # Objects are named, never held.
         self._space = {name: getattr(space, name) for name in _OF_SPACE}
         self._space["camera"] = space.camera.name if space.camera is not None else None
         shows = self.shows(viewport)
@@ -196,7 +195,6 @@ class CaptureView:
         return self._cameras.index(self.camera)
 
     def face(self, viewport: Viewport) -> None:
-        """Have the viewport look through the capture camera."""
         scene, space, camera = bpy.context.scene, viewport.space, bpy.data.objects[self.camera]
         if scene is not None:
             captures.leave_other_view(scene, camera)
@@ -215,7 +213,6 @@ class CaptureView:
         return self._cameras.index(name) if name in self._cameras else None
 
     def shows(self, viewport: Viewport) -> bool:
-        """Whether the viewport looks through one of the cameras now."""
         return self.looks(viewport) is not None
 
     def follow(self, viewport: Viewport) -> bool:
@@ -233,7 +230,6 @@ class CaptureView:
             captures.leave_other_view(scene, other)
 
     def leave(self, context: bpy.types.Context) -> None:
-        """Put the view back; nothing where the viewport is gone."""
         viewport = viewport_at(context, self.address)
         if viewport is None:
             return
@@ -254,15 +250,13 @@ class FrontView:
 
     def __init__(self, viewport: Viewport, scene: bpy.types.Scene) -> None:
         self._address, view = viewport.area.as_pointer(), viewport.view
-        kept = {name: getattr(view, name) for name in _OF_REGION}
-        self._before = {name: v if isinstance(v, float | str) else tuple(v) for name, v in kept.items()}
+        self._before = _kept(view)
         units = 1.0 / scene.unit_settings.scale_length
         view.view_perspective = "PERSP"
         view.view_rotation = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
         view.view_location, view.view_distance = (0.0, self._AWAY * units, 0.0), self._DISTANCE * units
 
     def leave(self, context: bpy.types.Context) -> None:
-        """Put the view back; nothing where the viewport is gone."""
         viewport = viewport_at(context, self._address)
         if viewport is not None:
             for name, value in self._before.items():
@@ -286,7 +280,6 @@ class PictureView:
         self.show_all()
 
     def show_all(self) -> None:
-        """Show the whole picture."""
         self._zoom, self._centre = 1.0, self.size / 2.0
 
     def scale(self, free: Sequence[float]) -> float:

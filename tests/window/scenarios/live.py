@@ -29,7 +29,7 @@ def started(stage, source, folder, character=None, *, button=False, left=None):
     live = part("session.live")
     session = yield from stage.until(live.running, 5.0, "Live to start")
     yield from stage.until(
-        lambda: session.hand_states().get("right") == "seen",
+        lambda: session.hand_states.get("right") == "seen",
         40.0,
         lambda: f"a hand: {session.message} {session.error}",
     )
@@ -119,7 +119,7 @@ def acted(stage, source, take):
 
     before, keyed, name = place(), keys_of(captured), character.name
     session = yield from started(stage, source, Path(source).parent / "takes", left=character)
-    yield from stage.until(lambda: session.hand_states().get("left") == "seen", 20.0, "the left hand")
+    yield from stage.until(lambda: session.hand_states.get("left") == "seen", 20.0, "the left hand")
     yield from stage.invoke("manient.live_calibrate")
     # A machine that shows fewer than ten frames a second sees none.
     words = "cm long", "No open hand"
