@@ -19,11 +19,10 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.media.source import Source
-from handfit_core.take import Take
 from scripts.benchmark.kinematics import RightHand, hand_pose_from_angles
 from scripts.benchmark.poses import random_pose
 from tests.conftest import samples_dir
-from tests.takes import correctable, take_of, track_of, with_arms
+from tests.takes import correctable, take_of, track_of
 
 RENDERED_HAND = Path(__file__).resolve().parents[2] / "samples" / "rendered_hand"
 
@@ -65,11 +64,6 @@ class Inputs:
         return RENDERED_HAND / "truth.take.npz"
 
     @property
-    def film_of_the_board(self) -> Path:
-        """A film that tells its lens."""
-        return self._written("board.mp4", _FILM_BOARD, RENDERED_HAND.parents[1])
-
-    @property
     def two_cameras(self) -> dict[str, Path]:
         """Two clips of one hand, seen by cameras that stand 76 degrees apart."""
         folder = samples_dir() / "two_cameras" / "apart75"
@@ -78,22 +72,9 @@ class Inputs:
         given = {"source": "clip1_a.mp4", "second": "clip1_b.mp4"}
         return {name: Path(shutil.copy(folder / file, self.folder)) for name, file in given.items()}
 
-    @property
-    def rig(self) -> Path:
-        """A calibration of one camera."""
-        path = self.folder / "rig.toml"
-        path.write_text("[cam_0]\nmatrix = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n", encoding="utf-8")
-        return path
-
     def clip(self, frames: int, blank_from: int | None = None) -> Path:
         """A video of the bundled hand, to and fro; from `blank_from` on it shows nothing."""
         return self._written("clip.mp4", _WRITE_CLIP, RENDERED_HAND, frames, blank_from)
-
-    @property
-    def two_arms(self) -> Path:
-        """A take of two moving hands, with the arms that they hang on."""
-        path = self.folder / "arms.take.npz"
-        return with_arms(Take.load(self.two_hands())).save(path)
 
     def two_hands(self, away: float = 0.6) -> Path:
         """A take of two moving hands over a hundred frames, which can be corrected; `away` metres from the
@@ -115,12 +96,6 @@ class Inputs:
         path = self.folder / "robot.png"
         return {"source": path, "truth": write_robot_hand(path).tolist()}
 
-    @property
-    def two_hands_acting(self) -> Path:
-        """Three minutes of the bundled hand and its mirror image, which are held open and still at first,
-        then move to and fro."""
-        return self._written("acting.mp4", _WRITE_ACTING, RENDERED_HAND)
-
     def _written(self, name: str, code: str, *arguments: object) -> Path:
         """A file that Python code writes, to sys.argv[2], where OpenCV is."""
         python, path = os.environ.get("HANDFIT_PYTHON", sys.executable), self.folder / name
@@ -130,27 +105,6 @@ class Inputs:
         return path
 
 
-_FILM_BOARD = """
-sys.path.insert(0, sys.argv[1])
-from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.lens import Lens
-from tests.films import all_around, film
-lens = Lens(Intrinsics(430.0, 430.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, 0.0), 640, 480)
-film(sys.argv[2], lens, all_around(lens, 20))
-"""
-_WRITE_ACTING = """
-import pathlib
-shown = []
-for path in sorted(pathlib.Path(sys.argv[1]).glob("*.jpg")):
-    one = cv2.resize(cv2.imread(str(path)), None, fx=0.5, fy=0.5)
-    shown.append(np.full((480, 640, 3), one[0, 0], np.uint8))
-    shown[-1][120 : 120 + len(one)] = np.hstack([one, one[:, ::-1]])
-shown += shown[-2:0:-1]
-writer = cv2.VideoWriter(sys.argv[2], cv2.VideoWriter_fourcc(*"mp4v"), 12.0, (640, 480))
-for i in range(2400):
-    writer.write(shown[0 if i < 480 else i // 2 % len(shown)])
-writer.release()
-"""
 _WRITE_CLIP = """
 import pathlib
 folder, output, frames, blank = sys.argv[1:]

@@ -23,9 +23,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "addon.disabled_leaves_nothing": lambda i: {"take": i.take},
     "addon.survives_reloading_scripts": lambda i: {"take": i.take},
     "addon.take_from_the_file_browser": lambda i: {"take": i.take},
-    "addon.lens_from_the_file_browser": lambda i: {"film": i.film_of_the_board},
     "addon.all_sections": lambda i: {"source": i.clip(60)},
-    "addon.preferences": lambda _: {},
     "addon.whole_picture": lambda i: {"source": i.portrait},
     "capture.photo": lambda i: {"source": i.photo},
     "capture.clip": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
@@ -37,7 +35,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.undo_in_the_middle": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.another_file_in_the_middle": lambda i: {"source": i.clip(CLIP)},
     "capture.dropped": lambda i: {"source": i.photo},
-    "capture.arms_added": lambda i: {"source": i.photo},
     "finding.chosen": lambda i: {"source": i.four_hands},
     "finding.added": lambda i: {"source": i.photo},
     "refine.keypoint_dragged": lambda i: {"source": i.clip(60)},
@@ -47,15 +44,12 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "adding.in_a_drawing": Inputs.drawing,
     "adding.by_keys": lambda i: {"source": i.drawing()["source"]},
     "posing.proportions": lambda i: {"source": i.photo},
-    "posing.pose_of_the_library": lambda i: {"take": i.take},
     "posing.pose_of_the_asset_browser": lambda i: {"take": i.take},
     "posing.keys_simplified": lambda i: {"take": i.two_hands()},
     "posing.exported": lambda i: {"source": i.photo},
     "character.applied": lambda i: {"take": i.two_hands()},
-    "character.armed": lambda i: {"take": i.two_arms},
     "character.linked": lambda i: {"source": i.clip(60)},
     "views.captured": lambda i: i.two_cameras,
-    "views.told": lambda i: {**i.two_cameras, "rig": i.rig},
     "live.recorded": lambda i: {"source": i.clip(VERY_LONG_CLIP)},
 }
 
@@ -90,11 +84,6 @@ def test_a_small_window_frames_all_of_the_picture(small_blender: BlenderWindow, 
 @pytest.mark.slow
 def test_a_rigify_character_follows_live(small_blender: BlenderWindow, inputs: Inputs):
     small_blender.play("live.on_rigify", source=inputs.clip(VERY_LONG_CLIP))
-
-
-@pytest.mark.slow
-def test_both_hands_act_live(small_blender: BlenderWindow, inputs: Inputs):
-    small_blender.play("live.acted", source=inputs.two_hands_acting, take=inputs.take)
 
 
 @pytest.mark.slow

@@ -54,22 +54,6 @@ def take_from_the_file_browser(stage, take):
         assert len(hands()) == count
 
 
-def lens_from_the_file_browser(stage, film):
-    """Camera > Measured Lens: its buttons, the film chosen in the browser, measured while the window stays
-    free."""
-    settings = bpy.context.scene.manient
-    settings.camera = "LENS"
-    with opened_by_default("_capture"):
-        yield from stage.open_sidebar()
-        yield from stage.screenshot("lens-none")
-        bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
-        yield from stage.invoke("manient.measure_lens", lens="my phone")
-        yield from stage.choose_file(film)
-        yield from stage.until(lambda: settings.measured_lens, 60.0, "the measured lens")
-        yield from stage.screenshot("lens-measured")
-    assert settings.measured_lens == "my phone"
-
-
 def all_sections(stage, source):
     """With a captured clip: every section open, the mouse wheel turned through all of them."""
     with opened_by_default():
@@ -85,28 +69,6 @@ def all_sections(stage, source):
             yield 0.3
     drawn = {name.partition(".")[0] for name in stage.meter.calls if name.endswith(".draw")}
     assert {"source", "hand", "capture", "result", "refine", "shape", "export"} <= drawn
-
-
-def preferences(stage):
-    """The installed add-on's preferences, as the artist finds them; Blender lists no checkout."""
-    if ADDON == "blender_manient":
-        return
-    addon_utils.modules_refresh()
-    bpy.context.preferences.active_section = "ADDONS"
-    bpy.context.window_manager.addon_search = "manient"
-    area = stage.area()
-    area.type = "PREFERENCES"
-
-    def drawn() -> bool:
-        # Blender forgets it when it looks through its folders once more.
-        for module in addon_utils.modules(refresh=False):
-            if module.__name__ == ADDON:
-                addon_utils.module_bl_info(module)["show_expanded"] = True
-        area.tag_redraw()
-        return any(name.startswith("preferences.") and name.endswith(".draw") for name in stage.meter.calls)
-
-    yield from stage.until(drawn, 100.0, "the preferences to be drawn")
-    bpy.context.window_manager.addon_search = ""
 
 
 def whole_picture(stage, source):

@@ -248,30 +248,3 @@ def _said_of(job) -> tuple[int, bool, str, str]:
     settings = bpy.context.scene.manient
     shown = Path(part("session.source_info").of(settings).path).name
     return len(hands()), job.undone, Path(settings.source).name, shown
-
-
-def arms_added(stage, source):
-    """Add Arms looks at the picture again, and gives each hand an arm or says why not; undone, redone, saved
-    and opened again."""
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
-    yield from capture(stage, source)
-    before = summary()
-    yield from stage.press_button("bpy.ops.manient.add_arms(")
-    yield from stage.until(lambda: all(_arms()), 60.0, "arms, or why there are none")
-    found = _arms()
-    yield from stage.screenshot("arms")
-    yield from stage.undo()
-    assert not any(_arms())
-    assert summary() == before
-    yield from stage.redo()
-    assert _arms() == found
-    yield from stage.reopen(f"{source}.blend")
-    assert _arms() == found
-
-
-def _arms() -> list[str]:
-    """What each hand has: an arm, or a reason why there is none; empty for neither."""
-    tracks = [part("scene.store").hand_of(armature).track for armature in hands()]
-    has = [part("rigs.arm").has_arm(armature) for armature in hands()]
-    return ["arm" if arm else track.no_arm for arm, track in zip(has, tracks, strict=True)]

@@ -47,35 +47,6 @@ def applied(stage, take):
         assert (_keys(), _kept(), _turns(30)) == (keys, OTHER, turns)
 
 
-def armed(stage, take):
-    """A Rigify character gets the arms of a take by the panel's tick and button, and undo takes them back."""
-    yield from import_take(stage, take)
-    yield from rigify_character(stage)
-    before = _wrist(30)
-    with opened_by_default("MANIENT_PT_character"):
-        yield from stage.open_sidebar()
-        yield 0.5
-        yield from press(stage, "manient.character.arms")
-        yield from stage.until(lambda: _rig().manient.character.arms, 5.0, "the tick")
-        yield from press(stage, "bpy.ops.manient.apply_to_character(")
-        yield from stage.until(_keys, 60.0, "keys on the character")
-        yield 0.5
-        keyed = {c.data_path.split('"')[1] for c in _rig().animation_data.action.fcurves}
-        assert {f"{name}.{s}" for s in "LR" for name in ("hand_ik", "upper_arm_ik")} <= keyed
-        after = _wrist(30)
-        assert (after - before).length > 0.1
-        yield from stage.screenshot("character_armed")
-        yield from stage.undo()
-        assert _keys() == 0
-
-
-def _wrist(frame: int):
-    """Where the left hand is shown in a frame."""
-    bpy.context.scene.frame_set(frame)
-    shown = _rig().evaluated_get(bpy.context.evaluated_depsgraph_get())
-    return shown.pose.bones["ORG-hand.L"].head.copy()
-
-
 def linked(stage, source, steps=12):
     """A fingertip of a captured hand is dragged while another armature follows it by the live link."""
     yield from capture(stage, source)
@@ -157,23 +128,6 @@ def rigify_character(stage):
         bpy.context.view_layer.objects.active = _rig()
         bpy.ops.ed.undo_push(message="Character")
     yield 0.5
-
-
-def vroid_character(stage):
-    """Rigify's human at rest, its hands' and arms' bones called as VRoid calls those of its VRMs. Returns the
-    armature."""
-    addon_utils.enable("rigify", default_set=True, persistent=True)
-    called = {"hand": "Hand", "forearm": "LowerArm", "upper_arm": "UpperArm", "shoulder": "Shoulder"}
-    fingers = zip(FINGERS, ("Thumb", "Index", "Middle", "Ring", "Little"), strict=True)
-    called |= {f"{old}.0{i}": f"{new}{i}" for old, new in fingers for i in (1, 2, 3)}
-    with stage.override():
-        bpy.ops.object.armature_human_metarig_add()
-        armature = bpy.context.active_object
-        for side in "LR":
-            for old, new in called.items():
-                armature.data.bones[f"{old}.{side}"].name = f"J_Bip_{side}_{new}"
-    yield 0.5
-    return armature
 
 
 def _rig():

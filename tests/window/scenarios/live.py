@@ -9,22 +9,20 @@ from itertools import pairwise
 from pathlib import Path
 
 import bpy
-from mathutils import Vector
 
-from scenarios.capturing import done, finish, hands, import_take, jobs, keys_of, part
-from scenarios.character import press, rigify_character, vroid_character
+from scenarios.capturing import done, finish, hands, jobs, part
+from scenarios.character import press, rigify_character
 from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
 START = "bpy.ops.manient.live("
 
 
-def started(stage, source, folder, character=None, *, button=False, left=None):
-    """Press Start and wait for the right hand, which the `character` follows; `left`: who follows the left
-    one, if anybody does. Returns the session."""
+def started(stage, source, folder, character=None, *, button=False):
+    """Press Start and wait for the right hand, which the `character` follows. Returns the session."""
     settings = bpy.context.scene.manient.live
     settings.source, settings.folder, settings.countdown = f"file:{source}", str(folder), 1
-    settings.left.use, settings.left.character, settings.right.character = left is not None, left, character
+    settings.left.use, settings.right.character = False, character
     yield from press(stage, START) if button else stage.invoke("manient.live")
     live = part("session.live")
     session = yield from stage.until(live.running, 5.0, "Live to start")
@@ -99,67 +97,6 @@ def on_rigify(stage, source):
     yield 0.5
     assert angle() == 0.0
     assert workers() == captured_before
-
-
-def acted(stage, source, take):
-    """The left hand moves and turns a VRoid character's, the right one an open hand. Both are calibrated and
-    recorded to the playing scene, snapped onto the character and onto a captured hand, and the take is thrown
-    away; another file ends it."""
-    takes = part("session.live_takes").takes
-    captured = yield from import_take(stage, take)
-    character = yield from vroid_character(stage)
-    character.manient.character.wrist = "PLACED"
-    hand = character.pose.bones["J_Bip_L_Hand"]
-    character.location = Vector((0.2, 0.6, 0.0)) - hand.head  # beside the open hand
-    bpy.context.view_layer.objects.active = captured
-    bpy.ops.ed.undo_push(message="Before")
-
-    def place():
-        return (hand.matrix @ hand.bone.matrix_local.inverted()).to_quaternion()
-
-    before, keyed, name = place(), keys_of(captured), character.name
-    session = yield from started(stage, source, Path(source).parent / "takes", left=character)
-    yield from stage.until(lambda: session.hand_states().get("left") == "seen", 20.0, "the left hand")
-    yield from stage.invoke("manient.live_calibrate")
-    # A machine that shows fewer than ten frames a second sees none.
-    words = "cm long", "No open hand"
-    yield from stage.until(lambda: any(word in session.message for word in words), 30.0, "a length")
-    yield from stage.screenshot("live_calibrated")
-    yield from stage.until(lambda: before.rotation_difference(place()).angle > 0.1, 60.0, "a turn")
-    bpy.context.scene.manient.live.play = True
-    yield from stage.leave_popups()
-    yield from stage.key("SPACE")
-    yield from stage.until(lambda: bpy.context.screen.is_animation_playing, 10.0, "the scene to play")
-    yield from stage.until(lambda: _recorded(session) > 2.0, 60.0, "two seconds of recording")
-    yield from stage.screenshot("live_acted")
-    yield from stage.leave_popups()
-    yield from stage.key("SPACE")
-    (job,) = yield from stage.until(jobs, 60.0, "the take")
-    assert not bpy.context.screen.is_animation_playing
-    yield from finish(stage, job)
-    done(job)
-    yield from stage.until(lambda: takes[0].collections[0].hide_viewport, 5.0, "the take to be hidden")
-    yield from stage.screenshot("live_take_hidden")
-    preview = keys_of(character)
-    assert preview
-    bpy.context.view_layer.objects.active = captured
-    bpy.context.scene.frame_set(400)
-    yield from stage.invoke("manient.live_snapshot")
-    yield from stage.until(lambda: keys_of(captured) > keyed, 10.0, "the snapshot")
-    assert keys_of(character) > preview
-    yield from stage.screenshot("live_snapped")
-    bpy.ops.manient.live_throw_away("EXEC_DEFAULT", index=0)
-    assert not takes
-    assert not list((Path(source).parent / "takes").iterdir())
-    assert [hand for hand in hands() if "Live" not in hand.name] == [captured]
-    assert keys_of(character) == 0
-    yield from stage.reopen(f"{source}.blend")
-    yield from stage.until(lambda: session.over, 10.0, "the end")
-    yield 0.5
-    assert len(workers()) <= 1
-    assert [c for c in bpy.data.collections if c.manient.is_live or c.hide_viewport] == []
-    hand = bpy.data.objects[name].pose.bones["J_Bip_L_Hand"]
-    assert before.rotation_difference(place()).angle < 1e-3
 
 
 def measured(stage, source, figures, rounds, seconds):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from scenarios.capturing import assert_sentence, begin, changed, done, finish, hands, part, pose_at
+from scenarios.capturing import begin, changed, done, finish, hands, part, pose_at
 from scenarios.panels import opened_by_default
 from scenarios.refine import INDEX_TIP, dragged, edited, ended, operator, places, warmed
 
@@ -101,31 +101,3 @@ def _points_shown(stage, armature):
     yield from stage.screenshot("second_view_after")
     yield from ended(stage)
     assert bpy.context.scene.camera.name == "camera of clip1_b"
-
-
-def told(stage, source, second, rig):
-    """A frame of each view, typed beside its picture, tells the offset; a calibration of other cameras is
-    refused in a sentence that names it."""
-    settings = bpy.context.scene.manient
-    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_second_view", "MANIENT_PT_capture"):
-        yield from stage.open_sidebar()
-        yield from chosen(stage, source, second)
-        yield from stage.screenshot("views-advanced")
-        settings.use_offset = settings.use_pair = True
-        settings.pair = 31, 24
-        yield 0.5
-        info = part("session.source_info")
-        pictured = lambda: [info.of(settings, field).picture for field in info.VIEWS]  # noqa: E731
-        yield from stage.until(lambda: all(pictured()), 20.0, "a picture of each frame")
-        yield 1.0
-        yield from stage.screenshot("views-paired")
-        before = pictured()
-        settings.pair = 31, 40
-        yield from stage.until(lambda: pictured()[1] != before[1], 20.0, "another picture")
-        assert abs(info.told_offset(settings) - (30 - 39) / info.of(settings).fps) < 1e-4
-        job = yield from begin(stage, source, second_view=str(second), cameras=str(rig))
-        yield from finish(stage, job)
-        assert job.state == "failed"
-        assert_sentence(job.message)
-        assert "rig.toml" in job.message
-        yield from stage.screenshot("views-refused")
