@@ -191,7 +191,7 @@ def test_the_picture_fills_a_region_of_its_size(make_take, moved):
 def test_a_name_is_no_address(make_take, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     content = clip(tmp_path / "clip.mp4")
-    with listening(tmp_path) as (port, connections):
+    with listening() as (port, connections):
         for name in names(port):
             (tmp_path / name).write_bytes(content)
             for kind in ("video", "photo"):
@@ -206,7 +206,7 @@ def test_a_name_is_no_address(make_take, tmp_path, monkeypatch):
 @pytest.mark.parametrize("kind", ["video", "photo", "sequence"])
 def test_a_playlist_is_no_picture(make_take, tmp_path, kind):
     path = tmp_path / "list.0001.mp4"
-    with listening(tmp_path) as (port, connections):
+    with listening() as (port, connections):
         for content in playlists(f"http://127.0.0.1:{port}/clip.mp4").values():
             path.write_bytes(content)
             built = build_take(make_take(source=Source(kind, (str(path),))).take)

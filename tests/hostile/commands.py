@@ -10,19 +10,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from tests.bombs import with_claimed_size
 from tests.hostile import models, pickles, pictures, recordings, takes, videos
 from tests.hostile.engine import ODD, RESULTS, Case, Place
 from tests.hostile.mutations import system_call
 from tests.hostile.names import TEXTS
 from tests.hostile.npz import bomb
+from tests.playlists import playlists
 
 Files = dict[str, Callable[[], bytes]]
 
 BAD: dict[str, tuple[str, Callable[[], bytes]]] = {
     "picture": ("a.png", lambda: pictures.encoded("png")[:-300]),
-    "jpeg": ("a.jpg", lambda: pictures.jpeg(32000, 32000)),
+    "jpeg": ("a.jpg", lambda: with_claimed_size(".jpg", 32000, 32000)),
     "video": ("a.mp4", lambda: videos.good_bytes()[:500]),
-    "playlist": ("a.mp4", lambda: videos.HLS % b"kept.npz"),
+    "playlist": ("a.mp4", lambda: playlists("kept.npz")["hls"]),
     "nothing": ("a.jpg", lambda: b""),
     "words": ("a", lambda: b"words"),
 }
@@ -51,7 +53,6 @@ TAKES: Files = {
 }
 CHARACTERS = {
     "words": b"words",
-    "nothing": b"",
     "header": b"BLENDER-v405REND" + bytes(range(256)) * 40,
     "huge-block": b"BLENDER-v402DNA1\xff\xff\xff\x7f" + b"\0" * 64,
     "zstd": b"\x28\xb5\x2f\xfd" + bytes(range(256)) * 40,
@@ -67,18 +68,16 @@ BATCHES: dict[str, tuple[list[str], int]] = {
     "no-input": (["nowhere.npz", "-o", "result"], 1),
     "into-a-file": (["kept.npz", "-o", "kept.npz"], 2),
     "format": (["kept.npz", "-o", "result", "--format", "exe"], 2),
-    "long-name": (["x" * 5000, "-o", "result"], 1),
     "surrogate": (["\udcff.npz", "-o", "result"], 1),
     "nul": (["a\0b", "-o", "result"], 1),
-    "frames": (["kept.npz", "-o", "result", "--frames", "9" * 5000], 2),
 }
 """Arguments, and the exit code"""
 LIVE: dict[str, list[str]] = {
-    "nothing": [""], "nul": ["a\0b"], "surrogate": ["\udcff"], "long": ["x" * 5000], "digits": ["9" * 5000], "minus": ["-1"],
+    "nothing": [""], "nul": ["a\0b"], "digits": ["9" * 5000], "minus": ["-1"],
     "local-file": ["file:///etc/passwd"], "ftp": ["ftp://127.0.0.1/x"], "concat": ["concat:a|b"], "no-host": ["http://"],
     "bracket": ["http://[::1"], "port": ["http://127.0.0.1:99999/x"], "elsewhere": ["http://192.0.2.1/x"],
-    "name-and-password": ["http://127.0.0.1@192.0.2.1/x"], "like-here": ["http://127.0.0.1.example.org/x"],
-    "words": ["file:a.mp4"], "device": ["file:/dev/zero"], "gone": ["file:nowhere.mp4"], "seconds": ["0", "--seconds", "nan"],
+    "name-and-password": ["http://127.0.0.1@192.0.2.1/x"],
+    "words": ["file:a.mp4"], "device": ["file:/dev/zero"], "seconds": ["0", "--seconds", "nan"],
     "size": ["0", "--size", "9e99x1"], "rate": ["0", "--rate", "1e999"], "cutoff": ["0", "--min-cutoff", "nan"],
     "lens": ["0", "--lens", "nan,1,1"], "vmc": ["0", "--vmc", "127.0.0.1:99999"], "onto": ["file:a.mp4", "-o", "a.mp4"],
     "record-onto": ["file:kept.npz", "-o", "kept.npz"],

@@ -10,6 +10,7 @@ from functools import cache, partial
 import cv2
 import numpy as np
 
+from tests.bombs import with_claimed_size
 from tests.hostile.engine import Case, table
 from tests.hostile.mutations import mutants
 from tests.hostile.npz import some
@@ -33,14 +34,6 @@ def gif(width: int, height: int, frames: int = 2) -> bytes:
     picture = b"\x2c" + struct.pack("<4HB", 0, 0, min(width, 8), min(height, 8), 0) + b"\x02\x02\x4c\x01\x00"
     screen = struct.pack("<2H3B", width, height, 0x80, 0, 0) + b"\x80\x80\x80\x00\x00\x00"
     return b"GIF89a" + screen + picture * frames + b"\x3b"
-
-
-def jpeg(width: int, height: int) -> bytes:
-    """A small JPEG that claims another size."""
-    data = bytearray(encoded("jpg"))
-    at = data.index(b"\xff\xc0") + 5
-    data[at : at + 4] = struct.pack(">2H", height, width)
-    return bytes(data)
 
 
 def png(
@@ -110,7 +103,7 @@ _SIZES = (
 _LARGER = (*_SIZES, (2**31 - 1, 2**31 - 1), (2**31 - 1, 1), (2**32 - 1, 2**32 - 1), (1 << 20, 1 << 10))
 
 HEADERS: dict[str, Callable[[], bytes]] = {
-    **{f"jpg-{w}x{h}": lambda w=w, h=h: jpeg(w, h) for w, h in _SIZES},
+    **{f"jpg-{w}x{h}": lambda w=w, h=h: with_claimed_size(".jpg", w, h) for w, h in _SIZES},
     **{f"png-{w}x{h}": lambda w=w, h=h: png(w, h) for w, h in _LARGER},
     **{f"gif-{w}x{h}": lambda w=w, h=h: gif(w, h) for w, h in _SIZES},
     **{f"webp-{w}x{h}": lambda w=w, h=h: webp(w, h) for w, h in ((16383, 16383), (1 << 24, 1 << 24), (1, 1))},
@@ -121,9 +114,7 @@ HEADERS: dict[str, Callable[[], bytes]] = {
     "tif-loop": lambda: b"II*\0" + struct.pack("<I", 8) + struct.pack("<HI", 0, 8) * 20,
     **{f"bmp-{w}x{h}": lambda w=w, h=h: bmp(min(w, 2**31 - 1), min(h, 2**31 - 1)) for w, h in _LARGER},
     **{f"bmp-minus-{w}": lambda w=w: bmp(w, -w, 32) for w in (30000, 2**31 - 1)},
-    **{f"bmp-packed-{n}": lambda n=n: bmp(30000, 30000, (4, 8)[n % 2], 1 + n % 2) for n in range(2)},
     **{f"ppm-{w}x{h}": lambda w=w, h=h: b"P6\n%d %d\n255\n" % (w, h) + bytes(99) for w, h in _LARGER},
-    "ppm-minus": lambda: b"P6\n-5 -5\n255\n" + bytes(99),
     "ppm-long": lambda: b"P5 " + b"9" * 100_000,
     **{f"hdr-{w}x{h}": lambda w=w, h=h: b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y %d +X %d\n" % (h, w) + bytes(99) for w, h in _LARGER},
     "jp2-huge": lambda: encoded("jp2").replace(struct.pack(">2I", 48, 64), struct.pack(">2I", 32000, 32000)).replace(struct.pack(">2I", 64, 48), struct.pack(">2I", 32000, 32000)),
@@ -132,11 +123,9 @@ HEADERS: dict[str, Callable[[], bytes]] = {
     "png-interlaced": lambda: png(30000, 30000, 8, 6, interlace=1),
     **{f"png-{name}-says-2-gb": lambda name=name: _claiming(name) for name in ("IDAT", "tEXt", "PLTE", "acTL")},
     "png-frame-beyond": lambda: animated(64, 48, 16000, 16000),
-    "png-frames-far": lambda: animated(8000, 8000, 8000, 8000),
     "exif-loop": lambda: exif([(0x8769, 4, 1, 8)], following=8),
     "exif-huge-count": lambda: exif([(0x112, 3, 2**32 - 1, 6), (0x920A, 5, 2**31, 2**31), (0xA405, 3, 1, 0)]),
     "exif-far": lambda: exif([(0x8769, 4, 1, 2**32 - 8), (0xA404, 5, 1, 2**32 - 1)], order=b"MM"),
-    "exif-orientation-99": lambda: exif([(0x112, 3, 1, 99)]),
     "exif-many": lambda: exif([(0x8769, 4, 1, 8)] * 5000),
 }  # fmt: skip
 _KNOWN = ("jpg-32000x32000", "png-true-zeros", "gif-30000x30000", "png-IDAT-says-2-gb", "png-frame-beyond")

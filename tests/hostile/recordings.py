@@ -78,18 +78,14 @@ CELLS = {
 
 TABLES: dict[str, Callable[[], bytes]] = {
     "columns-2-million": lambda: b"x,y," * 1_000_000 + b"z\n" + b"1,2," * 1_000_000 + b"3\n",
-    "columns-9999": lambda: b",".join(b"left_hand_%d_x" % n for n in range(9999)) + b"\n" + b"1," * 9998 + b"1\n",
     "hands-by-thousands": lambda: b",".join(b"hand%d_landmark%d_%c" % (n // 12, n // 2 % 6, b"xy"[n % 2]) for n in range(9600)) + b"\n" + (b"0.5," * 9599 + b"0.5\n") * 1500,
     "rows-30-million": lambda: b"frame,x\n" + b"1,2\n" * 30_000_000,
-    "cells-60-million": lambda: b"frame,x\n" + b"," * 60_000_000,
     "cell-of-130000": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,%s,0,1,2\n" % (n, b"x" * (130_000 if n == 9 else 1)) for n in range(20_000)),
     "empty-lines": lambda: b"frame,x\n" + b"\n" * 100_000_000,
     "one-cell": lambda: b'frame,x\n"' + b"x" * 100_000_000,
-    "quotes": lambda: b"frame,x\n" + b'"' * 50_000_000,
     "too-large": lambda: b"frame,x\n" + bytes(520_000_000),
     "same-names": lambda: b"frame,side,point,x_px,y_px,x_px,y_px\n1,left,0,1,2,3,4\n",
     "only-names": lambda: b"frame,side,point,x_px,y_px\n",
-    "no-names": lambda: b",,,,\n,,,,\n",
     "all-hands": lambda: b"frame,hand,side,point,x_px,y_px\n" + b"".join(b"1,%d,left,%d,5,5\n" % (n // 21, n % 21) for n in range(42_000)),
     "far-frames": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,left,%d,5,5\n" % (10**n, m) for n in range(15) for m in range(21)),
     "nul": lambda: b"frame,side,point,x_px,y_px\n1,left,0,\0,2\n",
@@ -141,7 +137,6 @@ LONG_BONES: dict[str, Callable[[], bytes]] = {
     "numbers-in-one-line": lambda: (ROOT % ("", 1)).encode() + b"0 " * 60_000_000,
     "frames-in-one-line": lambda: (ROOT % ("", 20_000_000)).encode() + b"0 " * 60_000_000,
     "one-number": lambda: (ROOT % ("", 1)).encode() + b"1" * 120_000_000,
-    "one-time": lambda: (ROOT % ("", 1)).encode()[:-5] + b"1" * 120_000_000,
     "bones-and-frames": lambda: (ROOT % ("JOINT b\n{\nOFFSET 0 0 0\n}\n" * 1500, 5500)).encode() + b"0 0 0\n" * 5500,
 }  # fmt: skip
 

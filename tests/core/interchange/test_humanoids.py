@@ -299,7 +299,6 @@ def test_it_plays_in_a_loop_until_it_is_stopped(inbox, tmp_path):
     [
         ("127.0.0.1:39540", ("127.0.0.1", 39540)),
         ("studio-pc", ("studio-pc", 39539)),
-        ("[::1]:39540", ("::1", 39540)),
         ("[::1]", ("::1", 39539)),
         *((wrong, None) for wrong in ("", "here:", "here:65536")),
     ],

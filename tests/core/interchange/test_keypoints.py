@@ -63,10 +63,6 @@ def worst_in_space(recording: Recording, away: Any = 0.0) -> float:
     return float(max(np.abs(hand.points - away - TOLD.points[hand.side]).max() for hand in recording.points))
 
 
-def of_mmpose(points: Any, scores: Any) -> list[Any]:
-    return [{"frame_id": 0, "instances": [{"keypoints": points, "keypoint_scores": scores}]}]
-
-
 # Frames of JSON
 
 
@@ -166,7 +162,7 @@ def test_fingers_tell_whose_sides_are_of_mirrored_pictures(
     assert says(recording, "left and right are swapped") == (layout is files.legacy)
 
 
-@pytest.mark.parametrize("key", ["hand", "type", "label", "handedness"])
+@pytest.mark.parametrize("key", ["hand", "handedness"])
 def test_counts_are_no_sides(tmp_path: Path, key: str) -> None:
     """But for Apple's chirality. A side that is asked for is that of hands of unknown side."""
     hands = [{key: i, "landmarks": landmarks("right", 0).tolist()} for i in (-1, 0, 1)]
@@ -305,7 +301,7 @@ def test_tables(tmp_path: Path, name: str) -> None:
     assert says(recording, "as its fingers bend") == (name in ("both by numbers", "points"))
 
 
-@pytest.mark.parametrize("written", ["{:.6f}", "{:.18e}", "{}.0", "frame_2.1_{:05d}.png", "{:04d}"])
+@pytest.mark.parametrize("written", ["{:.18e}", "frame_2.1_{:05d}.png", "{:04d}"])
 def test_frames_numbers_as_they_are_written(tmp_path: Path, written: str) -> None:
     rows = [[written.format(i + 9), *rest] for i, *rest in files.rows_of_hands()]
     recording = read(table(tmp_path / "a.csv", ["frame", "hand", *wide()], rows))
@@ -504,10 +500,6 @@ def of_left_hand(numbers: list[Any]) -> dict[str, Any]:
     return {"people": [{"hand_left_keypoints_2d": numbers}]}
 
 
-def of_side(points: Any) -> list[Any]:
-    return [{"landmarks": [points], "handedness": ["Left"]}]
-
-
 def of_apple(value: Any) -> list[Any]:
     return [{"chirality": "left", "joints": dict.fromkeys(files.APPLE_CODES, value)}]
 
@@ -520,19 +512,13 @@ def ours(**changes: Any) -> dict[str, Any]:
 WRONG: list[tuple[str, Any, str]] = [
     ("openpose", {"people": [{"pose_keypoints_2d": [1.0, 2.0, 0.5] * 25}]}, "--hand"),
     ("openpose", of_left_hand([1.0, 2.0, 0.5] * 20), "60 numbers of a hand; expected 21 times xyc"),
-    ("openpose", of_left_hand([0.0] * 63), "at least 6 points"),
     ("openpose", of_left_hand([1e7, 1.0, 0.5] * 21), "a point lies beyond"),
-    ("mmpose", of_mmpose([[1.0, 2.0]] * 17, [0.9] * 17), "17 points; expected 133, 136, 21"),
     ("mmpose", [files.mmpose(0), {"frame_id": 0, "instances": []}], "frame 0 is there twice"),
-    ("mediapipe", of_side(files.points(np.ones((20, 3)))), "20 points; expected 21"),
-    ("mediapipe", [{"landmarks": [], "handedness": []}], "none of its frames has a hand"),
     ("apple-vision", of_apple("x"), "none of its frames has a hand"),
     ("leap", leap(in_metres), "expected about 90, in millimetres"),
-    ("leap", leap(lambda frame: frame["pointables"][3].update(type=7)), "it lacks 3"),
     ("leap", [*files.websocket(), *([{}] * LIMITS.frames)], f"at most {LIMITS.frames} are read; cut it"),
     ("points", ours(version=2), "newer version"),
     ("points", ours(frames=[1] * FRAMES), "numbers do not increase"),
-    ("points", ours(hands=[{"side": "Left", "keypoints_2d": []}]), "must be left or right"),
 ]  # fmt: skip
 
 
@@ -556,7 +542,7 @@ OWN = [[1, "left", name, i, i * i] for i, name in enumerate(KEYPOINT_NAMES)]
         (POINT, TWICE, "frame 0 has the point 0 of one hand twice"),
         *(
             (["frame", "hand", *wide()], [[cell, "left", *HAND]], "no frame's number")
-            for cell in ("1.5", "1e400", "first", "")
+            for cell in ("1.5", "first")
         ),
         (OURS, [*OWN, [2, "both", "wrist", 1, 2]], "expected left or right"),
     ],
@@ -570,7 +556,6 @@ def test_tables_that_are_wrong(tmp_path: Path, header: list[str], rows: list[Any
     ("array", "said"),
     [
         (np.zeros((FRAMES, 33, 3)), r"\(6, 33, 3\); expected \(frames, 21, 3\)"),
-        (np.full((FRAMES, 21, 3), np.nan), "none of its frames has a hand"),
         (files.in_room("left")[:4], "different numbers of frames"),
     ],
 )

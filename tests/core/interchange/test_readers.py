@@ -39,7 +39,7 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
 @pytest.mark.parametrize(
     ("name", "content"),
     [
-        *(("a.csv", text) for text in (b"", b"[]", b"a,b\n1,2\n", b"\0\1\2")),
+        *(("a.csv", text) for text in (b"", b"a,b\n1,2\n", b"\0\1\2")),
         ("a.json", b'{"landmarks": ["x"]}'),
         ("a.npz", b"PK\3\4"),
         ("a.pkl", b"\x80\x02cposix\nsystem\n."),

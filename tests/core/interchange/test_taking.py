@@ -211,9 +211,9 @@ def test_points_that_the_program_doubts_are_believed_less() -> None:
     assert np.argwhere(found.overlapped).tolist() == [[1, 7], [2, 7]]
 
 
-@pytest.mark.parametrize("gone", [[0], [0, 5, 9, 13, 17], list(range(5, 21)), [4, 8, 12, 16, 20]])
+@pytest.mark.parametrize("gone", [[0, 5, 9, 13, 17], list(range(5, 21)), [4, 8, 12, 16, 20]])
 def test_whatever_is_missing_numbers_come_back(gone: list[int]) -> None:
-    """The wrist, all knuckles with it, all but the thumb's points and the wrist, all fingertips."""
+    """The wrist and all knuckles, all but the thumb's points and the wrist, all fingertips."""
     pixels = DETECTOR.project(truth_of("right", 6))
     size = np.ptp(pixels, axis=1).max()
     pixels[:, [k for k in gone if k > 0 or len(gone) < 16]] = np.nan

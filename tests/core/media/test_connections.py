@@ -14,7 +14,7 @@ from tests.playlists import names, playlists
 def test_a_name_is_no_address(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     content = clip(tmp_path / "clip.mp4", frames=5)
-    with listening(tmp_path) as (port, connections):
+    with listening() as (port, connections):
         for name in [*names(port), "file:clip.mp4", "concat:clip.mp4", "subfile,,start,0,end,9,,:clip.mp4"]:
             (tmp_path / name).write_bytes(content)
             media = open_media(name)
@@ -27,7 +27,7 @@ def test_a_name_is_no_address(tmp_path, monkeypatch):
 def test_a_playlist_is_no_video(tmp_path, name):
     hidden = tmp_path / "hidden.mp4"
     clip(hidden)
-    with listening(tmp_path) as (port, connections):
+    with listening() as (port, connections):
         for address in (f"http://127.0.0.1:{port}/clip.mp4", str(hidden), hidden.name, f"file:{hidden}"):
             for kind, content in playlists(address).items():
                 (tmp_path / name).write_bytes(content)

@@ -72,16 +72,12 @@ MANY = Limit(PICTURE.large_file, PICTURE.large_file)
     [
         (jpeg, 8000, 8000, 0, None, ""),
         (jpeg, 8001, 8000, 0, None, "in a file under 10 MB no more than 64 are read; .* allow more"),
-        (jpeg, 8001, 8000, 0, 251, ""),
         (jpeg, 25_000, 10_000, SMALL_FILE, None, ""),  # a medium-format camera's
         (jpeg, 25_000, 10_001, SMALL_FILE, None, "no more than 250 are read"),
-        (jpeg, 25_000, 10_001, SMALL_FILE, 251, ""),
         (deep_png, 65_536, 1, 0, 251, "claims 65536 x 1 pixels, and no side of more than 65535 is read"),
-        (deep_png, 10_000, 10_000, 0, None, r"count as 300\), and in a file under 10 MB no more than 64"),
         # Fewer bytes than pixels
         (deep_png, 10_000, 10_000, SMALL_FILE, None, r"count as 300\), and no more than 250"),
         (deep_png, 10_000, 10_000, 10**8, None, ""),
-        (deep_png, 10_000, 10_000, 10**8, 99, r"\(100 megapixels\), and no more than 99 are read"),
         (deep_png, 9000, 9000, SMALL_FILE // 2, MANY, ""),
         # 250 megapixels of 16 bits would take four gigabytes.
         (deep_png, 25_000, 10_000, 0, MANY, r"count as 750\), and in a file .* no more than 250 are read"),

@@ -49,6 +49,7 @@ def cluster(folder: Path, *more: str, count: int = 2) -> Iterator[tuple[str, lis
                 process.wait(PATIENCE)
 
 
+@pytest.mark.slow
 def test_a_cluster_started_here(tmp_path: Path) -> None:
     names = ["a", "broken", "dies", *(f"slow{number}" for number in range(3))]
     shop = Shop(tmp_path, names)
@@ -123,13 +124,14 @@ def photo(tmp_path: Path) -> Path:
     return tmp_path / "a.jpg"
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere", "http://127.0.0.1:1"])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nowhere"])
 def test_no_scheduler(photo: Path, address: str, capsys: pytest.CaptureFixture[str], monkeypatch) -> None:
     monkeypatch.setattr(workers, "_CONNECT", 1.0)
     assert main(["batch", str(photo), "-o", str(photo.parent / "out"), "--scheduler", address]) == 2
     assert "no Dask scheduler answers at" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [

@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from handfit_core.common.errors import Cancelled, InputError, NoHandFoundError
+from handfit_core.common.errors import Cancelled, NoHandFoundError
 from handfit_core.common.version import __version__
 from handfit_core.worker import client
 from handfit_core.worker.client import ENDED, Worker
@@ -180,18 +180,11 @@ def test_cancel_reaches_the_peer(peer, start):
     assert worker.events() == []
 
 
-@pytest.mark.parametrize("kind", [NoHandFoundError, InputError])
-def test_errors_are_raised_as_what_they_were(kind):
-    error = as_error(
-        {"event": "error", "id": 1, "type": kind.__name__, "message": "what", "details": "where"}
-    )
-    assert type(error) is kind
-    assert str(error) == "what"
-    unknown = as_error(
-        {"event": "error", "id": 1, "type": "ZeroDivisionError", "message": "oh", "details": "x"}
-    )
-    assert isinstance(unknown, WorkerError)
-    assert unknown.details == "x"
+def test_errors_are_raised_as_what_they_were():
+    for kind, raised in (("NoHandFoundError", NoHandFoundError), ("ZeroDivisionError", WorkerError)):
+        error = as_error({"event": "error", "id": 1, "type": kind, "message": "what", "details": "where"})
+        assert type(error) is raised
+        assert "what" in str(error)
 
 
 # Deaths
@@ -199,7 +192,6 @@ def test_errors_are_raised_as_what_they_were(kind):
 
 UNFIT = f"^the Python '.*peer' {{}}; {ADVICE}"
 DEATHS = {
-    "killed": ("ready()\nos.kill(os.getpid(), signal.SIGKILL)", ENDED, "exit code -9"),
     "hung": (
         "ready()\nsys.stdin.close(); sys.stdout.close(); connection.close(); time.sleep(60)",
         ENDED,
@@ -219,11 +211,6 @@ DEATHS = {
         "say(event='done', id=1)\ntime.sleep(60)",
         UNFIT.format("answered in an unknown way"),
         "",
-    ),
-    "no-package": (
-        "sys.stderr.write(\"No module named 'handfit_core'\\n\"); sys.exit(1)",
-        UNFIT.format(r"cannot capture \(No module named 'handfit_core'\)"),
-        "exit code 1",
     ),
     "old-python": (
         "sys.stderr.write('is version 3.9.1\\n'); sys.exit(77)",
@@ -326,12 +313,3 @@ def test_an_interrupt_passes_through_and_leaves_nothing(peer):
             worker.wait(request, interrupt, timeout=20)
     assert pid is not None
     assert not exists(pid)
-
-
-@needs_scripts
-def test_debug_repeats_what_it_says(peer, start, capfd):
-    speak = "sys.stderr.write(' '.join(sys.argv[1:]) + '\\n'); say(event='done', id=r['id'])"
-    worker = start(peer(f"ready()\nfor r in requests(): {speak}"), threads=3, debug=True)
-    worker.wait(worker.submit("warm"), timeout=20)
-    worker.stop()
-    assert "launch.py worker --threads 3 --debug" in capfd.readouterr().err

@@ -12,7 +12,6 @@ from handfit_core.common.errors import Cancelled, HandfitError, OptionError, Pro
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.edit import RefineHand, to_message
 from handfit_core.edit.messages import answer, from_message
-from handfit_core.fit.solvers import never
 from tests.conftest import ROOT
 from tests.core.fit.detections import columns
 
@@ -50,24 +49,12 @@ def test_a_drag_is_stopped_before_answering(hand: RefineHand) -> None:
         answer({"hand": to_message(hand)}, lambda: asked.append(1) or len(asked) > 1)
 
 
-def test_mode_may_be_missing(hand: RefineHand) -> None:
-    done = answer({"hand": to_message(hand)}, never)
-    assert done["result"] == answer({"hand": to_message(hand), "mode": "each"}, never)["result"]
-
-
 @pytest.mark.parametrize(
     ("changes", "kind", "said"),
     [
         ({"holes": [float("nan")]}, ProtocolError, "holes must be a finite number, not"),
-        ({"holes": [1.5]}, ProtocolError, "holes must be a whole number, not"),
         ({"holes": 3}, ProtocolError, "holes must be a list, not 3"),
-        ({"fps": True}, ProtocolError, "fps must be a finite number, not True"),
-        (
-            {"smoothing": 10**400},
-            ProtocolError,
-            "smoothing must be a finite number, not a number that is too large",
-        ),
-        ({"intrinsics": ["a", 1, 2, 3]}, ProtocolError, "intrinsics must be a finite number, not 'a'"),
+        ({"smoothing": 10**400}, ProtocolError, "smoothing must be a finite number, not a number that is"),
         ({"intrinsics": [1, 2]}, ProtocolError, "intrinsics must be a list of 4 numbers, not"),
         ({"intrinsics": [1e-300, 1e-300, 0, 0]}, OptionError, "positive, finite focal lengths"),
         ({"model": 3}, ProtocolError, "model must be a text of at most 32767 characters, not 3"),
