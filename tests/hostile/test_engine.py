@@ -31,16 +31,13 @@ DOORS: dict[str, Callable[..., Any]] = {
     "nothing": lambda: None,
     "refuse": _refuse,
     "raise": lambda: int("no sentence for an artist"),
-    "exit": lambda: sys.exit(3),
     "abort": os.abort,
-    "leave": lambda: os._exit(0),
     "eat": lambda size: np.ones(size, dtype=np.uint8) is None,
     "compute": lambda: sum(iter(int, 1)),
     "sleep": lambda: time.sleep(3600),
     "connect": lambda port: socket.create_connection(("127.0.0.1", port)).close(),
     "say": lambda text: print(text, file=sys.stderr),
     "write": lambda name: Path(name).write_bytes(b"x"),
-    "remove": lambda name: Path(name).unlink(),
 }
 
 
@@ -68,11 +65,8 @@ def test_lets_good_cases_pass(keeper: Doorkeeper, good: Case) -> None:
     [
         (case("nothing", refused=True), "must be refused"),
         (case("refuse", text="two\nlines"), "no sentence"),
-        (case("refuse", text=""), "no sentence"),
         (case("raise"), "ValueError"),
-        (case("exit"), "SystemExit"),
         (case("abort"), "SIGABRT"),
-        (case("leave"), "exit code 0"),
         (case("eat", size=1_100_000_000), "memory: 11"),
         (case("eat", size=30_000_000_000), "MemoryError"),
         (case("compute"), "SIGXCPU"),
@@ -80,7 +74,6 @@ def test_lets_good_cases_pass(keeper: Doorkeeper, good: Case) -> None:
         (case("say", text="Traceback (most recent call last)"), "stderr"),
         (case("write", name="kept.npz"), "changed: 'kept.npz'"),
         (case("write", name="new"), "left behind: 'new'"),
-        (case("remove", name="kept.npz"), "lost: 'kept.npz'"),
     ],
     ids=lambda value: value.name if isinstance(value, Case) else "",
 )

@@ -30,7 +30,7 @@ BPY_VARIABLES = ("MATERIALX_SEARCH_PATH", "PXR_MTLX_STDLIB_SEARCH_PATHS", "OCIO"
 
 
 def test_from_installing_to_uninstalling(zipped, samples, without_network, processes_with, tmp_path):
-    for name in (*EMPTY, "inside", "given", "made"):
+    for name in (*EMPTY, "inside", "given"):
         (tmp_path / name).mkdir()
     for script in (SCRIPT, *SHARED):
         shutil.copy(script, tmp_path / "inside")
@@ -46,9 +46,7 @@ def test_from_installing_to_uninstalling(zipped, samples, without_network, proce
     variables += ["PATH=/usr/local/bin:/usr/bin:/bin", "LANG=C.UTF-8", mark]
     names = [*(variable.partition("=")[0] for variable in variables), *BPY_VARIABLES]
     asked = tmp_path / "given" / "asked.json"
-    asked.write_text(
-        json.dumps({**given, "made": str(tmp_path / "made"), "root": str(ROOT), "variables": names}), "utf-8"
-    )
+    asked.write_text(json.dumps({**given, "root": str(ROOT), "variables": names}), "utf-8")
     script = [sys.executable, "-I", str(tmp_path / "inside" / SCRIPT.name), "--", str(asked)]
     done = subprocess.run(
         [*without_network, "env", "-i", *variables, *script],

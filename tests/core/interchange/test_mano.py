@@ -326,15 +326,6 @@ def test_hands_of_a_body(tmp_path: Path, turn: np.ndarray, up: str) -> None:
     assert says(recording, f"taken to be {up}, as the body stands so")
 
 
-def test_fingers_that_never_move_are_told(tmp_path: Path) -> None:
-    """As in the many files of AMASS whose markers were on the body alone."""
-    poses = np.zeros((FRAMES, 156))
-    poses[:, 66:] = np.tile(HANDS["left"].hand_pose[0], 2)
-    for changes, still in (({"poses": poses}, True), ({}, False)):
-        path = written(tmp_path / "a.npz", files.amass(52, UP_AXES["y"], **changes))
-        assert says(read(path), "the fingers never move") == still
-
-
 def test_what_poses_count_from(tmp_path: Path) -> None:
     """BEAT2's files from the mean, AMASS' from the flat hand, and all as they are told to."""
     model = str(own_mano(tmp_path / "mano"))

@@ -11,7 +11,7 @@ import pytest
 
 from handfit_core.capturing.fitting import hand_track
 from handfit_core.common.arrays import check_arrays
-from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
+from handfit_core.common.skeleton import NUM_JOINTS, SIDES, Side
 from handfit_core.detect.correction.corrected import TRUST, landmarked
 from handfit_core.detect.keypoints import Track
 from handfit_core.edit.hand import RefineHand
@@ -167,18 +167,6 @@ def test_depth_is_nearly_that_of_the_hand(side: Side) -> None:
     lifted_error, flat = np.mean(errors, axis=(0, 2))
     assert lifted_error < 0.007
     assert lifted_error < 0.5 * flat
-
-
-def test_a_turned_larger_picture_is_lifted_alike() -> None:
-    pixels = DETECTOR.project(truth_of("right", 6))
-    turn = np.array([[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]])
-    plain = lifted(hands_of("right", pixels))
-    other = lifted(hands_of("right", 3.0 * pixels @ turn.T + 40.0))
-    off = np.abs(3.0 * plain.keypoints[..., 2] - other.keypoints[..., 2])
-    assert (off.max(axis=1) < 0.01 * plain.extent).all()
-    assert np.abs(plain.world[..., :2] @ turn.T - other.world[..., :2]).max() < 1e-3
-    bones = np.linalg.norm(plain.world[:, 1:] - plain.world[:, KEYPOINT_PARENTS[1:]], axis=2)
-    assert np.allclose(bones.mean(axis=1), 0.0416), "of an average hand"
 
 
 def test_missing_points_are_guessed_and_believed_less() -> None:

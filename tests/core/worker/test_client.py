@@ -125,23 +125,6 @@ def test_a_large_request_waits_for_nobody_and_arrives_whole(peer, start):
 
 
 @needs_scripts
-def test_what_was_said_while_nobody_looked_is_not_lost(peer, start):
-    """More than any pipe holds: the peer waits, and goes on."""
-    code = (
-        "ready()\n"
-        "for r in requests():\n"
-        "    for i in range(40_000): say(event='progress', id=r['id'], stage='fit', done=i, total=40_000)\n"
-        "    say(event='done', id=r['id'])"
-    )
-    worker = start(peer(code))
-    request = worker.submit("capture")
-    time.sleep(0.5)
-    events = []
-    worker.wait(request, events.append, timeout=60)
-    assert [event["done"] for event in events] == list(range(40_000))
-
-
-@needs_scripts
 def test_a_dead_peer_does_not_take_blender_with_it(peer):
     """Blender leaves SIGPIPE deadly, where Python alone ignores it."""
     code = (
@@ -297,19 +280,3 @@ def test_stop_answers_what_is_open_and_kills_what_hangs(peer, start):
     (event,) = worker.events()
     assert (event["id"], event["type"]) == (request, "Cancelled")
     assert gone(pid)
-
-
-@needs_scripts
-def test_an_interrupt_passes_through_and_leaves_nothing(peer):
-    code = "ready()\nfor r in requests(): say(event='progress', id=r['id'], stage='fit', done=0, total=1)"
-
-    def interrupt(_event):
-        raise KeyboardInterrupt
-
-    with Worker(peer(code)) as worker:
-        request = worker.submit("capture")
-        pid = worker.pid
-        with pytest.raises(KeyboardInterrupt):
-            worker.wait(request, interrupt, timeout=20)
-    assert pid is not None
-    assert not exists(pid)

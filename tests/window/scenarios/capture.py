@@ -196,18 +196,6 @@ def undo_in_the_middle(stage, source, frames):
     assert not hands()
 
 
-def another_file_in_the_middle(stage, source):
-    """Opening a file ends the capture; the next one works."""
-    job = yield from begin(stage, source)
-    yield from looking(stage, job)
-    bpy.ops.wm.read_homefile(use_factory_startup=True)
-    yield 1.0
-    assert all(job.finished for job in jobs())
-    yield from stage.move_to(stage.region())
-    yield from capture(stage, source)
-    assert len(hands()) == 1
-
-
 def left_running(stage, source):
     """A capture that runs when Blender is quit."""
     job = yield from begin(stage, source)

@@ -47,27 +47,6 @@ def chosen(stage, source):
     assert sorted(hand["side"] for hand in summary()) == sorted([turned, third, fourth])
 
 
-def added(stage, source):
-    """Esc leaves. A box with nothing in it, and the button that is offered then: the chosen hand is captured,
-    and another one can be laid into its picture."""
-    yield from stage.open_sidebar()
-    yield from begun(stage, source)
-    yield from stage.key("ESC")
-    yield from stage.until(lambda: mode() is None, 5.0, "the mode to end")
-    assert not jobs()
-    yield from begun(stage, source)
-    yield from boxed_around(stage, NOWHERE)
-    (place,) = [_middle_of(button) for button in mode().buttons(viewport()) if button.name == "add"]
-    yield from stage.click(place)
-    yield from _finished(stage)
-    assert [hand["side"] for hand in summary()] == ["right"]
-    adding = part("operators.add_hand")
-    yield from stage.until(lambda: adding._mode is not None, 10.0, "the mode in which a hand is added")
-    yield from stage.move_to(stage.region())
-    yield from stage.key("ESC")
-    yield from stage.until(lambda: adding._mode is None, 5.0, "the mode to end")
-
-
 def captured(stage):
     """Enter, and wait for the hands."""
     yield from stage.move_to(stage.region())

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import bpy
-import numpy as np
 
-from scenarios.capturing import begin, changed, done, finish, hands, part, pose_at
+from scenarios.capturing import begin, done, finish, hands, part
 from scenarios.panels import opened_by_default
-from scenarios.refine import INDEX_TIP, dragged, edited, ended, operator, places, warmed
 
 
 def chosen(stage, source, second):
@@ -37,8 +35,7 @@ def _seen_through():
 
 def captured(stage, source, second):
     """Chosen, captured and called good; the button leads to the second view's camera, through which the hand
-    lies on its picture, too, and back; undone and redone, saved and opened again. Edit Keypoints shows its
-    points over both pictures."""
+    lies on its picture, too, and back; undone and redone, saved and opened again."""
     with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
         yield from stage.open_sidebar()
         yield from chosen(stage, source, second)
@@ -65,39 +62,3 @@ def captured(stage, source, second):
         yield from stage.open_sidebar()
         yield from stage.invoke("manient.switch_view")
         assert _seen_through() == other
-        yield from stage.screenshot("views-reopened")
-        yield from _points_shown(stage, hands()[0])
-
-
-def _points_shown(stage, armature):
-    """V shows the points over the other picture, in the second clip's own frame, where a drag takes none of
-    them; one in the first picture moves the hand in both."""
-    mode = lambda: operator()._mode  # noqa: E731
-    bpy.context.scene.camera = part("scene.store").hand_of(armature).camera
-    bpy.ops.ed.undo_push(message="Camera")
-    before = {frame: pose_at(armature, frame) for frame in (5, 20)}
-    yield from edited(stage, armature, frame=20)
-    first, fitted = places(), mode().refiner.shown_landmarks(1)
-    yield from stage.key("V")
-    yield from stage.until(lambda: mode().looking == 1, 3.0, "the second view")
-    yield from warmed(stage)
-    second = places()
-    assert np.linalg.norm(np.array(second[INDEX_TIP]) - first[INDEX_TIP]) > 20.0
-    row, seen = mode().shown_row(1), mode().refiner.track.seen_by[0]
-    np.testing.assert_array_equal(mode().picture_places(), seen.keypoints_2d[row])
-    yield from stage.screenshot("second_view")
-    yield from stage.move_to(second[INDEX_TIP])
-    yield 0.2
-    assert mode().hovered is None
-    yield from stage.undo()  # back to the first view
-    yield from stage.until(lambda: mode().looking == 0, 3.0, "the first view")
-    x, y = places()[INDEX_TIP]
-    yield from dragged(stage, [(x - 2 * i, y - 3 * i) for i in range(1, 16)])
-    assert changed(bpy.context.object, before) == [20]
-    assert np.linalg.norm(mode().refiner.shown_landmarks(1) - fitted, axis=1)[INDEX_TIP] > 2.0
-    yield from stage.key("V")
-    yield from stage.until(lambda: mode().looking == 1, 3.0, "the second view again")
-    yield 0.3
-    yield from stage.screenshot("second_view_after")
-    yield from ended(stage)
-    assert bpy.context.scene.camera.name == "camera of clip1_b"
