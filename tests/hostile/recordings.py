@@ -73,7 +73,7 @@ NUMBERS = {
 CELLS = {
     "nan": "nan", "infinity": "inf", "huge": "1e999", "large": "1e300", "digits": "9" * 5000, "empty": "", "minus": "-1", "far": "2147483648",
     "farther": "999999999999999", "half": "0.5", "hexadecimal": "0x10", "underscore": "1_0", "words": "words", "quote": '"', "nul": "\0",
-    "comma": "1,2", "greek": "\u0661", "long": "x" * 200_000,
+    "comma": "1,2", "long": "x" * 200_000,
 }  # fmt: skip
 
 TABLES: dict[str, Callable[[], bytes]] = {
@@ -81,11 +81,9 @@ TABLES: dict[str, Callable[[], bytes]] = {
     "hands-by-thousands": lambda: b",".join(b"hand%d_landmark%d_%c" % (n // 12, n // 2 % 6, b"xy"[n % 2]) for n in range(9600)) + b"\n" + (b"0.5," * 9599 + b"0.5\n") * 1500,
     "rows-30-million": lambda: b"frame,x\n" + b"1,2\n" * 30_000_000,
     "cell-of-130000": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,%s,0,1,2\n" % (n, b"x" * (130_000 if n == 9 else 1)) for n in range(20_000)),
-    "empty-lines": lambda: b"frame,x\n" + b"\n" * 100_000_000,
     "one-cell": lambda: b'frame,x\n"' + b"x" * 100_000_000,
     "too-large": lambda: b"frame,x\n" + bytes(520_000_000),
     "same-names": lambda: b"frame,side,point,x_px,y_px,x_px,y_px\n1,left,0,1,2,3,4\n",
-    "only-names": lambda: b"frame,side,point,x_px,y_px\n",
     "all-hands": lambda: b"frame,hand,side,point,x_px,y_px\n" + b"".join(b"1,%d,left,%d,5,5\n" % (n // 21, n % 21) for n in range(42_000)),
     "far-frames": lambda: b"frame,side,point,x_px,y_px\n" + b"".join(b"%d,left,%d,5,5\n" % (10**n, m) for n in range(15) for m in range(21)),
     "nul": lambda: b"frame,side,point,x_px,y_px\n1,left,0,\0,2\n",
@@ -97,14 +95,13 @@ JSONS: dict[str, Callable[[], bytes]] = {
     "nothing": lambda: b"", "deep": lambda: b"[" * 5_000_000, "deep-objects": lambda: b'{"frames":' * 1_000_000,
     "lists": lambda: b"[" + b"[]," * 20_000_000 + b"[]]", "objects": lambda: b"[" + b"{}," * 20_000_000 + b"{}]",
     "numbers": lambda: b"[" + b"9," * 50_000_000 + b"9]", "floats": lambda: b"[" + b".5," * 100 + b"1.5]",
-    "reals": lambda: b"[" + b"1e5," * 30_000_000 + b"1e5]", "texts": lambda: b"[" + b'"ab",' * 25_000_000 + b'""]',
+    "texts": lambda: b"[" + b'"ab",' * 25_000_000 + b'""]',
     "keys": lambda: b'{"frames":{' + b",".join(b'"%d":[]' % n for n in range(5_000_000)) + b"}}",
     "frames": lambda: b'{"frames":{' + b",".join(b'"%d":[]' % n for n in range(100_000)) + b"}}",
     "long-number": lambda: b"[" + b"9" * 50_000_000 + b"]", "long-text": lambda: b'["' + b"x" * 120_000_000 + b'"]',
     "escapes": lambda: b'["' + rb"\ud83d\ude00" * 8_000_000 + b'"]', "wide": lambda: b'["' + b"x" * 100_000_000 + "\U0001f590".encode() + b'"]',
     "people": lambda: b'{"people":[' + b'{"pose_keypoints_2d":[]},' * 1_000_000 + b"{}]}",
     "points": lambda: b'{"format":"handfit-points","version":1,"frames":[' + b"1," * 1_000_000 + b'2],"hands":[]}',
-    "300000-frames": lambda: b'{"frames":[' + b'{"a":1},' * 300_000 + b"{}]}", "300000-people": lambda: b'{"people":[' + b'{"a":1},' * 300_000 + b"{}]}",
     "digits-4300": lambda: b'{"format":"handfit-points","version":' + b"9" * 4300 + b"}", "deep-900": lambda: b"[" * 900 + b"]" * 900,
     "keys-of-terminals": lambda: json.dumps({"a\x1b[2J\x07\r": 1, "\u202e": 2}).encode(), "long-key": lambda: b'{"' + b"x" * 1_000_000 + b'":[]}',
     "lines": lambda: b"{}\n" * 40_000_000, "too-large": lambda: b"[" + b" " * 500_000_000 + b"]", "zeros": lambda: bytes(1000),
@@ -136,7 +133,6 @@ LONG_BONES: dict[str, Callable[[], bytes]] = {
     "words-in-one-line": lambda: b"HIERARCHY " + b"a " * 60_000_000 + b"\nMOTION\nFrames: 1\nFrame Time: 1\n0\n",
     "numbers-in-one-line": lambda: (ROOT % ("", 1)).encode() + b"0 " * 60_000_000,
     "frames-in-one-line": lambda: (ROOT % ("", 20_000_000)).encode() + b"0 " * 60_000_000,
-    "one-number": lambda: (ROOT % ("", 1)).encode() + b"1" * 120_000_000,
     "bones-and-frames": lambda: (ROOT % ("JOINT b\n{\nOFFSET 0 0 0\n}\n" * 1500, 5500)).encode() + b"0 0 0\n" * 5500,
 }  # fmt: skip
 

@@ -6,7 +6,6 @@ operator does by itself is tested in tests/blender.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from typing import Any
 
@@ -28,9 +27,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.photo": lambda i: {"source": i.photo},
     "capture.clip": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.escaped": lambda i: {"source": i.clip(VERY_LONG_CLIP), "frames": VERY_LONG_CLIP},
-    "capture.queued": lambda i: {
-        "sources": [i.clip(LONG_CLIP), i.photo, shutil.copy(i.photo, i.folder / "second.jpg")]
-    },
     "capture.worker_killed": lambda i: {"source": i.clip(LONG_CLIP), "frames": LONG_CLIP},
     "capture.undo_in_the_middle": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.dropped": lambda i: {"source": i.photo},
@@ -40,7 +36,6 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "refine.smoothed": lambda i: {"source": i.clip(60)},
     "refine.range_refitted": lambda i: {"source": i.clip(60)},
     "adding.in_a_drawing": Inputs.drawing,
-    "adding.by_keys": lambda i: {"source": i.drawing()["source"]},
     "posing.proportions": lambda i: {"source": i.photo},
     "posing.pose_of_the_asset_browser": lambda i: {"take": i.take},
     "posing.keys_simplified": lambda i: {"take": i.two_hands()},

@@ -130,15 +130,6 @@ def test_captures_beside_pictures(tmp_path: Path, video: Path) -> None:
         assert take.source.kind == ("video" if pictures is video else take.source.kind)
 
 
-def test_frames_that_the_keypoints_lack_have_no_hand(tmp_path: Path) -> None:
-    path = openpose(tmp_path / "op", range(10))
-    for gone in (4, 5, 9):
-        (path / f"clip_{gone:012d}_keypoints.json").unlink()
-    take = capture(str(SAMPLE / "hand.%04d.jpg"), keypoints=path)
-    assert take.frame_numbers.tolist() == list(range(1, 25))
-    assert np.flatnonzero(take.hands[0].detected).tolist() == [0, 1, 2, 3, 6, 7, 8]
-
-
 def test_keypoints_of_pictures_of_another_size(tmp_path: Path, points: Path) -> None:
     """They are brought to the pictures' size, which the file tells or an option; else they are refused."""
     path, pictures = openpose(tmp_path / "op", range(24), scale=3.0), str(SAMPLE / "hand.%04d.jpg")

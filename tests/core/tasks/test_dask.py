@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import signal
 import subprocess
 import sys
@@ -23,7 +22,7 @@ from tests.core.tasks.test_batch import PATIENCE, Shop
 
 
 @contextmanager
-def cluster(folder: Path, *more: str, count: int = 2) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def cluster(folder: Path, count: int = 2) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """A scheduler and workers as a user starts them: its address, and the workers."""
     address, started = folder / "scheduler.json", []
 
@@ -33,8 +32,8 @@ def cluster(folder: Path, *more: str, count: int = 2) -> Iterator[tuple[str, lis
         return started[-1]
 
     with (folder / "dask.log").open("wb") as log:
-        start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(address), *more)
-        words = ("--scheduler-file", str(address), "--nthreads", "1", "--no-dashboard", *more)
+        start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(address))
+        words = ("--scheduler-file", str(address), "--nthreads", "1", "--no-dashboard")
         those = [start("worker", *words) for _ in range(count)]
         try:
             until = time.monotonic() + PATIENCE
@@ -97,25 +96,6 @@ def test_a_worker_of_another_version_that_joins_later_leaves(tmp_path: Path) -> 
     assert child.returncode == 0, errors
     assert b"has version 0.0.0 of handfit_core" in late.stderr
     assert shop.statuses == {"a": "ok", "waits": "ok"}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificate")
-def test_encrypted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
-    make = "openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN=127.0.0.1".split()
-    subprocess.run([*make, "-keyout", key, "-out", certificate], check=True, capture_output=True)
-    tls = "DASK_DISTRIBUTED__COMM__TLS__"
-    monkeypatch.setenv(f"{tls}CA_FILE", str(certificate))
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "True")
-    for role in ("CLIENT", "SCHEDULER", "WORKER"):
-        monkeypatch.setenv(f"{tls}{role}__CERT", str(certificate))
-        monkeypatch.setenv(f"{tls}{role}__KEY", str(key))
-    shop = Shop(tmp_path, ["a", "b"])
-    with cluster(tmp_path, "--protocol", "tls") as (address, _):
-        assert address.startswith("tls://")
-        shop.run("--scheduler", address)
-    assert shop.statuses == {"a": "ok", "b": "ok"}
 
 
 @pytest.fixture

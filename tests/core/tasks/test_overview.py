@@ -131,6 +131,10 @@ def test_sections_and_their_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("result", "said"),
     [
+        (
+            failed("a", attempts=[{"error": "died", "host": "one", "seconds": 75.0}] * 2),
+            "attempt 1 on one failed",
+        ),
         (ok("a", hand(0.0131)), "right hand in 100 of 100 frames, likely error 13.1 mm (poor)"),
         (
             ok("a", hand(None, 90, side="left", mean_error_of_hand=0.031)),
@@ -143,24 +147,6 @@ def test_sections_and_their_order(tmp_path: Path) -> None:
 def test_a_hand_in_words(tmp_path: Path, result: Result, said: str) -> None:
     ((text,),) = made(tmp_path, result).sections.values()
     assert said in text
-
-
-def test_failures_are_told_with_their_attempts_and_hosts(tmp_path: Path) -> None:
-    tried = [
-        {"error": f"died of {what}", "kind": "WorkerDied", "host": host, "seconds": 75.0}
-        for what, host in (("hunger", "one"), ("thirst", "two"))
-    ]
-    page = made(
-        tmp_path,
-        *(failed("twice", "died of thirst", attempts=tried), failed("once", attempts=tried[:1])),
-        ok("retried", attempts=tried[:1]),
-    )
-    twice, once = sorted(page.sections["failed"], key=len, reverse=True)
-    for text in (twice, *page.sections["good"]):
-        assert "attempt 1 on one failed after 1 min: died of hunger" in text
-    assert "attempt 2 on two failed after 1 min: died of thirst" in twice
-    assert "no hand" in once
-    assert "attempt" not in once  # which would say the same again
 
 
 def test_on_top_stands_how_far_it_is(tmp_path: Path) -> None:

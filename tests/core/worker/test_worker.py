@@ -91,12 +91,8 @@ def test_captures(warm: Worker, tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
 
 
-def test_takes_can_be_compact_and_without_hands(warm: Worker, tmp_path: Path) -> None:
+def test_takes_can_be_without_hands(warm: Worker, tmp_path: Path) -> None:
     output = str(tmp_path / "a.npz")
-    for compact, dtype in ((False, "float64"), (True, "float32")):
-        ask(warm, "capture", input=[PHOTO], output=output, compact=compact)
-        with np.load(output, allow_pickle=False) as arrays:
-            assert {a.dtype.name for a in arrays.values() if a.dtype.kind == "f"} == {dtype}
     done = ask(warm, "capture", input=[PHOTO], output=output, bare=True)
     assert (done["frames"], done["hands"]) == (1, [])
     assert Take.load(output).hands == ()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from pathlib import Path
 
 import bpy
 
@@ -17,10 +16,8 @@ from scenarios.capturing import (
     hands,
     jobs,
     looking,
-    part,
     summary,
 )
-from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
 LONGEST_CALL = 2.4
@@ -98,45 +95,6 @@ def escaped(stage, source, frames):
     assert 0 < hand["detected"] < frames / 2
 
 
-def queued(stage, sources):
-    """Captures that wait for each other are a list in their scene; its first row is clicked."""
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
-        for source in sources:  # all in one turn, so that the first cannot be over before the last is there
-            bpy.context.scene.manient.source = source
-            with stage.override():
-                bpy.ops.manient.capture("INVOKE_DEFAULT")
-        waited = jobs()
-        assert [job.state for job in waited] == ["waiting"] * 3
-        while not all(job.finished for job in waited):
-            states = [job.state for job in waited]
-            running = [state for state in states if state in ("capturing", "building")]
-            ended, waiting = states.count("done"), states.count("waiting")
-            assert len(running) <= 1
-            assert states == ["done"] * ended + running + ["waiting"] * waiting, "in their order"
-            yield 0.0
-        done(*waited)
-        yield 0.3
-        assert _shown() == ["second"], "the last one is active"
-        row = yield from stage.find_button(".manient_capture", along=0.6)
-        yield from stage.click(row)
-        yield 0.5
-        (first,) = _shown()
-        assert first != "second"
-        yield from stage.undo()
-        assert _shown() == ["second"]
-        yield from stage.redo()
-        assert _shown() == [first]
-
-
-def _shown() -> list[str]:
-    """The captures that viewports and renders show, and that the scene looks at."""
-    scene, found = bpy.context.scene, part("scene.captures").captures(bpy.context.scene)
-    for one in found:
-        assert (scene.camera == one.manient.camera) == (not one.hide_viewport) == (not one.hide_render)
-    return [one.name for one in found if not one.hide_viewport]
-
-
 def worker_killed(stage, source, frames):
     """The worker dies in the middle: one sentence, and the next capture has a new one."""
     yield from stage.open_sidebar()
@@ -204,7 +162,7 @@ def left_running(stage, source):
 
 
 def dropped(stage, source):
-    """A file dropped onto the viewport; what the panel says of it is undone and redone step by step."""
+    """A file dropped onto the viewport; its capture is undone and redone."""
     folder, _, name = source.rpartition("/")
     with stage.override():
         bpy.ops.wm.drop_import_file("INVOKE_DEFAULT", directory=folder, files=[{"name": name}])
@@ -219,20 +177,7 @@ def dropped(stage, source):
     done(job)
     (hand,) = summary()
     assert hand["side"] == "right"
-    said = [_said_of(job)]
-    for step in (stage.undo, stage.undo, stage.redo, stage.redo):
-        yield from step()
-        shown = part("session.source_info").of(bpy.context.scene.manient)
-        if shown.path:
-            yield from stage.until(lambda: shown.width, 10.0, "the size of the source")  # noqa: B023
-        said.append(_said_of(job))
-    there, taken_back, not_chosen = (1, False, name, name), (0, True, name, name), (0, True, "", "")
-    assert said == [there, taken_back, not_chosen, taken_back, there]
-
-
-def _said_of(job) -> tuple[int, bool, str, str]:
-    """How many hands there are, whether the panel says that the capture was undone, the source, and the
-    source that the panel tells of."""
-    settings = bpy.context.scene.manient
-    shown = Path(part("session.source_info").of(settings).path).name
-    return len(hands()), job.undone, Path(settings.source).name, shown
+    yield from stage.undo()
+    assert (len(hands()), job.undone) == (0, True)
+    yield from stage.redo()
+    assert (len(hands()), job.undone) == (1, False)

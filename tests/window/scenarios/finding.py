@@ -51,10 +51,6 @@ def captured(stage):
     """Enter, and wait for the hands."""
     yield from stage.move_to(stage.region())
     yield from stage.key("RET")
-    yield from _finished(stage)
-
-
-def _finished(stage):
     (job,) = yield from stage.until(jobs, 10.0, "the capture of what was chosen")
     yield from finish(stage, job)
     done(job)
