@@ -69,12 +69,6 @@ def test_people_of_one_picture_and_its_camera(folder: Path) -> None:
     np.testing.assert_array_equal(read(folder, person=2).points[1].points, found.points[3].points)
 
 
-def test_frames_by_the_numbers_of_the_names(tmp_path: Path) -> None:
-    for name in ("sam3d_0007", "sam3d_0009"):
-        np.savez(tmp_path / f"{name}.npz", **person())
-    assert read(tmp_path).frame_numbers.tolist() == [7, 9]
-
-
 def apart(ours: np.ndarray, theirs: np.ndarray) -> float:
     """Mean metres between points (N, 3), once one is laid over the other."""
     laid = align(ours, theirs, with_scale=True)
