@@ -106,16 +106,7 @@ def data(tmp_path, monkeypatch):
 def test_lenses_are_kept_by_any_name(data):
     """In one file, whose name is none of theirs."""
     assert saved_lenses() == {}
-    names = [
-        "my phone",
-        "../../etc/passwd",
-        "a/b\\c",
-        "..a",
-        "C:\\x.json",
-        "📱 👨‍👩‍👧",
-        "nul\0\nx",
-        "\ud800x",
-    ]
+    names = ["my phone", "../../etc/passwd", "a/b\\c", "nul\0\nx", "\ud800x"]
     for name in names:
         save_lens(name, MEASURED)
     assert saved_lenses() == dict.fromkeys(sorted([*names[:-1], "?x"]), MEASURED)
@@ -128,14 +119,14 @@ def test_lenses_are_kept_by_any_name(data):
         saved_lens("a/b\\c")
 
 
-@pytest.mark.parametrize("name", ["", "  ", "..", "1.2,0.5,0.5", "35", "x" * 61])
+@pytest.mark.parametrize("name", ["  ", "..", "1.2,0.5,0.5", "x" * 61])
 def test_names_that_mean_something_else_are_refused(data, name):
     with pytest.raises(OptionError, match="a name with a letter"):
         save_lens(name, MEASURED)
     assert not data.exists()
 
 
-@pytest.mark.parametrize("content", ["", "[1]", '{"a": 1}', '{"a": {"error": 1}}', "[" * 100_000, "\0"])
+@pytest.mark.parametrize("content", ["", '{"a": {"error": 1}}', "[" * 100_000])
 def test_a_damaged_file_is_told_of_and_stays(data, content):
     data.mkdir()
     lenses_path().write_text(content)

@@ -50,15 +50,13 @@ def test_photo(tmp_path):
 @pytest.mark.parametrize(
     ("pixels", "expected"),
     [
-        (np.full((8, 8), 77, np.uint8), [77, 77, 77]),
         (np.full((8, 8), 77 * 257, np.uint16), [77, 77, 77]),
         (np.full((8, 8, 3), (10 * 257, 20 * 257, 30 * 257), np.uint16), [30, 20, 10]),
-        (np.full((8, 8, 4), (10, 20, 30, 255), np.uint8), [30, 20, 10]),
         (np.full((8, 8, 4), (10, 20, 30, 0), np.uint8), [128, 128, 128]),
         (np.full((8, 8, 4), (0, 100, 255, 51), np.uint8), [153, 122, 102]),
         (np.full((8, 8, 4), (0, 0, 65535, 65535), np.uint16), [255, 0, 0]),
     ],
-    ids=["grey", "grey16", "rgb16", "opaque", "transparent", "half", "rgba16"],
+    ids=["grey16", "rgb16", "transparent", "half", "rgba16"],
 )
 def test_depths_and_channels(tmp_path, pixels, expected):
     rgb, orientation = read_picture(write(tmp_path / "a.png", pixels))
@@ -168,18 +166,13 @@ def test_unreadable_picture_in_a_sequence_is_an_empty_frame(tmp_path, caplog):
 BAD: dict[str, tuple[list[str], str]] = {
     "missing": (["missing.jpg"], "no such file"),
     "zero bytes": (["empty.jpg"], "empty"),
-    "not a picture": (["text.jpg"], "not a picture"),
     "not a video": (["text.mp4"], "not a video"),
     "unknown kind": (["text.xyz"], "neither a picture nor a video"),
     "no pictures": (["nothing"], "no pictures"),
     "damaged": (["cut.png"], "not a picture"),
     "no match": (["x.%04d.png"], "no file matches"),
-    "a space": ([" "], "' ': there is no such file"),
     "a line break": (["a\nb.jpg"], r"a\\nb.jpg': there is no such file"),
-    "no such user": (["~nobody of that name/a.jpg"], "no such file"),
-    "zero": (["a\0b.jpg"], r"'a\\x00b.jpg': there is no such file"),
     "surrogate": (["a\ud800b.jpg"], r"'a\\ud800b.jpg': there is no such file"),
-    "too long": (["x" * 300], "cannot be opened|no such file"),
     "too long in a list": (["cut.png", "x" * 300], "cannot be opened|no such file"),
     "missing in a list": (["cut.png", "gone.png"], "no such file"),
     "empty list": ([], "no pictures"),
@@ -211,13 +204,12 @@ def test_ranges_and_sizes_that_do_not_fit(tmp_path, video):
         open_media(video, FrameRange.parse("70-"))
 
 
-@pytest.mark.parametrize("cut", [1, 60])
 @pytest.mark.parametrize("suffix", ["png", "xyz"])
-def test_jpeg_2000_never_reaches_its_decoder(tmp_path, cut, suffix):
+def test_jpeg_2000_never_reaches_its_decoder(tmp_path, suffix):
     """OpenCV crashes on damaged ones, by whatever name they come."""
     whole = cv2.imencode(".jp2", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
     path = tmp_path / f"a.{suffix}"
-    path.write_bytes(whole[:-cut])
+    path.write_bytes(whole[:-60])
     with pytest.raises(InputError, match=r"not a picture|neither a picture"):
         open_media(path)
 

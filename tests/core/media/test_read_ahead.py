@@ -1,4 +1,3 @@
-import gc
 import threading
 import time
 import weakref
@@ -41,7 +40,7 @@ class Source:
             self.closed_in = threading.current_thread().name
 
 
-@pytest.mark.parametrize("depth", [1, 2, 100])
+@pytest.mark.parametrize("depth", [1, 100])
 def test_every_frame_once_and_in_order(depth):
     frames = read_ahead(Source(60).frames(), depth)
     assert reader() is None
@@ -52,14 +51,13 @@ def test_every_frame_once_and_in_order(depth):
 @pytest.mark.parametrize("depth", [1, 3])
 def test_reads_and_keeps_no_more_than_its_depth(depth):
     """And reads them while the consumer works."""
-    source = Source(8)
+    source = Source(6)
     for frame in read_ahead(source.frames(), depth):
         deadline = time.monotonic() + 60
-        while source.made < min(frame.number + depth, 8) and time.monotonic() < deadline:
+        while source.made < min(frame.number + depth, 6) and time.monotonic() < deadline:
             time.sleep(0.001)
-        time.sleep(0.02)  # long enough to see one that should not be read
-        assert source.made == min(frame.number + depth, 8)
-        gc.collect()
+        time.sleep(0.01)  # long enough to see one that should not be read
+        assert source.made == min(frame.number + depth, 6)
         assert sum(ref() is not None for ref in source.alive) <= 1 + depth
         del frame
 
@@ -97,6 +95,5 @@ def test_interrupt_while_waiting_for_a_frame():
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         seen.extend(read_ahead(slow(), 1))
-    gc.collect()
     assert seen == [1]
     assert reader() is None
