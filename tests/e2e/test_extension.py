@@ -37,13 +37,13 @@ from scripts.extension.wheels import (
 
 ROOT = Path(__file__).resolve().parents[2]
 
-pytestmark = pytest.mark.slow  # CI builds the zip and installs it anyway
 MOST = 160_000_000
 """bytes that an artist downloads"""
 
-pytestmark = pytest.mark.skipif(
-    this_platform() not in PLATFORMS, reason=f"there is no zip for {this_platform()}"
-)
+pytestmark = [
+    pytest.mark.slow,  # CI builds the zip and installs it anyway
+    pytest.mark.skipif(this_platform() not in PLATFORMS, reason=f"there is no zip for {this_platform()}"),
+]
 
 
 @pytest.fixture(scope="module")

@@ -49,6 +49,7 @@ def cluster(folder: Path, *more: str, count: int = 2) -> Iterator[tuple[str, lis
                 process.wait(PATIENCE)
 
 
+@pytest.mark.slow
 def test_a_cluster_started_here(tmp_path: Path) -> None:
     names = ["a", "broken", "dies", *(f"slow{number}" for number in range(3))]
     shop = Shop(tmp_path, names)
