@@ -265,7 +265,6 @@ def cut(scene):
 SIGNS = {
     "rate": (lambda s: setattr(s.render, "fps", 25), "settings of its own"),
     "range": (lambda s: setattr(s, "frame_end", 100), "settings of its own"),
-    "start": (lambda s: setattr(s, "frame_start", 0), "settings of its own"),
     "size": (lambda s: setattr(s.render, "resolution_x", 1280), "settings of its own"),
     "camera": (own_camera, "its camera is Shot Camera"),
     "moved camera": (lambda s: setattr(s.camera, "location", (0, -5, 0)), "its camera is Camera"),

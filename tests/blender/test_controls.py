@@ -14,7 +14,7 @@ from blender_manient.scene.apply import apply_hand
 from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import read_pose_keys, write_pose_keys
 from blender_manient.scene.store import hand_of
-from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, SIDES, other_side
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, other_side
 from handfit_core.hand_model.anatomy import joint_limits
 
 from .conftest import FRAMES, action_curves, blocks, joint_heads, shown_bones
@@ -32,7 +32,7 @@ def build(make_take, side="right", **fields):
     return armature
 
 
-@pytest.fixture(params=SIDES)
+@pytest.fixture(params=[pytest.param("left", marks=pytest.mark.slow), "right"])
 def hand(request, make_take):
     """A captured hand of either side with controls."""
     armature = build(make_take, request.param)

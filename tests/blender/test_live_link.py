@@ -155,7 +155,7 @@ def test_another_action_is_not_written_to(linked):
     assert values(other) == before
 
 
-@pytest.fixture(params=["NEW", "STRIP", "ACTION"])
+@pytest.fixture(params=["STRIP", *(pytest.param(into, marks=pytest.mark.slow) for into in ("NEW", "ACTION"))])
 def target(hand, request):
     """A character whose hand moves as a captured one from frame 3 on; it is ten times as large."""
     target = one_handed(scale=10.0)

@@ -64,9 +64,15 @@ def off(target, hand, frame, side="right", mirrored=False) -> float:
     return directions_apart(theirs, ours * [1.0, 1.0, -1.0 if mirrored else 1.0])
 
 
-@pytest.mark.parametrize("into", ["NEW", "STRIP"])
-@pytest.mark.parametrize("side", ["left", "right"])
-@pytest.mark.parametrize("mode", ["QUATERNION", "XYZ", "ZYX", "AXIS_ANGLE"])
+@pytest.mark.parametrize(
+    ("side", "mode", "into"),
+    [
+        ("left", "QUATERNION", "NEW"),
+        ("right", "QUATERNION", "STRIP"),
+        ("left", "ZYX", "STRIP"),
+        ("right", "AXIS_ANGLE", "NEW"),
+    ],
+)
 def test_fingers_point_as_captured(make_take, side, mode, into):
     hand = captured(make_take, side)
     target = own_hand(side, 5, bend=0.7, stretch=0.3, scale=40.0)
@@ -221,7 +227,6 @@ def _setting(owner: str, name: str, value):
 @pytest.mark.parametrize(
     ("spoil", "options", "said"),
     [
-        (_setting("animation_data", "action_blend_type", "COMBINE"), {"into": "NEW"}, "layer"),
         (_setting("animation_data", "action_blend_type", "COMBINE"), {"into": "ACTION"}, "layer"),
         (_solo, {"into": "NEW"}, "solo"),
         (_solo, {"into": "STRIP"}, "solo"),

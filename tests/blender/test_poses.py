@@ -31,7 +31,7 @@ pytestmark = pytest.mark.usefixtures("registered")
 REST = np.tile(np.eye(3), (15, 1, 1))
 
 
-@pytest.fixture(params=["right open-hand", "left imitation-mano"])
+@pytest.fixture(params=[pytest.param("right open-hand", marks=pytest.mark.slow), "left imitation-mano"])
 def hand(request, make_take, imitation_mano):
     """A captured hand, active, on a frame with keys."""
     side, model = request.param.split()

@@ -361,7 +361,6 @@ def test_the_frames_in_which_points_are_near_are_suggested(armature):
     ("operator", "fields", "said"),
     [
         ("touch", TOUCH | {"point": "8", "other": "6"}, "choose points of two fingers, or of a finger and"),
-        ("touch", TOUCH | {"point": "5", "other": "0"}, "choose points of two fingers, or of a finger and"),
         ("touch", TOUCH | {"point": "8", "other": "8"}, "choose points of two fingers, or of a finger and"),
         ("refit_range", {"scope": "CUSTOM", "first": 100, "last": 120}, r"100 to 120 was captured.*1 to 24"),
         ("move_keypoint", {"frame": 99, "keypoint": TIP, "x": 1, "y": 1}, "frame 99 was not captured"),

@@ -73,7 +73,7 @@ def rotated_alike(one, other, atol=1e-6) -> None:
     np.testing.assert_allclose(np.abs((one * other).sum(axis=-1)), 1.0, atol=atol)
 
 
-@pytest.mark.parametrize("rate", [24.0, 25.0, 23.976, 50.0, 20.0, 12.0])
+@pytest.mark.parametrize("rate", [25.0, 23.976, 50.0, 12.0])
 def test_hand_and_picture_show_the_same_moment(take, rate):
     scene_of(rate)
     built = build_take(take, match_scene=False)
@@ -202,9 +202,7 @@ def turn_key(rig, frame: int) -> np.ndarray:
     return quats[0, 4]
 
 
-@pytest.mark.parametrize(
-    ("rate", "matched"), [(25.0, False), (60.0, False), (12.0, True), (24.0, True), (30.0, False)]
-)
+@pytest.mark.parametrize(("rate", "matched"), [(25.0, False), (60.0, False), (12.0, True)])
 def test_another_rate_is_noticed_and_put_right(take, rate, matched):
     scene = scene_of(24.0)
     built = build_take(take, match_scene=matched)

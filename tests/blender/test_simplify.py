@@ -409,7 +409,13 @@ ORDERS = (
 )
 
 
-@pytest.mark.parametrize("presses", ORDERS, ids=", ".join)
+@pytest.mark.parametrize(
+    "presses",
+    [
+        pytest.param(order, marks=pytest.mark.slow if i % 3 else (), id=", ".join(order))
+        for i, order in enumerate(ORDERS)
+    ],
+)
 def test_no_order_of_presses_loses_a_correction(make_take, presses):
     take = make_take(sides=("right",), frame_numbers=np.arange(1, 37)).take
     name = chosen(build_take(take).hands[0].armature).name

@@ -57,7 +57,7 @@ def test_filled_frames_are_keyed(make_take):
     np.testing.assert_allclose(joint_heads(hand.armature, "right")[0], world(wrist), atol=1e-5)
 
 
-@pytest.mark.parametrize("fps", [25.0, 30000 / 1001, 24000 / 1001, 59.94, 12.5, 240.0, 0.5])
+@pytest.mark.parametrize("fps", [30000 / 1001, 59.94, 240.0, 0.5])
 def test_frame_rate(make_take, fps):
     build_take(make_take(sides=("left",), fps=fps).take)
     render = bpy.context.scene.render
@@ -135,7 +135,7 @@ def picture_error(made, built, frames) -> float:
     return worst
 
 
-@pytest.mark.parametrize("metres_per_unit", [0.01, 1.0, 0.0254, 1000.0])
+@pytest.mark.parametrize("metres_per_unit", [0.01, 1000.0])
 def test_hands_are_life_size_in_any_unit(make_take, model, metres_per_unit):
     bpy.context.scene.unit_settings.scale_length = metres_per_unit
     made = make_take(model=model)

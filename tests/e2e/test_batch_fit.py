@@ -54,18 +54,20 @@ def times(folder: Path) -> dict[str, int]:
 IMPORTERS = {".glb": "import_scene.gltf", ".fbx": "import_scene.fbx", ".bvh": "import_anim.bvh"}
 
 
-def read_back(path: Path) -> str:
-    """The armatures that a fresh Blender finds in a result file: bones, and whether they have an action."""
+def read_back(stem: Path) -> list[str]:
+    """The armatures that a Blender finds in each result file: bones, and whether they have an action."""
     code = (
         "import bpy, sys\n"
-        "bpy.ops.wm.read_factory_settings(use_empty=True)\n"
-        f"bpy.ops.{IMPORTERS[path.suffix]}(filepath=sys.argv[1])\n"
-        "rigs = [o for o in bpy.data.objects if o.type == 'ARMATURE']\n"
-        "print('FOUND', *((len(r.data.bones), bool(r.animation_data.action)) for r in rigs))\n"
+        f"for suffix, importer in {IMPORTERS}.items():\n"
+        "    bpy.ops.wm.read_factory_settings(use_empty=True)\n"
+        "    module, name = importer.split('.')\n"
+        "    getattr(getattr(bpy.ops, module), name)(filepath=sys.argv[1] + suffix)\n"
+        "    rigs = [o for o in bpy.data.objects if o.type == 'ARMATURE']\n"
+        "    print('FOUND', *((len(r.data.bones), bool(r.animation_data.action)) for r in rigs))\n"
     )
-    command = [sys.executable, "-c", code, str(path)]
+    command = [sys.executable, "-c", code, str(stem)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=TIMEOUT)
-    return next(line for line in done.stdout.splitlines() if line.startswith("FOUND"))
+    return [line for line in done.stdout.splitlines() if line.startswith("FOUND")]
 
 
 def test_takes_become_files(batch, take_file, tmp_path):
@@ -85,8 +87,7 @@ def test_takes_become_files(batch, take_file, tmp_path):
         assert entry["files"] == [f"{name}/{name}{ending}" for ending in endings]
         ours = [f"{name}.json", f"{name}.export.json"]
         assert sorted(times(out / name)) == sorted([*ours, *(f"{name}{ending}" for ending in endings)])
-    for suffix in IMPORTERS:
-        assert read_back(out / "wave" / f"wave{suffix}") == "FOUND (16, True)", suffix
+    assert read_back(out / "wave" / "wave") == ["FOUND (16, True)"] * len(IMPORTERS)
 
 
 @pytest.mark.slow
@@ -177,19 +178,10 @@ def test_bad_inputs_do_not_stop_the_good_ones(batch, take_file, tmp_path, monkey
     assert entries[-1]["files"][-1] == "手/手.glb"
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (["--hand-length=5"], "between 50 and 300 mm"),
-        (["--format=blend,obj"], "there is no export format 'obj'; choose from blend"),
-        (["--python=no-python"], "cannot start the Python 'no-python'"),
-    ],
-)
-def test_wrong_options_are_refused_before_any_work(wheel, tmp_path, options, expected):
-    (tmp_path / "file").write_text("in the way")
-    done = wheel("a.jpg", "-o", "out", *options)
+def test_wrong_options_are_refused_before_any_work(wheel, tmp_path):
+    done = wheel("a.jpg", "-o", "out", "--python=no-python")
     assert done.returncode == 2
-    assert expected in done.stderr
+    assert "cannot start the Python 'no-python'" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "out").exists()
 
