@@ -25,7 +25,7 @@ from typing import Any, TextIO
 
 from handfit_core.capturing.convert import add_interchange_commands
 from handfit_core.capturing.live.command import add_live_command
-from handfit_core.capturing.options import CaptureOptions, add_options
+from handfit_core.capturing.options import CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.common.files import path_of, printable
@@ -128,12 +128,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_output(command: argparse.ArgumentParser, what: str, *, required: bool = True) -> None:
     """Where the result goes, and how it is told of."""
     command.add_argument("-o", "--output", required=required, type=path_of, metavar="OUT.npz", help=what)
-    command.add_argument(
-        "--progress",
-        choices=("bar", "json", "none"),
-        default="bar",
-        help="how to show progress (default: bar)",
-    )
+    add_progress(command)
 
 
 def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:

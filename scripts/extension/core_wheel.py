@@ -108,8 +108,8 @@ def checked_landmark_models() -> tuple[Path, Path, Path]:
 
     Raises BuildError, LandmarkModelError.
     """
-    first, body = landmark_model.cached_path(), landmark_model.cached_body_path()
-    second = landmark_model.cached_path_2020()
+    files = (landmark_model.TASK, landmark_model.BODY, landmark_model.NETWORK_2020)
+    first, body, second = (landmark_model.cached_path(file.name) for file in files)
     for path, sha256, make in (
         (first, LANDMARK_MODEL_SHA256, lambda: assemble(first)),
         (body, landmark_model.BODY.sha256, lambda: assemble(first)),
