@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     live = add_live_command(commands)
     add_interchange_commands(commands)
     add_batch_command(commands)
-    add_lens_command(commands, _lens_progress)
+    add_lens_command(commands, lambda args, *at: args.reporter.progress(Progress("lens", *at)))
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.capturing.live.send"):  # as with the next one
         from handfit_core.capturing.live.send import add_send_command, add_vmc_option
@@ -149,7 +149,7 @@ def _worker(args: argparse.Namespace) -> int:
 
 
 def _capture(args: argparse.Namespace) -> int:
-    source, options = _source(args.input), CaptureOptions.of_arguments(args)
+    source, options = args.input[0] if len(args.input) == 1 else args.input, CaptureOptions.of_arguments(args)
     if args.write_cameras is not None and options.view is None:
         raise OptionError("--write-cameras writes the cameras of two views: give the second one with --view")
     report = capture_to_file(source, args.output, options, _progress(args), cameras_to=args.write_cameras)
@@ -164,16 +164,8 @@ def _arms(args: argparse.Namespace) -> int:
     return 0
 
 
-def _source(given: list[str]) -> str | list[str]:
-    return given[0] if len(given) == 1 else given
-
-
 def _progress(args: argparse.Namespace) -> ProgressCallback | None:
     return None if args.progress == "none" else args.reporter.progress
-
-
-def _lens_progress(args: argparse.Namespace, done: int, total: int) -> None:
-    args.reporter.progress(Progress("lens", done, total))
 
 
 class _JsonOutput:

@@ -360,14 +360,10 @@ class _SideFit:
             self.observed.append(seen)
             self._poses.append(turns[1:])
         turns, wrist = self._filter.step(seconds, turns, state.wrist[0])
-        self.last = LiveHand(
-            self.side,
-            "seen",
-            float(hands.score[0]),
-            betas[0],
-            *self._parameters(turns, wrist, betas[0]),
-            keypoints=keypoints,
-        )
+        vectors = rotmat_to_rotvec(turns)
+        transl = wrist - fitter.model.shaped(betas[0]).joints[0]
+        score, pose = float(hands.score[0]), vectors[1:].reshape(45)
+        self.last = LiveHand(self.side, "seen", score, betas[0], vectors[0], pose, transl, keypoints)
         self._lost_at = seconds
 
     def _see_shape(self, seen: Observation) -> None:
@@ -386,14 +382,6 @@ class _SideFit:
         self._state, self._shape_seen = None, []
         return self._betas
 
-    def _parameters(
-        self, turns: np.ndarray, wrist: np.ndarray, betas: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """global_orient (3,), hand_pose (45,) and transl (3,)."""
-        vectors = rotmat_to_rotvec(turns)
-        shaped = self._fitter.model.shaped(betas).joints[0]
-        return vectors[0], vectors[1:].reshape(45), wrist - shaped
-
     def lose(self, seconds: float) -> None:
         """Hold the pose of a hand that is not seen in the frame at `seconds`, and ease it to rest."""
         if self.last is None:
@@ -405,16 +393,13 @@ class _SideFit:
         if self.last.state != "resting":
             self._state, self._filter = None, HandFilter(self._options.min_cutoff, self._options.beta)
             self._held = rotvec_to_rotmat(self.last.hand_pose.reshape(15, 3))
-        part = min(gone / LIVE.ease_seconds, 1.0)
-        part = part * part * (3.0 - 2.0 * part)
-        turned = self._held @ rotvec_to_rotmat(part * _way(self._held, self._at_rest()))
-        pose = rotmat_to_rotvec(turned).reshape(45)
-        self.last = replace(self.last, state="resting", hand_pose=pose, keypoints=None)
-
-    def _at_rest(self) -> np.ndarray:
         if self._rest is None:
             self._rest = rotvec_to_rotmat(self._fitter.relaxed_pose().reshape(15, 3))
-        return self._rest
+        part = min(gone / LIVE.ease_seconds, 1.0)
+        part = part * part * (3.0 - 2.0 * part)
+        turned = self._held @ rotvec_to_rotmat(part * _way(self._held, self._rest))
+        pose = rotmat_to_rotvec(turned).reshape(45)
+        self.last = replace(self.last, state="resting", hand_pose=pose, keypoints=None)
 
     def calibrated(self) -> Calibration | None:
         """Take over what the frames of a calibration have told; None where they show no open hand."""
