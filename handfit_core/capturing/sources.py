@@ -280,17 +280,16 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
     """The wanted hands, each tracked over the clip. Raises NoHandFoundError, and Cancelled where detection
     was stopped before one was found."""
     hands, most = options.hands, options.most_hands(clip=media.source.kind != "photo")
-    # Of a source of which every fourth frame is used, the rate is a quarter of its own.
     steps = np.diff(seen.numbers)
-    step = float(np.median(steps)) if len(steps) else 1.0
-    holes = sorted({*np.flatnonzero(steps > step).tolist(), *(row - 1 for row in seen.cuts)})
+    skipped = np.flatnonzero(steps > np.median(steps)).tolist() if len(steps) else ()
+    holes = sorted({*skipped, *(row - 1 for row in seen.cuts)})
     try:
         tracks, count = link_and_count(
             seen.hands,
             len(seen.numbers),
             hands,
             min(TAKE_LIMITS.max_hands, max(most or TAKE_LIMITS.max_hands, len(options.regions))),
-            media.fps / step,
+            _rate(media, seen.numbers),
             tuple(holes),
             only_shown=options.only_regions,
         )
@@ -320,3 +319,8 @@ def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
     others = "draw boxes around others (--region, or Find Hands in Blender), or allow more (--max-hands)"
     advice = others if hands == "auto" else "take hands 'auto' to capture others"
     log.warning("%s were seen, and %s captured: %s", named, kept, advice)
+
+
+def _rate(media: Media, numbers: list[int]) -> float:
+    """Used frames per second: of a source of which every fourth frame is used, a quarter of its own."""
+    return media.fps / float(np.median(np.diff(numbers))) if len(numbers) > 1 else media.fps
