@@ -25,7 +25,7 @@ from typing import Any, TextIO
 
 from handfit_core.capturing.convert import add_interchange_commands
 from handfit_core.capturing.live.command import add_live_command
-from handfit_core.capturing.options import CaptureOptions, add_options
+from handfit_core.capturing.options import CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import Progress, ProgressCallback, add_arms_to_file, capture_to_file
 from handfit_core.common.errors import HandfitError, OptionError
 from handfit_core.common.files import path_of, printable
@@ -107,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
     live = add_live_command(commands)
     add_interchange_commands(commands)
     add_batch_command(commands)
-    add_lens_command(commands, _lens_progress)
+    add_lens_command(commands, lambda args, *at: args.reporter.progress(Progress("lens", *at)))
     add_model_commands(commands)
     if importlib.util.find_spec("handfit_core.capturing.live.send"):  # as with the next one
         from handfit_core.capturing.live.send import add_send_command, add_vmc_option
@@ -128,12 +128,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_output(command: argparse.ArgumentParser, what: str, *, required: bool = True) -> None:
     """Where the result goes, and how it is told of."""
     command.add_argument("-o", "--output", required=required, type=path_of, metavar="OUT.npz", help=what)
-    command.add_argument(
-        "--progress",
-        choices=("bar", "json", "none"),
-        default="bar",
-        help="how to show progress (default: bar)",
-    )
+    add_progress(command)
 
 
 def _all_parsers(commands: Any) -> Iterator[argparse.ArgumentParser]:
@@ -154,7 +149,7 @@ def _worker(args: argparse.Namespace) -> int:
 
 
 def _capture(args: argparse.Namespace) -> int:
-    source, options = _source(args.input), CaptureOptions.of_arguments(args)
+    source, options = args.input[0] if len(args.input) == 1 else args.input, CaptureOptions.of_arguments(args)
     if args.write_cameras is not None and options.view is None:
         raise OptionError("--write-cameras writes the cameras of two views: give the second one with --view")
     report = capture_to_file(source, args.output, options, _progress(args), cameras_to=args.write_cameras)
@@ -169,16 +164,8 @@ def _arms(args: argparse.Namespace) -> int:
     return 0
 
 
-def _source(given: list[str]) -> str | list[str]:
-    return given[0] if len(given) == 1 else given
-
-
 def _progress(args: argparse.Namespace) -> ProgressCallback | None:
     return None if args.progress == "none" else args.reporter.progress
-
-
-def _lens_progress(args: argparse.Namespace, done: int, total: int) -> None:
-    args.reporter.progress(Progress("lens", done, total))
 
 
 class _JsonOutput:

@@ -37,7 +37,7 @@ from handfit_core.capturing.live.streaming import HandFollower, Live, LiveOption
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
 from handfit_core.common.errors import HandfitError, OptionError
-from handfit_core.geometry.similarity import align
+from handfit_core.evaluate.metrics import similarity_aligned_distances
 from handfit_core.hand_model import load_model
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Frame
@@ -246,7 +246,8 @@ def truth(folder: Path) -> list[Row]:
     common = sorted(preview.keys() & full.keys())
     true = [np.array(label["joints_3d_mm"]) for label in labels]
     errors = [
-        np.mean([_pa_mpjpe(1000.0 * found[row], true[row]) for row in common]) for found in (preview, full)
+        np.mean([similarity_aligned_distances(1000.0 * found[row], true[row]).mean() for row in common])
+        for found in (preview, full)
     ]
     return [
         ("labelled frames with a hand in both", f"{len(labels)}", float(len(common))),
@@ -254,11 +255,6 @@ def truth(folder: Path) -> list[Row]:
         ("full capture, PA-MPJPE mm", "", float(errors[1])),
         ("ratio", "<= 1.25", float(errors[0] / errors[1])),
     ]
-
-
-def _pa_mpjpe(found: np.ndarray, true: np.ndarray) -> float:
-    laid = align(found, true, with_scale=True).apply(found)
-    return float(np.linalg.norm(laid - true, axis=1).mean())
 
 
 if __name__ == "__main__":

@@ -255,7 +255,7 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
     distance = np.stack([_distance(hand, body, camera, hand.side)[shot] for hand in hands], axis=1)
     other = ~body.present[shot, None] | (distance > 2.0 * GATES.max_distance)
     bones = np.diff(world, axis=2)
-    count = len(visibility)
+    count, of_hands = len(visibility), [_hand_length(hand) for hand in hands]
     return ArmsSeen(
         wrist=np.stack(
             [np.where(h.present[shot, None], h.joints_3d[shot, 0], np.nan) for h in hands], axis=1
@@ -264,8 +264,8 @@ def _seen(hands: Sequence[HandTrack], body: BodyTrack, camera: Intrinsics, shot:
         pixels=pixels,
         visibility=np.where(other[..., None], 0.0, visibility),
         directions=bones / np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-9),
-        lengths=np.repeat([[_lengths(hand) for hand in hands]], count, axis=0),
-        hand_length=float(np.mean([_hand_length(hand) for hand in hands])),
+        lengths=np.repeat([np.outer(of_hands, [ARMS.upper_arm, ARMS.forearm])], count, axis=0),
+        hand_length=float(np.mean(of_hands)),
         camera=camera,
     )
 
@@ -295,11 +295,6 @@ def _hand_length(hand: HandTrack) -> float:
     """Metres from the wrist along the bones to the tip of the middle finger."""
     bones = np.diff(hand.joints_3d[hand.present][:, [0, 9, 10, 11, 12]], axis=1)
     return float(np.median(np.linalg.norm(bones, axis=2).sum(axis=1)))
-
-
-def _lengths(hand: HandTrack) -> np.ndarray:
-    """(2,) metres of the upper arm and the forearm of a person with that hand."""
-    return np.array([ARMS.upper_arm, ARMS.forearm]) * _hand_length(hand)
 
 
 def _size(hand: HandTrack, camera: Intrinsics) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options
+from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import capture, hand_summaries
 from handfit_core.common.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.common.files import check_writable, output_path, path_of, printable, shown, written_whole
@@ -60,12 +60,7 @@ def add_input(command: argparse.ArgumentParser) -> None:
         metavar="INPUT",
         help="a take, a file of docs/interchange.md, or what capture takes",
     )
-    command.add_argument(
-        "--progress",
-        choices=("bar", "json", "none"),
-        default="bar",
-        help="how to show progress (default: bar)",
-    )
+    add_progress(command)
     add_options(command)
 
 

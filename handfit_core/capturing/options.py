@@ -580,3 +580,9 @@ def add_options(parser: argparse._ActionsContainer, names: Iterable[str] = OPTIO
     """Add options to a command line; `CaptureOptions.of_arguments` reads what it was told."""
     for name in names:
         OPTIONS[name].add_to(parser)
+
+
+def add_progress(parser: argparse.ArgumentParser) -> None:
+    """Add `--progress` to a command line."""
+    said = "how to show progress (default: bar)"
+    parser.add_argument("--progress", choices=("bar", "json", "none"), default="bar", help=said)

@@ -31,10 +31,15 @@ from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
-from handfit_core.media.source import Media, Source
+from handfit_core.media.source import Media
 from handfit_core.media.videos import Video
 from handfit_core.take import HandTrack, Take
-from handfit_core.take.fit_quality import error_is_known, mean_expected_error, mean_relative_error
+from handfit_core.take.fit_quality import (
+    error_is_known,
+    finite_mean,
+    mean_expected_error,
+    mean_relative_error,
+)
 
 log = logging.getLogger("handfit")
 
@@ -272,16 +277,19 @@ def bare_take(source: MediaInput, options: CaptureOptions) -> Take:
 
 
 def _without_hands(media: Media, options: CaptureOptions, intrinsics: Intrinsics, numbers: list[int]) -> Take:
-    lens = options.measured_lens(media.width, media.height)
+    lens, source = options.measured_lens(media.width, media.height), media.source
+    if source.kind == "sequence":  # a take has the pictures that were read, and no more
+        source = replace(source, files=source.files[: len(numbers)])
+    model = options.model or OPEN_HAND
     return Take(
-        source=_read_part(media.source, len(numbers)),
+        source=source,
         fps=media.fps,
         frame_numbers=np.array(numbers, dtype=np.int64),
         width=media.width,
         height=media.height,
         intrinsics=intrinsics,
         solver=options.solver,
-        model=OPEN_HAND if options.model is None else _absolute(options.model),
+        model=model if model == OPEN_HAND else str(Path(model).expanduser().resolve()),
         model_digests={},
         hands=(),
         distortion=None if lens is None else lens.distortion,
@@ -353,11 +361,6 @@ def _named(source: MediaInput, options: CaptureOptions) -> list[str | os.PathLik
     return [*given, *(each for each in named if each)]
 
 
-def _read_part(source: Source, count: int) -> Source:
-    """A sequence's source has the pictures that were read, and no more."""
-    return replace(source, files=source.files[:count]) if source.kind == "sequence" else source
-
-
 def hand_summaries(take: Take) -> list[dict[str, Any]]:
     """The report of each hand: side, frames found, filled and doubtful, mean error in pixels and as a
     share of the hand's length, and the one that is expected, metres (None where they have no value), whether
@@ -369,7 +372,7 @@ def hand_summaries(take: Take) -> list[dict[str, Any]]:
             "frames": int(track.detected.sum()),
             "filled": 0 if track.filled is None else int(track.filled.sum()),
             "doubtful": 0 if track.doubtful is None else int(track.doubtful.sum()),
-            "mean_reprojection_error_px": _mean(track.reprojection_error[track.detected]),
+            "mean_reprojection_error_px": finite_mean(track.reprojection_error[track.detected]),
             "mean_error_of_hand": mean_relative_error(track, take.intrinsics),
             "mean_expected_error": mean_expected_error(track),
             "error_known": error_is_known(track),
@@ -383,15 +386,3 @@ def _arm_summary(track: HandTrack) -> dict[str, Any]:
     if track.arm is None and not track.no_arm:
         return {}
     return {"arm": 0 if track.arm is None else int(track.arm.present.sum()), "no_arm": track.no_arm}
-
-
-def _mean(values: np.ndarray) -> float | None:
-    """What JSON can hold, too."""
-    with np.errstate(over="ignore"):
-        mean = float(values.mean()) if len(values) else np.nan
-    return mean if np.isfinite(mean) else None
-
-
-def _absolute(model: str | os.PathLike[str]) -> str:
-    text = os.fspath(model)
-    return text if text == OPEN_HAND else str(Path(text).expanduser().resolve())

@@ -9,7 +9,7 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 
@@ -81,40 +81,27 @@ class Found:
     fitted"""
 
 
-class HandSource(Protocol):
+@dataclass(frozen=True)
+class HandSource:
     """Something that hands are found in."""
 
-    @property
-    def media(self) -> Media:
-        """The opened input."""
-        ...
-
-    @property
-    def known(self) -> Intrinsics | None:
-        """The camera; None: the file does not tell, and nobody else."""
-        ...
-
-    @property
-    def recording(self) -> Recording | None:
-        """What another program has found; None: hands are detected in the pictures."""
-        ...
+    media: Media
+    known: Intrinsics | None
+    """The camera; None: the file does not tell, and nobody else."""
+    options: CaptureOptions
+    recording: Recording | None
+    """What another program has found; None: hands are detected in the pictures."""
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:
         """Find the wanted hands. `on_frame` gets the count of frames that are done; `should_stop` is asked
         before each.
 
         Raises NoHandFoundError, and Cancelled where it was stopped before a hand was found."""
-        ...
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class Pictures:
+class Pictures(HandSource):
     """A photo, a sequence or a video, in which a detector finds hands."""
-
-    media: Media
-    known: Intrinsics | None
-    options: CaptureOptions
-    recording: None = None
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:
         """Detect hands in the pictures, and track them."""
@@ -125,13 +112,9 @@ class Pictures:
         return _tracked(media, self.known, options, seen, should_stop, calibrated=calibrated)
 
 
-@dataclass(frozen=True)
-class Keypoints:
+class Keypoints(HandSource):
     """Pictures in which another program has found the keypoints of hands."""
 
-    media: Media
-    known: Intrinsics | None
-    options: CaptureOptions
     recording: Recording
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:  # noqa: ARG002
@@ -140,13 +123,9 @@ class Keypoints:
         return _tracked(self.media, self.known, self.options, seen, should_stop, calibrated=False)
 
 
-@dataclass(frozen=True)
-class Poses:
+class Poses(HandSource):
     """Hands that another program has found in space: their poses, or their points."""
 
-    media: Media
-    known: Intrinsics | None
-    options: CaptureOptions
     recording: Recording
 
     def find(self, on_frame: Callable[[int], None], should_stop: ShouldStop) -> Found:  # noqa: ARG002
@@ -169,7 +148,7 @@ def open_source(source: MediaInput, options: CaptureOptions) -> HandSource:
     media, known = opened(source, options)
     recording = _recording(media, options)
     if recording is None:
-        return Pictures(media, known, options)
+        return Pictures(media, known, options, None)
     if recording.intrinsics and options.intrinsics is None and options.lens is None:
         known = recording.intrinsics  # the hands lie where that camera has them
     return (Poses if recording.seen is None else Keypoints)(media, known, options, recording)
@@ -301,7 +280,9 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
     """The wanted hands, each tracked over the clip. Raises NoHandFoundError, and Cancelled where detection
     was stopped before one was found."""
     hands, most = options.hands, options.most_hands(clip=media.source.kind != "photo")
-    holes = sorted({*_holes(seen.numbers), *(row - 1 for row in seen.cuts)})
+    steps = np.diff(seen.numbers)
+    skipped = np.flatnonzero(steps > np.median(steps)).tolist() if len(steps) else ()
+    holes = sorted({*skipped, *(row - 1 for row in seen.cuts)})
     try:
         tracks, count = link_and_count(
             seen.hands,
@@ -343,9 +324,3 @@ def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
 def _rate(media: Media, numbers: list[int]) -> float:
     """Used frames per second: of a source of which every fourth frame is used, a quarter of its own."""
     return media.fps / float(np.median(np.diff(numbers))) if len(numbers) > 1 else media.fps
-
-
-def _holes(numbers: list[int]) -> tuple[int, ...]:
-    """Rows of used frames after which the source lacks some."""
-    steps = np.diff(numbers)
-    return tuple(np.flatnonzero(steps > np.median(steps)).tolist()) if len(steps) else ()

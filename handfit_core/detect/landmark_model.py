@@ -113,9 +113,8 @@ def landmark_model_path(explicit: str | os.PathLike[str] | None = None) -> Path:
             if not is_file(path):
                 raise LandmarkModelError(f"{shown(path)}: there is no such landmark model file")
             return path
-    for path in (Path(__file__).parent / "data" / TASK.name, cached_path()):
-        if path.is_file():
-            return path
+    for path in _files_there(TASK.name):
+        return path
     raise LandmarkModelError(
         f"MediaPipe's landmark model ({TASK.name}) was not found; run scripts/fetch_landmark_model.py "
         "once, or name the file with --landmark-model"
@@ -126,9 +125,7 @@ def body_model_path() -> Path:
     """The file of the body networks: `$HANDFIT_BODY_MODEL`, or the one bundled with this package or in the
     cache folder. Raises LandmarkModelError."""
     named = os.environ.get(BODY.variable)
-    bundled = Path(__file__).parent / "data" / BODY.name
-    places = (path_of(named),) if named else (bundled, cached_body_path())
-    for path in places:
+    for path in [path_of(named)] if named else _files_there(BODY.name):
         if named != "none" and is_file(path):
             return path
     why = f"{BODY.variable} is {named!r}" if named else "they were not found"
@@ -154,8 +151,7 @@ def landmarks_2020_path() -> Path | None:
     named = os.environ.get(NETWORK_2020.variable)
     if named == "none":
         return None
-    bundled = Path(__file__).parent / "data" / NETWORK_2020.name
-    places = [path_of(named)] if named else filter(is_file, (bundled, cached_path_2020()))
+    places = [path_of(named)] if named else _files_there(NETWORK_2020.name)
     path = next(iter(places), None)
     return path if path and _is_landmarks_2020(path) else None
 
@@ -192,19 +188,14 @@ def is_calibrated(explicit: str | os.PathLike[str] | None = None) -> bool:
         return False  # Loading it will raise with the reason.
 
 
-def cached_path() -> Path:
-    """Where the assembled file is kept between runs."""
-    return cache_dir() / TASK.name
+def cached_path(name: str = TASK.name) -> Path:
+    """Where the assembled file of that name is kept between runs."""
+    return cache_dir() / name
 
 
-def cached_path_2020() -> Path:
-    """Where the landmark network of December 2020 is kept between runs."""
-    return cache_dir() / NETWORK_2020.name
-
-
-def cached_body_path() -> Path:
-    """Where the body networks are kept between runs."""
-    return cache_dir() / BODY.name
+def _files_there(name: str) -> list[Path]:
+    """The file of that name that is bundled with this package, and the one in the cache folder."""
+    return list(filter(is_file, (Path(__file__).parent / "data" / name, cached_path(name))))
 
 
 def assemble(wheel: str | os.PathLike[str], destination: str | os.PathLike[str]) -> Path:

@@ -51,8 +51,9 @@ class MediaPipeHands(Detector):
         try:
             self._landmarker = vision.HandLandmarker.create_from_options(options)
         except (RuntimeError, ValueError) as error:
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             raise LandmarkModelError(
-                f"{path}: MediaPipe cannot load this landmark model ({_first_line(error)}); assemble it "
+                f"{path}: MediaPipe cannot load this landmark model ({reason}); assemble it "
                 "again with scripts/fetch_landmark_model.py --force"
             ) from error
 
@@ -98,10 +99,6 @@ def _detection(
     keypoints = np.array([(p.x * width, p.y * height, p.z * width) for p in image_points])
     world = np.array([(p.x, p.y, p.z) for p in world_points])
     return HandDetection(side=side, score=float(category.score), keypoints=keypoints, world=world)
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 # The calibration holds for single predictions of the same networks: for 194 real hands, the mean expected

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,10 +38,6 @@ def _row(name: str, given: Any) -> int:
     """A whole number, which JSON may have as 5.0."""
     row = number(name, given)
     return whole(name, int(row) if row.is_integer() else row)
-
-
-def _rows(name: str, given: Any) -> tuple[int, ...]:
-    return listed(name, given, _row)
 
 
 @array_dataclass
@@ -122,7 +119,7 @@ class RefineHand(HandMotion):
     """Frames per second"""
     smoothing: float = value(number, default=USUAL_SMOOTHING, least=0.0, most=MOST_SMOOTHING)
     """For re-fitting a range"""
-    holes: tuple[int, ...] = value(_rows, default=())
+    holes: tuple[int, ...] = value(partial(listed, kind=_row), default=())
     """Rows after which the source lacks pictures: nothing is smoothed across"""
     added: bool = value(flag, default=False)
     """Whether a person laid it into the picture: its pose is a guess until pins say how it lies"""

@@ -231,9 +231,12 @@ class _Frames(Batch):
 
     def _shifted(self, state: State, pixels: np.ndarray) -> State:
         """Hands, whose landmarks are at pixels (B, 21, 2), moved across the pictures by the mean displacement
-        of their pins."""
+        of their pins; by 0 where there is none."""
+        off = self.pins - pixels
+        at = np.asarray(np.isfinite(off).all(axis=-1))
+        mean = np.where(at[..., None], off, 0.0).sum(axis=1) / np.maximum(at.sum(axis=1), 1)[:, None]
         lens, moved = self.intrinsics, state.wrist.copy()
-        moved[:, :2] += state.wrist[:, 2:] * (_mean_offset(self.pins, pixels) / (lens.fx, lens.fy))
+        moved[:, :2] += state.wrist[:, 2:] * (mean / (lens.fx, lens.fy))
         return replace(state, wrist=moved)
 
     def _solved(
@@ -407,13 +410,6 @@ def _posed(hand: RefineHand, model: HandModel) -> tuple[np.ndarray, np.ndarray]:
     behind = points[..., 2].min(axis=1) <= TERMS.nearest
     points[behind] = 1.0
     return posed & ~behind, points
-
-
-def _mean_offset(pins: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(B, 2) pixels from points (B, 21, 2) to their pins, in the mean; 0 where there is none."""
-    off = pins - pixels
-    at = np.asarray(np.isfinite(off).all(axis=-1))
-    return np.where(at[..., None], off, 0.0).sum(axis=1) / np.maximum(at.sum(axis=1), 1)[:, None]
 
 
 def _landmarks(hand: RefineHand, rows: np.ndarray) -> Landmarked:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
-from handfit_core.capturing.options import CaptureOptions, add_options
+from handfit_core.capturing.options import CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import Progress
 from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_writable, path_of
@@ -52,7 +52,7 @@ def add_evaluate_command(subparsers: argparse._SubParsersAction) -> None:
     add("--reference", metavar="NAME", help="compare the others with this solver (default: the last one)")
     add("--jobs", type=int, default=1, metavar="N", help="fit in N processes; times then compare less well")
     add_options(command, ("model", "detector", "threshold", "plain_detection", "quality", "landmark_model"))
-    add("--progress", choices=("bar", "json", "none"), default="bar", help="how to show progress")
+    add_progress(command)
 
 
 def _evaluate(args: argparse.Namespace) -> int:

@@ -32,7 +32,10 @@ def write_report(folder: Path, evaluation: Evaluation) -> list[Path]:
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     page = environment.from_string(Path(__file__).with_suffix(".html.j2").read_text(encoding="utf-8"))
-    shown = {name: _html(tables[f"{name}.csv"]) for name in ("table", "comparisons", "by_tag")}
+    texts = {name: as_text(tables[f"{name}.csv"]) for name in ("table", "comparisons", "by_tag")}
+    with pd.option_context("display.max_colwidth", None):
+        form = {"index": False, "border": 0, "float_format": "{:.2f}".format}
+        shown = {name: table.to_html(**form) for name, table in texts.items()}
     metrics = [METRICS[key] for key in tables["table.csv"].columns[1:]]
     files = {"index.html": page.render(evaluation=evaluation, files=list(tables), metrics=metrics, **shown)}
     files |= {name: table.to_csv(index=False, lineterminator="\r\n") for name, table in tables.items()}
@@ -74,8 +77,3 @@ def as_text(table: pd.DataFrame) -> pd.DataFrame:
             column if metric is None else column.map(f"{{:.{metric.digits}f}}".format).replace("nan", "-")
         )
     return pd.DataFrame(texts)
-
-
-def _html(table: pd.DataFrame) -> str:
-    with pd.option_context("display.max_colwidth", None):
-        return as_text(table).to_html(index=False, border=0, float_format="{:.2f}".format)

@@ -82,7 +82,7 @@ def relative_errors(track: HandTrack, intrinsics: Intrinsics) -> np.ndarray:
 def view_errors(take: Take, track: HandTrack) -> tuple[float, ...]:
     """Pixels, in the mean over all detections that a fit took notice of, from the fitted hand's 21 keypoints
     to the detected ones, view by view; NaN where there is none."""
-    found = [_mean(track.reprojection_error[track.detected])]
+    found = [finite_mean(track.reprojection_error[track.detected])]
     numbers = np.asarray(take.frame_numbers)
     moments = (numbers - numbers[0]) / take.fps
     for view, seen in enumerate(track.seen_by, start=1):
@@ -98,7 +98,7 @@ def view_errors(take: Take, track: HandTrack) -> tuple[float, ...]:
         within = (part >= 0.0) & (part <= 1.0) & np.isfinite(points).all(axis=(1, 2))
         shown = take.cameras.camera(view).project(points[within])
         off = np.linalg.norm(shown - seen.keypoints_2d[rows[within]], axis=-1)
-        found.append(_mean(off.mean(axis=1)))
+        found.append(finite_mean(off.mean(axis=1)))
     return tuple(np.nan if error is None else error for error in found)
 
 
@@ -124,16 +124,18 @@ def error_is_known(track: HandTrack) -> bool:
 
 def mean_relative_error(track: HandTrack, intrinsics: Intrinsics) -> float | None:
     """The mean of `relative_errors` over the frames with a detection; None where it has no value."""
-    return _mean(relative_errors(track, intrinsics)[track.detected])
+    return finite_mean(relative_errors(track, intrinsics)[track.detected])
 
 
 def mean_expected_error(track: HandTrack) -> float | None:
     """Metres that the hand is likely to be off, over the frames of which that is told; None: of none."""
     if track.expected_error is None:
         return None
-    return _mean(track.expected_error[np.isfinite(track.expected_error).all(axis=1)])
+    return finite_mean(track.expected_error[np.isfinite(track.expected_error).all(axis=1)])
 
 
-def _mean(errors: np.ndarray) -> float | None:
-    mean = float(errors.mean()) if len(errors) else np.nan
+def finite_mean(errors: np.ndarray) -> float | None:
+    """The mean of (N,) errors; None where there is none that JSON can hold."""
+    with np.errstate(over="ignore"):
+        mean = float(errors.mean()) if len(errors) else np.nan
     return mean if np.isfinite(mean) else None

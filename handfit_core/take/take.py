@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -30,7 +30,7 @@ from handfit_core.common.files import opened_file, output_path, read_file, shown
 from handfit_core.common.npz import NotNpz, NpzArchive, names_of
 from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, can_touch
 from handfit_core.common.slices import run_to_completion
-from handfit_core.common.values import LARGEST_WHOLE, number, one_of, path, shortly, text, whole
+from handfit_core.common.values import LARGEST_WHOLE, listed, number, one_of, path, shortly, text, whole
 from handfit_core.detect.keypoints import Detections
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
@@ -405,7 +405,7 @@ class Take:
 
 
 def _reading_cameras(
-    archive: NpzArchive, views: list[dict[str, Any]]
+    archive: NpzArchive, views: Sequence[dict[str, Any]]
 ) -> Generator[None, None, Cameras | None]:
     if not views:
         return None
@@ -483,15 +483,15 @@ def _source_of(source: Mapping[str, Any]) -> Source:
         raise ValueError(f"kind must be one of {', '.join(SOURCE_KINDS)}, not {shortly(source.get('kind'))}")
     return Source(
         kind=source["kind"],
-        files=tuple(path("files", file) for file in _list("files", source.get("files"))),
+        files=listed("files", source.get("files"), path),
         orientation=whole("orientation", source.get("orientation", 1), 1, 8),
     )
 
 
-def _view_of(view: Any) -> dict[str, Any]:
+def _view_of(name: str, view: Any) -> dict[str, Any]:
     """A `View` without its frame numbers."""
     if not isinstance(view, dict):
-        raise ValueError(f"views must be objects, not {shortly(view)}")
+        raise ValueError(f"{name} must be objects, not {shortly(view)}")
     return {
         "source": _source_of(_object(view, "source")),
         "fps": number("fps", view.get("fps")),
@@ -507,22 +507,18 @@ def _verdict_of(verdict: Mapping[str, Any]) -> Verdict:
     )
 
 
-def _distortion_of(header: Mapping[str, Any]) -> tuple[float, ...]:
-    terms = [number("distortion", term) for term in _list("distortion", header.get("distortion"))]
-    if len(terms) != 5:
-        raise ValueError(f"distortion must be five numbers, not {len(terms)}")
-    return tuple(terms)
-
-
 def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
     """A take's fields that its header holds, and `sides`. Raises ValueError, and OptionError for a camera."""
     source, camera, digests = (_object(header, name) for name in ("source", "intrinsics", "model_digests"))
     arms = _object(header, "arms") if "arms" in header else {}
-    sides, views = _list("sides", header.get("sides")), _list("views", header.get("views", []))
+    sides = listed("sides", header.get("sides"), lambda _, side: side)
     if len(sides) > TAKE_LIMITS.max_hands or not all(side in SIDES for side in sides):
         raise ValueError(f"sides must be at most {TAKE_LIMITS.max_hands}, each left or right")
     if set(camera) != {"fx", "fy", "cx", "cy"}:
         raise ValueError("intrinsics must be fx, fy, cx and cy")
+    distortion = listed("distortion", header["distortion"], number) if "distortion" in header else None
+    if distortion is not None and len(distortion) != 5:
+        raise ValueError(f"distortion must be five numbers, not {len(distortion)}")
     return {
         "source": _source_of(source),
         "fps": number("fps", header.get("fps")),
@@ -536,9 +532,9 @@ def _of_header(header: Mapping[str, Any]) -> dict[str, Any]:
             side: text("model_digests", digest, 64) for side, digest in digests.items() if side in SIDES
         },
         "sides": sides,
-        "views": [_view_of(view) for view in views],
+        "views": listed("views", header.get("views", []), _view_of),
         "verdict": _verdict_of(_object(header, "verdict")) if "verdict" in header else None,
-        "distortion": _distortion_of(header) if "distortion" in header else None,
+        "distortion": distortion,
         "arms": {hand: text("arms", why, 200) for hand, why in arms.items()},
     }
 
@@ -556,10 +552,4 @@ def _object(header: Mapping[str, Any], name: str) -> dict[str, Any]:
     value = header.get(name)
     if not isinstance(value, dict):
         raise ValueError(f"{name} must be an object, not {shortly(value)}")
-    return value
-
-
-def _list(name: str, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise ValueError(f"{name} must be a list, not {shortly(value)}")
     return value

@@ -61,7 +61,7 @@ def run_tasks(
                 over += [next_ended() for _ in range(len(running) - 1)]
                 workers.renew()
             results = [(task := running.pop(f), f, _result(task, f, output, settings)) for f in over]
-            overran = any(result and _overran(result) for *_, result in results)
+            overran = "Timeout" in [r.attempts[-1]["kind"] for *_, r in results if r and r.attempts]
             for task, future, result in results:
                 tried = attempts[task.key]
                 if result is not None:
@@ -98,10 +98,6 @@ def _result(task: Task, future: Future[Result], output: Path, settings: Settings
     if record is not None and record["key"] == task.key and record["run"] == settings.run:
         return result_of(task, record)
     return None
-
-
-def _overran(result: Result) -> bool:
-    return bool(result.attempts) and result.attempts[-1]["kind"] == "Timeout"
 
 
 def _death(future: Future[Result]) -> dict[str, Any]:

@@ -69,7 +69,8 @@ class Worker:
         self._bytecode = bytecode if is_current_interpreter(self.python) else None
         self._child: ChildProcess | None = None
         self._last_child: ChildProcess | None = None
-        self._ready_event: Event | None = None
+        self.ready: Event | None = None
+        """The process's `ready` event, with its versions; None until `events` or `wait` has seen it"""
         self._start_deadline = 0.0
         self._number = 0
         self._open: dict[int, str] = {}
@@ -97,11 +98,6 @@ class Worker:
         """The running process's id."""
         return self._child.pid if self.alive and self._child else None
 
-    @property
-    def ready(self) -> Event | None:
-        """The process's `ready` event, with its versions; None until `poll` or `wait` has seen it."""
-        return self._ready_event
-
     def start(self) -> None:
         """Start the process unless it runs; returns at once. Raises WorkerError."""
         self._collect(0.0)
@@ -119,7 +115,7 @@ class Worker:
         except OSError as error:
             raise WorkerError(self._unfit(f"cannot be started ({error.strerror or error})")) from error
         self._last_child = self._child
-        self._ready_event = None
+        self.ready = None
         self._start_deadline = time.monotonic() + _START_SECONDS
 
     def submit(self, kind: str, /, **fields: Any) -> int:
@@ -193,7 +189,7 @@ class Worker:
         One that has not ended after `seconds` is killed. A take is written whole or not at all; of what
         was being written a temporary file may stay beside it.
         """
-        child, self._child, self._ready_event = self._child, None, None
+        child, self._child, self.ready = self._child, None, None
         if child is not None:
             child.stop(seconds)
         self._fail_all(Cancelled.__name__, "stopped before it was finished", "")
@@ -217,15 +213,15 @@ class Worker:
         child.exchange()
         ended = child.ended()
         for message in child.received():
-            if self._ready_event is None:
+            if self.ready is None:
                 self._receive_first(message)
             elif message["id"] in self._open:
                 self._receive(message)
             if self._child is None:
                 return
         if ended:
-            self._give_up(self._end_at_start(child) if self._ready_event is None else ENDED)
-        elif self._ready_event is None and time.monotonic() > self._start_deadline:
+            self._give_up(self._end_at_start(child) if self.ready is None else ENDED)
+        elif self.ready is None and time.monotonic() > self._start_deadline:
             self._give_up(self._unfit(f"did not answer within {_START_SECONDS:g} seconds"))
 
     def _receive_first(self, message: Event) -> None:
@@ -239,7 +235,7 @@ class Worker:
                 "Blender was running; restart Blender"
             )
         else:
-            self._ready_event = message
+            self.ready = message
 
     def _receive(self, message: Event) -> None:
         """Take in an event of a request that is open."""
@@ -273,7 +269,7 @@ class Worker:
 
     def _give_up(self, why: str) -> None:
         """Kill the process and answer every open request with a WorkerError."""
-        child, self._child, self._ready_event = self._child, None, None
+        child, self._child, self.ready = self._child, None, None
         if child is not None:
             child.kill()
         self._fail_all(WorkerError.__name__, why, self.details())

@@ -44,12 +44,13 @@ def follow(
                     say(event="warning", message=problem)
             writer = reader.recording
             if writer is not None and writer.failed:
-                say(event="recorded", **_summary(run.stop_recording()))
+                say(event="recorded", **_summary(reader.stop_recording()))
                 writer = None
             pose = run.next()
             if pose is None:
                 continue
-            for calibrated in run.calibrations():
+            calibrations, run.follower.calibrations = run.follower.calibrations, []
+            for calibrated in calibrations:
                 if not calibrated:
                     say(event="warning", message=_NO_OPEN_HAND)
                 say(event="calibrated", hands=[_calibrated(each) for each in calibrated])
@@ -71,7 +72,7 @@ def follow(
                 size=list(pose.rgb.shape[1::-1]),
                 picture=shown,
             )
-        writer = run.stop_recording()
+        writer = reader.stop_recording()
     return {
         "seconds": round(time.perf_counter() - began, 3),
         "frames": reader.received,
@@ -89,14 +90,14 @@ _NO_OPEN_HAND: Final = (
 def _do(run: Live, told: Mapping[str, Any], say: Callable[..., None]) -> None:
     """Do what the client said to a run; what does not work is a warning."""
     if told["request"] == "live-calibrate":
-        run.calibrate()
+        run.follower.calibrate()
         return
     try:
-        writer = run.stop_recording()
+        writer = run.reader.stop_recording()
         if writer is not None:
             say(event="recorded", **_summary(writer))
         if told.get("output") is not None:
-            run.record(told["output"])
+            run.reader.record(told["output"])
     except HandfitError as error:
         say(event="warning", message=str(error))
 

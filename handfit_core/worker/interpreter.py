@@ -44,8 +44,10 @@ def worker_command(python: str, *words: str) -> list[str]:
     it."""
     words = words or ("worker",)
     if is_current_interpreter(python) and not _brought_by_launcher():
-        # -P: not from the folder in which Blender happens to have been started.
-        return [python, *_site_flags(), "-P", "-u", "-m", "handfit_core", *words]
+        # -s: as Blender, nothing from the folder where pip puts packages for one user; -P: nothing from the
+        # folder in which Blender happens to have been started.
+        user = ["-s"] if sys.flags.no_user_site else []
+        return [python, *user, "-P", "-u", "-m", "handfit_core", *words]
     return [python, "-u", str(_core_folder() / "worker" / "launch.py"), *words]
 
 
@@ -61,11 +63,6 @@ def worker_environment(python: str, bytecode: Path | None = None) -> dict[str, s
     else:
         environment["PYTHONPYCACHEPREFIX"] = str(bytecode)
     return environment
-
-
-def _site_flags() -> list[str]:
-    """Blender takes nothing from the folder where pip puts packages for one user; nor does its worker."""
-    return ["-s"] if sys.flags.no_user_site else []
 
 
 def _core_folder() -> Path:

@@ -84,7 +84,10 @@ def _draw(rng: np.random.Generator, seed: int, number: int, frames: int, size: i
         away = np.linalg.norm(rotations[rows // 2] @ centre + distance)
         depth = away * np.exp(_wander(rows, 35, 0.10, 1, rng))
         translations = depth * rays - rotations @ centre
-        moving = [_moving(h, f, rotations, translations) for h, f in zip(hands, fingers, strict=True)]
+        moving = [
+            replace(shot_hand(h, rotations, translations), hand_pose=hand_pose_from_angles(f, h.side))
+            for h, f in zip(hands, fingers, strict=True)
+        ]
         if _well_seen(moving, hands, camera, rotations, translations, size):
             break
     else:
@@ -164,11 +167,6 @@ def _hand_held(count: int, rng: np.random.Generator) -> np.ndarray:
     motion[:, :3, :3] = rotvec_to_rotmat(_wander(count, 20, 0.015, 3, rng))
     motion[:, :3, 3] = _wander(count, 20, 0.004, 3, rng)
     return motion
-
-
-def _moving(hand: Placed, fingers: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> ShotHand:
-    still = shot_hand(hand, rotations, translations)
-    return replace(still, hand_pose=hand_pose_from_angles(fingers, hand.side))
 
 
 def _stay_apart(hands: list[Placed], fingers: list[np.ndarray]) -> bool:

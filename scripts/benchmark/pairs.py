@@ -12,12 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 
 from .clips import clip_shot
 from .kinematics import model_of
-from .shots import FPS, Shot, ShotHand, rounded
+from .shots import FPS, Shot, ShotHand, matrix_of, rounded
 from .views import intrinsics_of, stand_off
 
 FOLDER: Final = "pairs"
@@ -91,8 +90,8 @@ def _draw(
         "fps": FPS,
         "offset": offset / FPS,
         "apart_degrees": apart,
-        "K_a": _matrix(seen[0].camera),
-        "K_b": _matrix(seen[1].camera),
+        "K_a": matrix_of(seen[0].camera),
+        "K_b": matrix_of(seen[1].camera),
         "R": rotation.tolist(),
         "t": (places[1] - rotation @ places[0]).tolist(),
         "joints3d": rounded(seen[0].hands[0].keypoints()[1:-1], 8),
@@ -123,7 +122,3 @@ def _nearest_to_arm(hand: ShotHand) -> float:
     wrist = model_of(hand.side).shaped(hand.betas).joints[0]
     turned = (hand.arm.axis - wrist) @ rotvec_to_rotmat(hand.global_orient).swapaxes(1, 2)
     return float(np.linalg.norm(turned + (hand.transl + wrist)[:, None], axis=2).min())
-
-
-def _matrix(camera: Intrinsics) -> list[list[float]]:
-    return [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]

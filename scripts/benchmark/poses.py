@@ -44,9 +44,10 @@ def random_pose(kind: str, hand: RightHand, rng: np.random.Generator) -> np.ndar
     best, depth = None, np.inf
     for _ in range(_TRIES):
         angles = within_limits(POSES[kind](hand, rng))
-        if kind == "pinch" and _pinch_gap(hand, angles) > MEETING_TIPS:
+        points = hand.keypoints(angles)
+        if kind == "pinch" and min(tip_distance(points, finger) for finger in LONG) > MEETING_TIPS:
             continue
-        found = float(penetration(hand.keypoints(angles), hand.scale))
+        found = float(penetration(points, hand.scale))
         if found < depth:
             best, depth = angles, found
         if depth < _DEEPEST:
@@ -54,11 +55,6 @@ def random_pose(kind: str, hand: RightHand, rng: np.random.Generator) -> np.ndar
     if best is None:
         raise AssertionError(f"no {kind} within the joints' ranges: its recipe is wrong")
     return best
-
-
-def _pinch_gap(hand: RightHand, angles: np.ndarray) -> float:
-    points = hand.keypoints(angles)
-    return min(tip_distance(points, finger) for finger in LONG)
 
 
 def with_play(

@@ -119,7 +119,6 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
     """One entry of the plain folder form's `index.json` per picture, in order."""
     points = [hand.keypoints() for hand in shot.hands]
     pixels = [shot.camera.project(p) for p in points]
-    k = shot.camera
     found = []
     for number, (file, tags) in enumerate(zip(shot.files, shot.tags, strict=True)):
         t = number + shot.lead
@@ -138,7 +137,7 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
                 }
                 for hand, p, uv in zip(shot.hands, points, pixels, strict=True)
             ],
-            "K": [[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]],
+            "K": matrix_of(shot.camera),
             "time": number / FPS,
             "tags": dict(tags),
         }
@@ -147,6 +146,11 @@ def entries(shot: Shot) -> list[dict[str, Any]]:
 
 
 _PER_FRAME = ("global_orient", "hand_pose", "transl")
+
+
+def matrix_of(camera: Intrinsics) -> list[list[float]]:
+    """(3, 3) the camera's matrix, for JSON."""
+    return [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
 
 
 def rounded(values: np.ndarray, decimals: int) -> list:

@@ -18,16 +18,11 @@ BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/capturing/live/send.py")
 """What only a checkout has."""
 
-LANDMARK_MODEL = f"handfit_core/detect/data/{landmark_model.TASK.name}"
-"""`landmark_model_path()` looks there."""
 LANDMARK_MODEL_SHA256 = "7462e38bc4b5eb36699bb7f406e28e9768e70b0b073e0cf8a8da419ea4b8fa02"
 
-LANDMARKS_2020 = f"handfit_core/detect/data/{landmark_model.NETWORK_2020.name}"
-"""`landmarks_2020_path()` looks there."""
-
-BODY_MODEL = f"handfit_core/detect/data/{landmark_model.BODY.name}"
-"""`body_model_path()` looks there."""
-LANDMARK_MODELS = (LANDMARK_MODEL, BODY_MODEL, LANDMARKS_2020)
+_FILES = (landmark_model.TASK, landmark_model.BODY, landmark_model.NETWORK_2020)
+LANDMARK_MODELS = tuple(f"handfit_core/detect/data/{file.name}" for file in _FILES)
+"""`landmark_model` looks there."""
 
 SAME_TIME = "1577836800"
 """Seconds since 1970 of the files in the wheel: 2020-01-01"""
@@ -108,8 +103,7 @@ def checked_landmark_models() -> tuple[Path, Path, Path]:
 
     Raises BuildError, LandmarkModelError.
     """
-    first, body = landmark_model.cached_path(), landmark_model.cached_body_path()
-    second = landmark_model.cached_path_2020()
+    first, body, second = (landmark_model.cached_path(file.name) for file in _FILES)
     for path, sha256, make in (
         (first, LANDMARK_MODEL_SHA256, lambda: assemble(first)),
         (body, landmark_model.BODY.sha256, lambda: assemble(first)),

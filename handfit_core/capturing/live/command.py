@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options
+from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import capture_to_file
 from handfit_core.common.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.common.files import check_writable, path_of, shown, written_whole
@@ -56,12 +56,7 @@ def add_live_command(commands: Any) -> argparse.ArgumentParser:
     )
     live.add_argument("--preview", type=path_of, metavar="PICTURE.jpg", help="keep the newest picture, drawn")
     live.add_argument("--mirror", action="store_true", help="mirror the preview, and nothing else")
-    live.add_argument(
-        "--progress",
-        choices=("bar", "json", "none"),
-        default="bar",
-        help="how to show progress (default: bar)",
-    )
+    add_progress(live)
     add_options(
         live, ("hands", "hand_length", "model", "intrinsics", "lens", "threshold", "quality", "smoothing")
     )
@@ -90,7 +85,7 @@ def _live(args: argparse.Namespace) -> int:
         send = opened.enter_context(args.sender(args, capture)) if args.vmc is not None else None
         run = Live(args.source, options)
         if recording is not None:
-            run.record(recording)
+            run.reader.record(recording)
             written = run.reader.recording
         with run, contextlib.suppress(KeyboardInterrupt):
             _follow(run, args, send)

@@ -7,7 +7,6 @@ al., "1€ Filter", 2012).
 
 from __future__ import annotations
 
-import os
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -21,6 +20,7 @@ import numpy as np
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES, Side
+from handfit_core.common.values import Unfit, listed, number
 from handfit_core.detect.clips import TrackedHand, overlaps, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
@@ -36,7 +36,6 @@ from handfit_core.hand_model import load_model
 from handfit_core.hand_model.chain import State
 from handfit_core.hand_model.length import flat_hand_length
 from handfit_core.media.camera import LiveReader, LiveSource
-from handfit_core.media.recording import ClipWriter
 from handfit_core.media.source import Frame
 
 HandState = Literal["seen", "held", "resting"]
@@ -115,16 +114,13 @@ class LiveOptions:
 
     def __post_init__(self) -> None:
         limits = {"fps": (1.0, 1000.0), "min_cutoff": (0.01, 1000.0), "beta": (0.0, 1000.0)}
-        for name, (least, most) in limits.items():
-            if not _is_number(value := getattr(self, name)) or not least <= value <= most:
-                raise OptionError(
-                    f"{name} of a live run must lie between {least:g} and {most:g}, not {value!r}"
-                )
-        size = tuple(self.size)
-        if len(size) != 2 or not all(_is_number(side) and 16 <= side <= 8192 for side in size):
-            raise OptionError(
-                f"the size of a live run must be a width and a height in pixels, not {self.size!r}"
-            )
+        try:
+            for name, (least, most) in limits.items():
+                number(f"{name} of a live run", getattr(self, name), least, most)
+            if len(listed("size of a live run", self.size, partial(number, least=16, most=8192))) != 2:
+                raise Unfit(f"size of a live run must be a width and a height, not {self.size!r}")
+        except Unfit as error:
+            raise OptionError(str(error)) from error
 
     @classmethod
     def of_message(cls, options: Mapping[str, Any], live: Mapping[str, Any]) -> Self:
@@ -136,10 +132,6 @@ class LiveOptions:
                     f"there is no option {name!r} of a live run; choose from {', '.join(known)}"
                 )
         return cls(CaptureOptions.of_message(options), **live)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,8 +323,8 @@ class _SideFit:
         self._filter = HandFilter(options.min_cutoff, options.beta)
         self.last: LiveHand | None = None
         self._lost_at = 0.0
-        self._observed: list[Observation] = []
-        """Of the calibration that runs"""
+        self.observed: list[Observation] = []
+        """Open hands in the frames of the calibration that runs"""
         self._poses: list[np.ndarray] = []
 
     def see(
@@ -365,17 +357,13 @@ class _SideFit:
         # The third of each finger's joints' angles is its bend; the thumb comes first.
         bend = float(np.abs(state.angles[0, 1:, 2::3]).mean())
         if calibrating and bend <= LIVE.open_bend:
-            self._observed.append(seen)
+            self.observed.append(seen)
             self._poses.append(turns[1:])
         turns, wrist = self._filter.step(seconds, turns, state.wrist[0])
-        self.last = LiveHand(
-            self.side,
-            "seen",
-            float(hands.score[0]),
-            betas[0],
-            *self._parameters(turns, wrist, betas[0]),
-            keypoints=keypoints,
-        )
+        vectors = rotmat_to_rotvec(turns)
+        transl = wrist - fitter.model.shaped(betas[0]).joints[0]
+        score, pose = float(hands.score[0]), vectors[1:].reshape(45)
+        self.last = LiveHand(self.side, "seen", score, betas[0], vectors[0], pose, transl, keypoints)
         self._lost_at = seconds
 
     def _see_shape(self, seen: Observation) -> None:
@@ -394,14 +382,6 @@ class _SideFit:
         self._state, self._shape_seen = None, []
         return self._betas
 
-    def _parameters(
-        self, turns: np.ndarray, wrist: np.ndarray, betas: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """global_orient (3,), hand_pose (45,) and transl (3,)."""
-        vectors = rotmat_to_rotvec(turns)
-        shaped = self._fitter.model.shaped(betas).joints[0]
-        return vectors[0], vectors[1:].reshape(45), wrist - shaped
-
     def lose(self, seconds: float) -> None:
         """Hold the pose of a hand that is not seen in the frame at `seconds`, and ease it to rest."""
         if self.last is None:
@@ -413,25 +393,17 @@ class _SideFit:
         if self.last.state != "resting":
             self._state, self._filter = None, HandFilter(self._options.min_cutoff, self._options.beta)
             self._held = rotvec_to_rotmat(self.last.hand_pose.reshape(15, 3))
+        if self._rest is None:
+            self._rest = rotvec_to_rotmat(self._fitter.relaxed_pose().reshape(15, 3))
         part = min(gone / LIVE.ease_seconds, 1.0)
         part = part * part * (3.0 - 2.0 * part)
-        turned = self._held @ rotvec_to_rotmat(part * _way(self._held, self._at_rest()))
+        turned = self._held @ rotvec_to_rotmat(part * _way(self._held, self._rest))
         pose = rotmat_to_rotvec(turned).reshape(45)
         self.last = replace(self.last, state="resting", hand_pose=pose, keypoints=None)
 
-    def _at_rest(self) -> np.ndarray:
-        if self._rest is None:
-            self._rest = rotvec_to_rotmat(self._fitter.relaxed_pose().reshape(15, 3))
-        return self._rest
-
-    @property
-    def wants_more(self) -> bool:
-        """Whether frames of a calibration have shown an open hand, but too few."""
-        return 0 < len(self._observed) < LIVE.calibration_frames
-
     def calibrated(self) -> Calibration | None:
         """Take over what the frames of a calibration have told; None where they show no open hand."""
-        observed, poses, self._observed, self._poses = self._observed, self._poses, [], []
+        observed, poses, self.observed, self._poses = self.observed, self._poses, [], []
         if len(observed) < LIVE.calibration_frames:
             return None
         # A pose that is held is seen with the same errors in all frames, so that one tells as much as all.
@@ -486,7 +458,7 @@ class HandFollower:
         return LiveDetector(self._networks, self._options.capture.threshold, len(SIDES))
 
     def calibrate(self) -> None:
-        """Take the hands that are seen in the next second for open ones."""
+        """Take the hands that are seen in the next second for open ones: `calibrations` tells the result."""
         self._calibrating_since = np.inf
 
     def follow(self, frame: Frame) -> LivePose:
@@ -519,8 +491,8 @@ class HandFollower:
             else:
                 hand.lose(seconds)
         if self._calibrating_since is not None:
-            more = any(hand.wants_more for hand in self._hands.values())
-            wanted = LIVE.longest_calibration if more else LIVE.calibration_seconds
+            few = any(0 < len(hand.observed) < LIVE.calibration_frames for hand in self._hands.values())
+            wanted = LIVE.longest_calibration if few else LIVE.calibration_seconds
             if seconds >= self._calibrating_since + wanted:
                 self._calibrating_since = None
                 found = (hand.calibrated() for hand in self._hands.values())
@@ -551,9 +523,9 @@ class Live:
     def __init__(self, source: str, options: LiveOptions | None = None) -> None:
         options = options or LiveOptions()
         parsed = LiveSource.parse(source, online=options.online)
-        self._follower = HandFollower(options)
+        self.follower = HandFollower(options)
         self.reader = LiveReader(parsed, options.size, options.fps)
-        """What reads the source: its counts, and what is wrong with it"""
+        """What reads and records the source: its counts, and what is wrong with it"""
         self._done: deque[tuple[float, float]] = deque()
         """When each frame of the last second was done, and how old it was then, seconds"""
         self.shown = 0
@@ -565,14 +537,14 @@ class Live:
 
     def __exit__(self, *_: object) -> None:
         self.reader.__exit__()
-        self._follower.__exit__()
+        self.follower.__exit__()
 
     def next(self, wait: float = LIVE.wait_seconds) -> LivePose | None:
         """The hands of the newest frame; None where none came within `wait` seconds."""
         frame = self.reader.newest(wait)
         if frame is None:
             return None
-        pose = self._follower.follow(frame)
+        pose = self.follower.follow(frame)
         now = time.perf_counter()
         self._done.append((now, now - frame.time))
         while self._done[0][0] < now - 1.0:
@@ -596,24 +568,6 @@ class Live:
     def latency(self) -> float:
         """Median seconds from a picture's arrival to its pose; 0 before the first."""
         return float(np.median([age for _, age in self._done])) if self._done else 0.0
-
-    def calibrate(self) -> None:
-        """Take the hands that are seen in the next second for open ones: `calibrations` tells what came of
-        it."""
-        self._follower.calibrate()
-
-    def calibrations(self) -> list[tuple[Calibration, ...]]:
-        """Calibrations that were finished since the last call; an empty one saw no open hand."""
-        found, self._follower.calibrations = self._follower.calibrations, []
-        return found
-
-    def record(self, path: str | os.PathLike[str]) -> None:
-        """Write every frame that comes from now on, with its time, to a new file. Raises OutputError."""
-        self.reader.record(path)
-
-    def stop_recording(self) -> ClipWriter | None:
-        """End the recording; what was written, None where nothing was. `capture` reads the file."""
-        return self.reader.stop_recording()
 
 
 def live(source: str, options: LiveOptions | None = None) -> Iterator[LivePose]:

@@ -347,7 +347,7 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
     station.pictures, station.silent = shown, False
     states = set()
     with Live(station.address) as run:
-        run.record(tmp_path / "a.mkv")
+        run.reader.record(tmp_path / "a.mkv")
         waited(lambda: run.reader.received)
         if size is not None:
             station.server.close()
@@ -361,7 +361,7 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
         waited(is_enough)
         if size is not None:
             waited(lambda: "sends no pictures any more" in run.reader.problem)
-        written = run.stop_recording()
+        written = run.reader.stop_recording()
     found = capture(tmp_path / "a.mkv")
     assert len(found.frame_numbers) == written.frames
     assert found.hands
@@ -456,11 +456,11 @@ def test_recorded_clip_is_captured_as_the_file(tmp_path):
     """What a live run records gives the take that a capture of that file gives."""
     path = tmp_path / "live.mkv"
     run = Live(CLIP)
-    run.record(path)  # before the source is opened, so that it has the first picture on a busy machine
+    run.reader.record(path)  # before the source is opened, so that it has the first picture on a busy machine
     with run:
         for _ in run:
             pass
-        assert run.stop_recording().frames == 24
+        assert run.reader.stop_recording().frames == 24
     found, again = capture(path), capture(path, processes=2)
     assert [hand.side for hand in found.hands] == [hand.side for hand in again.hands]
     for one, other in zip(found.hands, again.hands, strict=True):

@@ -142,9 +142,9 @@ def test_where_the_network_of_2020_is_sought(cache, monkeypatch, caplog, tmp_pat
     first.write_bytes(b"both networks")
     assert module.landmarks_2020_path() is None
     without = module.fingerprint(first)
-    for path in (module.cached_path_2020(), cache / "named"):
+    for path in (module.cached_path(module.NETWORK_2020.name), cache / "named"):
         path.write_bytes(b"network")
-    assert module.landmarks_2020_path() == module.cached_path_2020()
+    assert module.landmarks_2020_path() == module.cached_path(module.NETWORK_2020.name)
     assert module.fingerprint(first) not in ("", without)
     monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(cache / "named"))
     assert module.landmarks_2020_path() == cache / "named"
@@ -156,7 +156,7 @@ def test_where_the_network_of_2020_is_sought(cache, monkeypatch, caplog, tmp_pat
 
 @pytest.mark.parametrize("kind", ["of another version", "a folder"])
 def test_a_network_of_2020_that_is_not_whole_is_one_warning(kind, cache, monkeypatch, caplog):
-    path = module.cached_path_2020()
+    path = module.cached_path(module.NETWORK_2020.name)
     if kind == "a folder":
         path = cache / "named"
         monkeypatch.setenv("HANDFIT_LANDMARKS_2020", str(path))

@@ -18,7 +18,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     monkeypatch.setenv("HANDFIT_CACHE", str(folder))
     landmark_model.cached_path().write_bytes(b"first")
-    landmark_model.cached_body_path().write_bytes(b"body")
+    landmark_model.cached_path(landmark_model.BODY.name).write_bytes(b"body")
     body = replace(landmark_model.BODY, sha256=hashlib.sha256(b"body").hexdigest())
     monkeypatch.setattr(landmark_model, "BODY", body)
     return folder
@@ -59,7 +59,7 @@ def test_a_damaged_network_of_2020_is_made_anew(cache, tmp_path, monkeypatch, ca
     network = replace(landmark_model.NETWORK_2020, sha256=hashlib.sha256(b"network").hexdigest())
     monkeypatch.setattr(landmark_model, "NETWORK_2020", network)
     monkeypatch.setattr(landmark_model, "assemble_2020", assemble_2020)
-    package, second = tmp_path / "hands.tgz", landmark_model.cached_path_2020()
+    package, second = tmp_path / "hands.tgz", landmark_model.cached_path(landmark_model.NETWORK_2020.name)
     for before, times in ((None, 1), (b"network", 1), (b"netw", 2)):
         if before is not None:
             second.write_bytes(before)
