@@ -14,6 +14,7 @@ A **bone** frame has Y along the bone. A positive turn about X bends the bone to
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -190,15 +191,25 @@ def corrective_offsets(model: HandModel, frames: np.ndarray) -> np.ndarray:
     Products that move hardly anything (0.2 mm at 1) in the mean hand are zero in all others: betas turn
     bones by half a degree, and a hinge would need all nine for hundredths of a millimetre.
     """
-    mean = _by_product(model, bone_frames(model.shaped(), model.side))
-    used = np.abs(mean).max(axis=(2, 3), keepdims=True) > 2e-4
-    return np.where(used, _by_product(model, frames), 0.0)
+    return _by_product(model, frames, _used_products(model))
 
 
-def _by_product(model: HandModel, frames: np.ndarray) -> np.ndarray:
+@lru_cache(maxsize=8)
+def _used_products(model: HandModel) -> np.ndarray:
+    """(15, 9) bool: True for products that move the skin of the mean hand."""
+    every = np.ones((NUM_JOINTS - 1, 9), dtype=bool)
+    mean = _by_product(model, bone_frames(model.shaped(), model.side), every)
+    return np.abs(mean).max(axis=(2, 3)) > 2e-4
+
+
+def _by_product(model: HandModel, frames: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """(15, 9, V, 3) offsets of the products that are used (15, 9), zero for all others."""
     posedirs = model.posedirs.reshape(-1, 3, NUM_JOINTS - 1, 9)
-    offsets = np.einsum("vcje,jpe->jpvc", posedirs, _products_to_elements(frames), optimize=True)
-    return points_to_rest(offsets)
+    offsets = np.zeros((NUM_JOINTS - 1, 9, len(posedirs), 3))
+    for joint, elements in enumerate(_products_to_elements(frames)):
+        turned = points_to_rest(np.moveaxis(posedirs[:, :, joint], -1, 0))
+        offsets[joint, used[joint]] = np.tensordot(elements[used[joint]], turned, axes=1)
+    return offsets
 
 
 def posedirs_of(offsets: np.ndarray, frames: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mathutils import Euler, Matrix, Vector
 
+from blender_manient.scene import preview
 from blender_manient.scene.background import load_plate, rows_of
 from blender_manient.scene.build import build_take
 from blender_manient.scene.preview import preview_rows, render_plate, render_preview, spread_frames
@@ -133,9 +134,10 @@ def test_hands_cover_exactly_where_the_model_projects(make_take):
     np.testing.assert_allclose(unseen[:, :WIDTH], unseen[:, WIDTH:], atol=1e-6)
 
 
-def test_preview_leaves_the_file_as_it_was(make_take, tmp_path):
+def test_preview_leaves_the_file_as_it_was(make_take, tmp_path, monkeypatch):
     """Large pictures are made smaller."""
-    take = make_take(width=4800, height=2400, sides=("left",)).take
+    monkeypatch.setattr(preview, "LONGEST_SIDE", WIDTH // 2)
+    take = make_take(sides=("left",)).take
     built = build_take(take)
     bpy.context.scene.frame_set(5)
 
@@ -147,7 +149,7 @@ def test_preview_leaves_the_file_as_it_was(make_take, tmp_path):
     path = render_preview(built, take, 3, tmp_path / "new folder" / "preview.png")
     assert contents() == before
     assert bpy.context.scene.frame_current == 5
-    assert tuple(bpy.data.images.load(str(path)).size) == (2400, 600)
+    assert tuple(bpy.data.images.load(str(path)).size) == (WIDTH, HEIGHT // 2)
 
 
 def test_frames_are_spread(make_take):
@@ -194,11 +196,10 @@ def test_a_name_is_no_address(make_take, tmp_path, monkeypatch):
     with listening(tmp_path) as (port, connections):
         for name in names(port):
             (tmp_path / name).write_bytes(content)
-            for kind in ("video", "photo"):
-                built = build_take(make_take(source=Source(kind, (name,)), width=64, height=48).take)
-                image = built.camera.data.background_images[0].image
-                assert image.filepath == str(tmp_path / name)
-                assert tuple(image.size) == (64, 48)
+            built = build_take(make_take(source=Source("video", (name,)), width=64, height=48).take)
+            image = built.camera.data.background_images[0].image
+            assert image.filepath == str(tmp_path / name)
+            assert tuple(image.size) == (64, 48)
             assert source_info.resolve(name, as_sequence=False).files == (str(tmp_path / name),)
         assert connections() == 0
 

@@ -317,7 +317,7 @@ def test_the_live_link_keys_arms(hands):
     check_as_captured(target, hands)
 
 
-@pytest.mark.parametrize("arms", [True, False])
+@pytest.mark.parametrize("arms", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_batch_puts_arms_on_characters_where_it_is_asked(make_take, tmp_path, arms):
     take = with_arms(make_take().take, towards=(1.0, 0.1, 0.4))
     clip, hero = take.save(tmp_path / "clip.take.npz"), tmp_path / "hero.blend"

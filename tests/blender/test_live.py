@@ -118,6 +118,7 @@ def test_hands_follow_without_keys_and_nothing_stays(settings, character, onto):
     "onto", ["open hand", pytest.param("character", marks=pytest.mark.slow), "moved character"]
 )
 def test_a_recording_is_a_preview_then_a_take(settings, character, onto):
+    """Takes its time: a worker starts, records and captures."""
     before = bpy.data.actions.new("body")
     if onto != "open hand":
         settings.right.character = character

@@ -71,6 +71,7 @@ def read_back(stem: Path) -> list[str]:
 
 
 def test_takes_become_files(batch, take_file, tmp_path):
+    """The whole path, which takes its time: it starts several Blenders, and renders."""
     out = tmp_path / "out"
     done = batch(
         *(take_file("wave"), take_file("nod"), "--output", out),
