@@ -289,7 +289,7 @@ def run_as_another_processor(session: nox.Session, *paths: str) -> None:
 def hostile(session: nox.Session) -> None:
     """Hostile files, names and .blends, thousands of them, each within limits of time and memory.
 
-    `-- -m quick`: a part of each kind, as CI does; `-- -k NAME`: one.
+    `-- -m quick`: a part of each kind; `-- -k NAME`: one.
     """
     install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
     fetch_landmark_model(session)

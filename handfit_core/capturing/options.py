@@ -1,7 +1,8 @@
 """Every option of a capture, once: its name, kind, range, unit, default and help.
 
 `pipeline.capture`, the command line, batches, the worker's protocol and Blender's properties read them from
-here. An option is added as a field of `CaptureOptions`, and as an argument of `pipeline.capture`.
+here. An option is added as a field of `CaptureOptions`; tests then ask for a value in their table, and for
+its flag in docs/batch.md.
 """
 # ruff: noqa: RUF009 (what a dataclass's default calls here makes a field)
 
