@@ -143,14 +143,14 @@ class MANIENT_OT_clear_captures(InternalOperator, bpy.types.Operator):
         screen.redraw_sidebars()
 
 
-def why_no_capture(context: bpy.types.Context, *, alone: bool = False) -> str:
+def why_no_capture(context: bpy.types.Context, *, alone: bool = False) -> str | None:
     """Why no capture can begin, or none as long as another one is under way (`alone`): a sentence for a
-    tooltip; empty where one can."""
+    tooltip."""
     if context.scene is None or not context.scene.is_editable:
         return LINKED_SCENE
     if alone and jobs.busy():
         return "A capture is running: wait for it, or stop it"
-    return ""
+    return None
 
 
 def new_job(

@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import bpy
 
-from handfit_core.common.errors import HandfitError
+from handfit_core.common.errors import HandfitError, LandmarkModelError
 from handfit_core.worker.interpreter import is_current_interpreter
 
 from ..common import installation, screen
@@ -52,7 +52,8 @@ def checking(python: str | None = None) -> Generator[shared_worker.Waiting, None
     except HandfitError as error:
         sentence = capitalised(str(error))
         said = "\n".join([sentence, *getattr(error, "__notes__", ())])
-        if installation.is_installed() and is_current_interpreter(worker.python):
+        lacks_model = isinstance(error, LandmarkModelError) and is_current_interpreter(worker.python)
+        if sentence.endswith(shared_worker.REINSTALL) or (lacks_model and installation.is_installed()):
             sentence = installation.NOT_WHOLE
     finally:
         worker.stop()

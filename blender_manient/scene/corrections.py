@@ -429,16 +429,17 @@ def _remove_idle_keys(armature: bpy.types.Object, frame: float) -> None:
 def _move_to_actions(*_: Any) -> None:
     """Earlier versions kept the text on the armature, and on actions whose keys hold it only its digest."""
     armatures = [o for o in bpy.data.objects if o.type == "ARMATURE" and o.manient.corrections]
-    if not armatures:
-        return
     actions = list(bpy.data.actions)
     texts = [armature.manient.corrections for armature in armatures]
     texts += [str(property_group(action, "manient_simplified").get("corrections", "")) for action in actions]
     by_digest = {hashlib.sha256(text.encode()).hexdigest()[:16]: text for text in texts}
     for action in actions:
         marks = property_group(action, MARK)
-        if marks:
-            action[MARK] = {key: by_digest.get(str(mark), mark) for key, mark in marks.items()}
+        texts = {key: by_digest.get(str(mark), str(mark)) for key, mark in marks.items()}
+        if texts := {key: text for key, text in texts.items() if text.startswith("{")}:
+            action[MARK] = texts
+        elif marks:  # digests of texts that are gone
+            del action[MARK]
     for armature in armatures:
         armature.manient.corrections = ""
 

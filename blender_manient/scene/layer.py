@@ -88,9 +88,12 @@ def end_layer(armature: bpy.types.Object, *, merge: bool) -> None:
             rig, joints=[0] if keys.rotation_keyed.any() else [], location=bool(keys.location_keyed.any())
         )
     written: list[tuple[Any, list[_Merged]]] = []
-    for kept in own_kept_actions(armature) if merged else ():
-        use_action(strip, *kept)
-        written.append((kept, _merged(armature, strip)))
+    try:
+        for kept in own_kept_actions(armature) if merged else ():
+            use_action(strip, *kept)
+            written.append((kept, _merged(armature, strip)))
+    finally:
+        use_action(strip, motion, slot)
     for track in data.nla_tracks:
         if strip in list(track.strips):
             track.strips.remove(strip)

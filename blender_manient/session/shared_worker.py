@@ -7,7 +7,7 @@ import time
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import bpy
 
@@ -83,7 +83,7 @@ def new_worker(python: str | None = None) -> Worker:
     python = python or settings.python
     advice = f"{CHOOSE_PYTHON} in the add-on's preferences"
     if installation.is_installed() and is_current_interpreter(find_python(python)):
-        advice = "remove the add-on and install the zip again"
+        advice = REINSTALL
     return Worker(python, settings.threads, settings.debug, advice=advice, bytecode=bytecode_folder())
 
 
@@ -96,6 +96,10 @@ def stop() -> None:
     remove_temporary_takes()
 
 
+REINSTALL: Final = "remove the add-on and install the zip again"
+"""What errors advise where Blender's own Python cannot capture"""
+
+
 class Waiting(str):
     """What steps yield while another process works: how far that is."""
 
@@ -106,9 +110,9 @@ def ask(
     """Send a request to the shared worker, or to `of_worker`, and wait for it: yields the title with what is
     done, or with the seconds so far. Returns the `done` event; where it is closed, the request is cancelled.
     Raises HandfitError where the request failed."""
-    asked, began, progress = of_worker or worker(), time.monotonic(), ""
-    request = asked.submit(kind, **fields)
+    asked, began, progress, request = of_worker or worker(), time.monotonic(), "", 0
     try:
+        request = asked.submit(kind, **fields)
         while True:
             for event in asked.events(request):
                 if event["event"] == "progress" and event.get("total"):

@@ -222,7 +222,8 @@ class Worker:
         if ended:
             self._give_up(self._end_at_start(child) if self.ready is None else ENDED)
         elif self.ready is None and time.monotonic() > self._start_deadline:
-            self._give_up(self._unfit(f"did not answer within {_START_SECONDS:g} seconds"))
+            said = f"the Python '{self.python}' did not answer within {_START_SECONDS:g} seconds: try again"
+            self._give_up(said)
 
     def _receive_first(self, message: Event) -> None:
         """Take in a process's first message; gives up on the process if it is not the `ready` event of this

@@ -16,7 +16,7 @@ PYTHON_VARIABLE = "HANDFIT_PYTHON"
 """Names the Python that captures, when it is not the one that is running"""
 
 EXIT_UNFIT = 77
-"""With which launch.py ends in a Python that is too old, after it has said so"""
+"""With which launch.py ends in a Python that cannot capture, after it has said so"""
 
 
 def find_python(python: str | None = None) -> str:

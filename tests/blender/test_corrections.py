@@ -247,9 +247,13 @@ def test_corrections_of_files_of_earlier_versions_are_kept(armature, tmp_path, o
     armature.manient.corrections = text
     (key,) = action[corrections.MARK].keys()
     action[corrections.MARK] = {key: hashlib.sha256(text.encode()).hexdigest()[:16]}
+    gone = bpy.data.actions.new("corrected once")
+    gone.use_fake_user = True
+    gone[corrections.MARK] = {key: "0123456789abcdef"}
     give(armature, action)
     if opened == "file":
         armature = reopened(armature, tmp_path / "hand.blend")
+        assert corrections.MARK not in bpy.data.actions["corrected once"]
     elif not hasattr(bpy.app.handlers, "blend_import_post"):
         pytest.skip("this Blender tells nobody of what is appended")
     else:

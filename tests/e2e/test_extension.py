@@ -148,3 +148,25 @@ def test_same_input_same_bytes(built, zipped, tmp_path):
     )
     again = tmp_path / built.name
     assert wheels.sha256_of(again) == wheels.sha256_of(built)
+
+
+def test_a_wrong_hash_in_a_lock_is_refused(tmp_path, monkeypatch):
+    """Although the right wheel is in the cache."""
+    lock = lock_path("linux-x64", "3.11")
+    spoiled = re.sub(r"(mediapipe.*sha256:)\w+", rf"\g<1>{'0' * 64}", lock.read_text(encoding="utf-8"))
+    (tmp_path / lock.name).write_text(spoiled, encoding="utf-8")
+    monkeypatch.setattr(wheels, "LOCKS", tmp_path)
+    with pytest.raises(BuildError, match=r"linux-x64, Python 3\.11 could not be downloaded"):
+        build(tmp_path, "linux-x64")
+    assert not list(tmp_path.glob("*.zip"))
+
+
+def test_an_unknown_platform_is_one_sentence(tmp_path):
+    script = ROOT / "scripts" / "build_extension.py"
+    command = [sys.executable, str(script), "--platform", "amiga", "-o", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    said = "error: amiga: there is no zip for this platform; choose from linux-x64"
+    assert done.stderr.startswith(said)
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -27,6 +27,7 @@ from handfit_core.capturing.live.streaming import (
     Live,
     LiveOptions,
     LivePose,
+    OneEuro,
 )
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.retiming import evenly_timed
@@ -637,3 +638,24 @@ def test_stamps_survive_jpeg():
     bgr = stamped(np.random.default_rng(0).integers(0, 255, (480, 640, 3)).astype(np.uint8), 12345.6789)
     again = cv2.imdecode(cv2.imencode(".jpg", bgr)[1], cv2.IMREAD_COLOR)
     assert stamp_of(again) == pytest.approx(12345.6789, abs=2e-4)
+
+
+def test_one_euro_is_its_formula():
+    rng = np.random.default_rng(5)
+    values, seconds, min_cutoff, beta = rng.normal(size=40).cumsum(), rng.uniform(0.01, 0.1, 40), 1.3, 0.4
+    filtering, filtered, expected = OneEuro(min_cutoff, beta), values[0], [values[0]]
+    found, speed = [filtered], None
+
+    def alpha(cutoff: float, te: float) -> float:
+        tau = 1.0 / (2.0 * np.pi * cutoff)
+        return 1.0 / (1.0 + tau / te)
+
+    for before, value, te in zip(values, values[1:], seconds, strict=False):
+        gain = filtering.gain(np.array([[value - before]]), te)
+        filtered += gain[0, 0] * (value - filtered)
+        found.append(filtered)
+        rate = (value - before) / te
+        speed = rate if speed is None else speed + alpha(1.0, te) * (rate - speed)
+        a = alpha(min_cutoff + beta * abs(speed), te)
+        expected.append(a * value + (1.0 - a) * expected[-1])
+    np.testing.assert_allclose(found, expected, rtol=1e-12)

@@ -19,8 +19,9 @@ import numpy as np
 import pytest
 
 from handfit_core.__main__ import main
-from handfit_core.capturing.live.send import host_and_port, osc_message
-from handfit_core.common.errors import OptionError
+from handfit_core.capturing.live import send
+from handfit_core.capturing.live.send import VmcMotion, host_and_port, osc_message
+from handfit_core.common.errors import OptionError, OutputError
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, PARENTS, SIDES
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model import load_model
@@ -314,3 +315,12 @@ def test_where_to(said, found):
 
 def test_messages_are_oscs():
     assert osc_message("/a", "xyz", 1, 0.5) == b"/a\0\0,sif\0\0\0\0xyz\0\0\0\0\x01\x3f\0\0\0"
+
+
+def test_hosts_and_networks_that_are_not_there(inbox, monkeypatch):
+    motion = VmcMotion.of(hands_of(clip(("right",))))
+    with pytest.raises(OptionError, match="--vmc: there is no host"):
+        send.play(motion, "x" * 300, 39539, 0.05)
+    monkeypatch.setattr(VmcMotion, "datagrams", lambda *_: [b"\0" * 70_000])  # more than a datagram holds
+    with pytest.raises(OutputError, match="nothing can be sent to 127"):
+        send.play(motion, "127.0.0.1", inbox.port, 0.05)

@@ -244,3 +244,8 @@ def test_a_batch_takes_such_files_and_tells_takes_from_them(points: Path, tmp_pa
     assert expand(str(take))[0].take == take
     for path in (points, other, folder):
         assert (expand(str(path))[0].take, expand(str(path))[0].source) == (None, (str(path),))
+
+
+def test_frames_beyond_blenders_are_counted(points: Path) -> None:
+    changed(points, frames=[20260101000000 + n for n in range(24)])
+    assert capture(points, frames="2-3").frame_numbers.tolist() == [2, 3]

@@ -250,7 +250,7 @@ def test_every_death_is_one_sentence_with_a_remedy(peer, start, code, expected, 
 def test_a_process_that_hangs_before_it_is_ready_is_ended(peer, start, monkeypatch):
     monkeypatch.setattr(client, "_START_SECONDS", 0.2)
     worker = start(peer(f"time.sleep({SLEEPS})"))
-    with pytest.raises(WorkerError, match=r"peer\' did not answer within 0\.2 seconds; choose a Python"):
+    with pytest.raises(WorkerError, match=r"peer\' did not answer within 0\.2 seconds: try again"):
         worker.wait(worker.submit("capture"), timeout=20)
     assert not worker.alive
 
