@@ -84,7 +84,7 @@ def test_a_worker_that_is_killed_and_a_cluster_that_goes(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_a_worker_of_another_version_that_joins_later_leaves(tmp_path: Path) -> None:
     shop, preload = Shop(tmp_path, ["a", "waits"]), tmp_path / "other_version.py"
-    preload.write_text("from handfit_core import version\nversion.__version__ = '0.0.0'\n")
+    preload.write_text("from handfit_core.common import version\nversion.__version__ = '0.0.0'\n")
     with cluster(tmp_path, count=1) as (address, _):
         child = shop.start("--scheduler", address)
         while not (shop.output / "a" / "a.json").exists():
