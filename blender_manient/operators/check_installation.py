@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import bpy
 
-from handfit_core.common.errors import HandfitError, LandmarkModelError
+from handfit_core.common.errors import HandfitError
 from handfit_core.worker.interpreter import is_current_interpreter
 
 from ..common import installation, screen
@@ -16,6 +16,8 @@ from .base import InternalOperator, StepsOperator
 
 TEXT_NAME = "Hand Capture Check"
 WHOLE = "Everything works"
+_OTHER_REMEDIES = "try again", "restart Blender"
+"""Of a process that was killed or slow, and of an update: installing once more mends neither"""
 
 
 class MANIENT_OT_check_installation(StepsOperator, bpy.types.Operator):
@@ -52,8 +54,8 @@ def checking(python: str | None = None) -> Generator[shared_worker.Waiting, None
     except HandfitError as error:
         sentence = capitalised(str(error))
         said = "\n".join([sentence, *getattr(error, "__notes__", ())])
-        lacks_model = isinstance(error, LandmarkModelError) and is_current_interpreter(worker.python)
-        if sentence.endswith(shared_worker.REINSTALL) or (lacks_model and installation.is_installed()):
+        remedied = any(remedy in sentence for remedy in _OTHER_REMEDIES)
+        if installation.is_installed() and is_current_interpreter(worker.python) and not remedied:
             sentence = installation.NOT_WHOLE
     finally:
         worker.stop()

@@ -7,7 +7,7 @@ import time
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import bpy
 
@@ -83,7 +83,7 @@ def new_worker(python: str | None = None) -> Worker:
     python = python or settings.python
     advice = f"{CHOOSE_PYTHON} in the add-on's preferences"
     if installation.is_installed() and is_current_interpreter(find_python(python)):
-        advice = REINSTALL
+        advice = "remove the add-on and install the zip again"
     return Worker(python, settings.threads, settings.debug, advice=advice, bytecode=bytecode_folder())
 
 
@@ -94,10 +94,6 @@ def stop() -> None:
         _worker.stop()
     _worker = _worker_settings = None
     remove_temporary_takes()
-
-
-REINSTALL: Final = "remove the add-on and install the zip again"
-"""What errors advise where Blender's own Python cannot capture"""
 
 
 class Waiting(str):
