@@ -22,6 +22,7 @@ NAME = "manient"
 
 _DEFAULT_PYTHON = "the preferences', else $HANDFIT_PYTHON, else Blender's own"
 _handle: Any = None
+"""What Blender gave for the registered command"""
 
 
 def main(argv: Sequence[str]) -> int:

@@ -44,11 +44,11 @@ class AddonModule:
             if isinstance(value, type) and issubclass(value, _KINDS) and value.__module__ == module.__name__
         ]
         self._module = module
+        # Blender 4.2 does not tell of imports.
+        events = {name: getattr(bpy.app.handlers, name, []) for name in self._declared("HANDLERS")}
         # Handlers that are not persistent are gone as soon as a file is opened.
-        events, kept = bpy.app.handlers, bpy.app.handlers.persistent
-        self._handlers = [
-            (getattr(events, name), kept(handler)) for name, handler in self._declared("HANDLERS").items()
-        ]
+        kept = bpy.app.handlers.persistent
+        self._handlers = [(events[name], kept(module.HANDLERS[name])) for name in events]
         self._register_classes, self._unregister_classes = bpy.utils.register_classes_factory(self.classes)
 
     def _declared(self, name: str) -> Any:

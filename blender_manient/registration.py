@@ -26,6 +26,7 @@ _WITHOUT_CORE = frozenset(name for name in sys.modules if name.startswith(f"{PAC
 _registered: list[Any] = []
 """In the order of registration"""
 _core: ModuleType | None = None
+"""The handfit_core with which the modules were imported"""
 
 
 def register() -> None:

@@ -59,6 +59,7 @@ class Exports:
 
     formats: tuple[str, ...]
     given: Mapping[str, Any]
+    """The arguments of the command line that it was made of, as JSON can hold them"""
     character: Character | None
     """What gets the motion; None: the captured hands themselves are written"""
 
@@ -127,6 +128,7 @@ def start_empty(*, keep_addons: bool) -> None:
 
 
 def _export(exports: Exports, task: Task, exported: Exported, *, keep_addons: bool) -> str:
+    """Make what is missing of a take. Returns why that failed; empty where it did not."""
     given, started = exports.given, time.perf_counter()
     try:
         left = exported.left(exports.formats, again=given["again"], overwrite=given["overwrite"])

@@ -77,6 +77,7 @@ def run(args: argparse.Namespace, host: Host) -> int:
 
 
 def _run(args: argparse.Namespace, host: Host) -> int:
+    """Do both steps of the batch. Raises HandfitError where nothing can be tried."""
     exports, output = Exports.of_arguments(args), args.output.absolute()
     options = CaptureOptions.of_arguments(args)
     if exports.character is not None:  # before hours of work for nothing

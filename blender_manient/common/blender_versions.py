@@ -15,9 +15,6 @@ from typing import Any
 
 import bpy
 
-AFTER_APPEND = ("blend_import_post",) if hasattr(bpy.app.handlers, "blend_import_post") else ()
-"""The event after data-blocks were appended or linked; none before Blender 4.3"""
-
 
 def action_slot(user: Any) -> Any:
     """The slot that animation data or an NLA strip uses; None for none, and before Blender 4.4."""

@@ -12,6 +12,7 @@ class BlockReference:
     """Names one data-block of this session by its session_uid: an undo breaks Python's own references."""
 
     collection: str
+    """the collection of bpy.data: objects, scenes, ..."""
     uid: int
     name: str
     """the block's name when the reference was made; for messages"""

@@ -138,6 +138,7 @@ def clean_rig(
 
 
 def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Object:
+    """A copy with data of its own, that nothing moves."""
     obj, data = original.copy(), original.data.copy()
     for copied in (obj, data):
         if copied.override_library is not None:  # of which nothing could be taken away
@@ -158,6 +159,7 @@ def _copy(original: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Objec
 
 
 def _carrier(armature: bpy.types.Object, mesh: bpy.types.Object) -> str:
+    """The bone that carries a mesh; empty: none."""
     return mesh.parent_bone if mesh.parent == armature and mesh.parent_type == "BONE" else ""
 
 
@@ -317,6 +319,7 @@ def deforming_tree(armature: bpy.types.Object) -> tuple[dict[str, str], dict[str
 
 
 def _hanging(hung: dict[int, int], bone: int) -> set[int]:
+    """The bone and all that hang on it so far."""
     found = {bone}
     while more := {child for child, parent in hung.items() if parent in found} - found:
         found |= more

@@ -160,6 +160,7 @@ def _write_all(
     name: str,
     whole: tuple[bpy.types.Collection, bpy.types.Object] | None,
 ) -> list[Path]:
+    """One file, or one for each hand."""
     if not chosen.per_hand:
         file_name = name if name.lower().endswith(chosen.kept_endings) else name + chosen.suffix
         return [_write_one(chosen, wanted, hands, stage, folder / file_name, whole)]

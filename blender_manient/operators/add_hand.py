@@ -50,10 +50,12 @@ class _Mode(view.Overlay):
         super().__init__(viewport)
 
     def end(self, context) -> None:
+        """Leave nothing behind. May be called twice."""
         if self.remove():
             self.view.leave(context)
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
+        """Picture to region; None while the viewport does not look through the capture camera."""
         camera = bpy.data.objects.get(self.camera)
         if camera is None or not self.view.shows(viewport):
             return None
@@ -89,6 +91,7 @@ class _Mode(view.Overlay):
             return np.full((NUM_KEYPOINTS, 2), np.nan)
 
     def draw(self, viewport: view.Viewport) -> None:
+        """Draw the hand as it would be added, and a line about it."""
         side, matrix = bpy.context.scene.manient.added_side, self.matrix(viewport)
         text = f"{side.capitalize()} hand, its {self.seen} to you: drag from the wrist to the middle knuckle"
         if matrix is None:
@@ -143,6 +146,7 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
         return why_no_capture(context, alone=True)
 
     def begin(self, context):
+        """Begin in the viewport under the mouse, or the largest one; the picture is shown first."""
         global _mode
         viewport = view.first_viewport(context)
         if viewport is None:

@@ -230,6 +230,7 @@ class StepsOperator(ModalOperator):
         raise NotImplementedError
 
     def finished(self, context: bpy.types.Context, result: Any) -> str | set[str] | None:
+        """Report, as `run` does."""
         raise NotImplementedError
 
     def run(self, context):

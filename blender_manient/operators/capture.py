@@ -52,6 +52,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         return why_no_capture(context)
 
     def begin(self, context):
+        """Queue the capture, and follow the queue where nobody does."""
         if not self.queued:
             jobs.submit(new_job(context, only_frame=self.only_frame, ask_if_many=True))
         if type(self).bl_idname in self.running:
@@ -60,6 +61,7 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         return None
 
     def follow(self, context, event):
+        """Tick the queue; Esc stops everything."""
         if event.type == "ESC" and event.value == "PRESS" and live.running() is None:  # which Esc ends first
             jobs.cancel_all()
         elif event.type != "TIMER":
@@ -224,6 +226,7 @@ def new_job(
 
 
 def _retimed(context: bpy.types.Context, only_frame: bool) -> float | None:
+    """The scene's rate, where it stays and the source may be retimed to it."""
     scene, settings = context.scene, context.scene.manient
     known = source_info.footage(settings, source_info.of(settings))
     kept = not only_frame and not matches(scene, settings.matching, known)
@@ -251,6 +254,7 @@ def _second_view(settings, source: source_info.SourceFiles) -> str | None:
 
 
 def _full_path(chosen: str) -> str | None:
+    """The path of a file that the panel names; None where that is empty."""
     return str(Path(bpy.path.abspath(chosen)).expanduser().absolute()) if chosen else None
 
 

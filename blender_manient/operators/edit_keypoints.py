@@ -44,6 +44,7 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
         return "Keypoints are being edited already" if running() else why_not(context, active_hand(context))
 
     def begin(self, context):
+        """Begin the mode in the viewport under the mouse, or the largest one."""
         global _mode
         hand, viewport = active_hand(context), view.first_viewport(context)
         if viewport is None:

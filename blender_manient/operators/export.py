@@ -26,6 +26,7 @@ _OF_HANDS = "holds captured hands, no characters"
 
 
 def _why_no_format(exporter: Exporter, *, character: bool) -> str:
+    """Why a format cannot be written of a hand or a character, as part of a sentence; empty if it can."""
     return _OF_HANDS if character and exporter.writes == "captured" else exporter.why_not()
 
 
@@ -77,15 +78,19 @@ class _ExportOperator(ManientOperator):
     """Whether it writes characters, and not captured hands"""
 
     def _title(self, context: bpy.types.Context) -> str:
+        """The file's name where nobody gives one."""
         raise NotImplementedError
 
     def _chosen(self, context: bpy.types.Context) -> Sequence[HandObjects]:
+        """What is written. Raises HandfitError."""
         raise NotImplementedError
 
     def _keyed(self, chosen: Sequence[HandObjects]) -> list[float]:
+        """The frames that have keys."""
         raise NotImplementedError
 
     def invoke(self, context, _event):
+        """Ask for the file, with the format of the panel."""
         self._fill_in(context)
         if not self.filepath:
             self.filepath = bpy.path.clean_name(self._title(context))
@@ -96,6 +101,7 @@ class _ExportOperator(ManientOperator):
         return {"RUNNING_MODAL"}
 
     def check(self, _context):
+        """Keep the extension that of the format."""
         self.filter_glob = f"*{Path('name' + self._exporter.suffix).suffix}"
         path = self._path()
         if str(path) == self.filepath:
@@ -131,6 +137,7 @@ class _ExportOperator(ManientOperator):
         return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{self._left_out(chosen)}"
 
     def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
+        """What the report says of what is not in the file."""
         return ""
 
     def _draw_own(self, layout: bpy.types.UILayout) -> None:

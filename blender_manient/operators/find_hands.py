@@ -16,6 +16,7 @@ from .modes import find_hands as mode
 from .modes import view
 
 _PASS_THROUGH_KEYS = {"N", "T", *(f"F{n}" for n in range(1, 13))}
+"""Keys that do what they do elsewhere"""
 
 
 class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
@@ -32,6 +33,7 @@ class MANIENT_OT_find_hands(ModalOperator, bpy.types.Operator):
         return why_no_capture(context, alone=True)
 
     def begin(self, context):
+        """Begin the mode in the viewport under the mouse, or the largest one."""
         viewport = view.first_viewport(context)
         if viewport is None:
             raise OptionError("Hands are chosen in a 3D viewport: open one in this window")
@@ -172,6 +174,7 @@ class MANIENT_OT_capture_found(ManientOperator, bpy.types.Operator):
         return None if chosen else "No hand is chosen: click one in the picture"
 
     def run(self, context):
+        """Queue the capture; the mode finds out with its next event."""
         capture_chosen(context)
         unregister()
         bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)

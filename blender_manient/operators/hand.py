@@ -96,6 +96,7 @@ class MANIENT_OT_apply_take(HandOperator, bpy.types.Operator):
     )
 
     def invoke(self, context, event):
+        """Take the other selected hand, or ask for a file."""
         target = polled_hand(context).armature
         others = [o for o in captured_hands(context.scene) if o != target and o.select_get()]
         if not self.source and len(others) == 1:

@@ -114,6 +114,7 @@ class _TextOperator(InternalOperator):
     )
 
     def show(self, context: bpy.types.Context, text: bpy.types.Text) -> str | None:
+        """Hand the text over; returns what is reported."""
         raise NotImplementedError
 
     def run(self, context):

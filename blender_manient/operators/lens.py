@@ -57,12 +57,14 @@ class MANIENT_OT_measure_lens(StepsOperator, SceneOperator, bpy.types.Operator, 
     _browsing = False
 
     def invoke(self, context, event):
+        """Ask for the film and the name, or measure while the window stays free."""
         if self.filepath:
             return self._reported(self._begun, context)
         self._browsing = True
         return ImportHelper.invoke(self, context, event)
 
     def draw(self, context):
+        """The name beside the file browser, and how to film."""
         self.layout.prop(self, "lens")
         sentence(self.layout, context, ADVICE, "INFO")
 

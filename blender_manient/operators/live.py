@@ -47,6 +47,7 @@ class MANIENT_OT_live(ModalOperator, SceneOperator, bpy.types.Operator):
             self._view = FrontView(viewport, context.scene)
 
     def follow(self, context, event):
+        """Go on; Space records, Esc ends."""
         session = self._session
         if event.value == "PRESS" and event.type == "ESC":
             session.stop()
@@ -221,6 +222,7 @@ def _take(index: int) -> LiveTake:
 
 
 def _over_viewport(context: bpy.types.Context, event: bpy.types.Event) -> bool:
+    """Whether the mouse is in a 3D viewport, where Space means Record."""
     return any(
         area.type == "VIEW_3D"
         and 0 <= event.mouse_x - area.x < area.width

@@ -47,12 +47,14 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
     )
 
     def invoke(self, context, event):
+        """Begin with what the sidebar has."""
         for name in ("matching", "render_setup"):
             if not self.properties.is_property_set(name):
                 setattr(self, name, getattr(context.scene.manient, name))
         return super().invoke(context, event)
 
     def draw(self, context):
+        """The choices beside the file browser, and what they mean for this scene."""
         layout, scene = self.layout, context.scene
         props(layout, self, "pose_correctives", "picture", "render_setup", "matching")
         # After the import the scene is another one, which the choice is not about.
@@ -108,6 +110,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     """What is known of the first file before it is captured"""
 
     def invoke(self, context, _event):
+        """Ask before anything starts: a drop may be meant for something else."""
         self.as_sequence = len(self.files) > 1 and sequence_numbers(self._paths()) is not None
         self._footage = source_info.dropped_footage(context.scene.manient, self._paths()[0])
         return context.window_manager.invoke_props_dialog(
@@ -115,6 +118,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
         )
 
     def draw(self, context):
+        """What was dropped, and which hands are wanted."""
         layout = self.layout
         paths = self._paths()
         icon = "FILE_MOVIE" if paths[0].suffix.lower() in VIDEO_SUFFIXES else "FILE_IMAGE"
@@ -171,6 +175,7 @@ class MANIENT_FH_media(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context):
+        """Only where hands can appear, and where the user wants it."""
         return context.area is not None and context.area.type == "VIEW_3D" and preferences.get().drop_captures
 
 
@@ -181,6 +186,7 @@ class MANIENT_FH_take(bpy.types.FileHandler):
 
     @classmethod
     def poll_drop(cls, context):
+        """Only where hands can appear."""
         return context.area is not None and context.area.type == "VIEW_3D"
 
 

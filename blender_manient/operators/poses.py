@@ -84,6 +84,7 @@ class MANIENT_OT_apply_pose(_PoseOperator, bpy.types.Operator):
 
     @classmethod
     def description(cls, _context, properties):
+        """The tooltip: what is put, and on which frames."""
         kind = properties.bl_rna.properties
         source, scope = (
             kind[name].enum_items[getattr(properties, name)].description for name in ("source", "scope")
@@ -176,6 +177,7 @@ def _in_menu(menu, context) -> None:
 
 
 def _scope_chosen(settings: bpy.types.PropertyGroup) -> None:
+    """Suggest a range when Range is chosen."""
     if settings.pose_scope == "RANGE":
         with contextlib.suppress(HandfitError):
             owner = posed_by(bpy.context)

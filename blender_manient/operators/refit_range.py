@@ -33,6 +33,7 @@ class RangeFit:
     """The frames of a range on their way through the worker."""
 
     fields: Callable[[], dict[str, Any]]
+    """Makes the request's fields"""
     poses: BonePoses
     fitted: int
     """What is written, and of how many frames"""
@@ -62,6 +63,7 @@ class RangeFitOperator(StepsOperator):
     title = "Re-fitting"
     undone = "re-fitting was stopped by an undo: nothing more was changed"
     progress_text = "Re-fitting"
+    """What is said while the worker fits"""
 
     scope: bpy.props.EnumProperty(  # type: ignore
         name="Range",
@@ -79,16 +81,19 @@ class RangeFitOperator(StepsOperator):
     )
 
     _dialog = False
+    """Whether this instance asks for the range"""
     _summary: tuple[tuple[Any, ...], tuple[str, bool]] | None = None
     """the properties when `summary` was last called, and its result, so that drawing again costs nothing"""
 
     @classmethod
     def fitting(cls) -> tuple[str, ModalState] | None:
+        """The operator by which a range is being fitted, and its work; None where none is."""
         names = [each.bl_idname for each in RangeFitOperator.__subclasses__()]
         return next(((name, cls.running[name]) for name in names if name in cls.running), None)
 
     @classmethod
     def stop(cls) -> None:
+        """Stop what is being fitted, as long as nothing is written."""
         if fit := cls.fitting():
             fit[1].stop()
 
@@ -101,6 +106,7 @@ class RangeFitOperator(StepsOperator):
         return why_not(context, active_hand(context))
 
     def make_fit(self, context: bpy.types.Context) -> RangeFit:
+        """What is to be fitted. Raises HandfitError."""
         raise NotImplementedError
 
     def suggest(self, context: bpy.types.Context) -> None:
@@ -112,12 +118,14 @@ class RangeFitOperator(StepsOperator):
         return {}
 
     def summary(self, context: bpy.types.Context) -> tuple[str, bool]:
+        """A sentence about what would be done, and whether it is a warning."""
         raise NotImplementedError
 
     def draw_properties(self):
         """Draw the properties beside the range."""
 
     def check(self, _context):
+        """Say anew what would be done whenever something changes."""
         return True
 
     def draw(self, context):
@@ -177,6 +185,7 @@ class RangeFitOperator(StepsOperator):
         return self._done(text, kind=kind)
 
     def report_text(self, fit: Any) -> tuple[str, str]:
+        """The kind and the text of the report at the end."""
         return "INFO", f"{counted(fit.fitted, 'frame')} fitted again"
 
     def rows(self, context: bpy.types.Context, refiner: Refiner) -> np.ndarray:

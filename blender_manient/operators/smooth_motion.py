@@ -48,12 +48,14 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
         return _SmoothFit(self, context)
 
     def suggest(self, context):
+        """All frames, or the preview range."""
         refiner = Refiner(polled_hand(context).armature)
         places = refiner.scene_frames()[self.rows(context, refiner)]
         self.first, self.last = int(np.ceil(places[0])), int(places[-1])
         self.strength = self.wanted_strength(context)
 
     def wanted_strength(self, context: bpy.types.Context) -> float:
+        """The strength that was asked for, else the one that the keys have."""
         if self.properties.is_property_set("strength"):
             return self.strength
         return smoothing_of(context.scene, polled_hand(context).armature)
@@ -62,6 +64,7 @@ class MANIENT_OT_smooth_motion(RangeFitOperator, bpy.types.Operator):
         self.layout.prop(self, "strength", slider=True)
 
     def summary(self, context):
+        """How many frames would be smoothed."""
         try:
             count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         except HandfitError as error:
@@ -123,6 +126,7 @@ class _SmoothFit(MotionFit):
             )
 
     def writing(self):
+        """Write the keys, and note how smooth they are; yields how much is done."""
         yield from writing(lambda: self.refiner.hand, self._smoothed)
         self.refiner.armature.manient.smoothing = self._strength
 

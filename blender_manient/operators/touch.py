@@ -39,6 +39,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
     other: bpy.props.EnumProperty(name="Touches", items=_POINTS, default="8")  # type: ignore
 
     _suggested: tuple[str, str] | None = None
+    """The points that the range was suggested for"""
 
     def suggest(self, context):
         """The frames in which these points are nearly together; else those that Re-fit Range suggests."""
@@ -46,6 +47,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         self.first, self.last = touching_range(context, int(self.point), int(self.other))
 
     def check(self, context):
+        """Suggest frames anew for other points."""
         if self._suggested != (self.point, self.other):
             self.suggest(context)
         return True
@@ -56,6 +58,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         row.prop(self, "other", text="")
 
     def summary(self, context):
+        """How far apart the points are."""
         try:
             gaps = _TouchFit(self, context).gaps
         except HandfitError as error:

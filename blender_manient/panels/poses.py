@@ -35,6 +35,7 @@ class MANIENT_PT_poses(Section, bpy.types.Panel):
 
 
 def _button(layout, settings, source: str, text: str, icon: str = "NONE") -> None:
+    """One that puts a pose on the frames that the row says."""
     button = layout.operator("manient.apply_pose", text=text, translate=False, icon=icon)
     button.source, button.pose, button.blend = source, settings.pose, settings.pose_blend
     button.scope, button.first, button.last = settings.pose_scope, settings.pose_first, settings.pose_last

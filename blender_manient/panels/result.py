@@ -26,6 +26,7 @@ class MANIENT_UL_captures(bpy.types.UIList):
     """The captures among all collections of the file."""
 
     def filter_items(self, context, data, propname):
+        """Show the captures of the scene whose name has what is typed."""
         items = getattr(data, propname)
         here = {capture.session_uid for capture in captures.captures(context.scene)}
         flags = bpy.types.UI_UL_list.filter_items_by_name(
@@ -34,6 +35,7 @@ class MANIENT_UL_captures(bpy.types.UIList):
         return [flag if item.session_uid in here else 0 for flag, item in zip(flags, items, strict=True)], []
 
     def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
+        """The source's name, frames and rate, and how many hands were built."""
         shown = captures.is_shown(item, context.view_layer)
         split = layout.split(factor=0.36)
         split.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")
@@ -85,6 +87,7 @@ class MANIENT_PT_result(Section, bpy.types.Panel):
             layout.operator("manient.switch_view", text=text, icon="VIEW_CAMERA")
 
     def _other_rate(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
+        """What a change of the scene's rate has done to the hand, and both ways to put it right."""
         built, rate = other_rate(context.scene, hand.collection), frame_rate(context.scene)
         if not built:
             return

@@ -104,6 +104,7 @@ class MANIENT_PT_second_view(Section, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
+        """Only where there is a second view to tell of."""
         settings = context.scene.manient
         return bool(settings.second_view) and source_info.has_views(source_info.of(settings))
 

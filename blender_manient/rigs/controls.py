@@ -97,6 +97,7 @@ def with_moved(armature: bpy.types.Object, bones: list[str], selected: set[str])
 
 
 def _joint_of(role: str) -> int:
+    """The joint whose bone a control lies on."""
     return FINGER_JOINTS[role][0] if role in FINGERS else 0
 
 
@@ -253,6 +254,7 @@ def _is_of_controls(constraint: bpy.types.Constraint) -> bool:
 
 
 def _handles(armature: bpy.types.Object) -> list[bpy.types.PoseBone]:
+    """The bones that the artist moves."""
     names = control_bones(armature)
     return [armature.pose.bones[name] for role, name in names.items() if role != CAPTURED]
 

@@ -109,6 +109,7 @@ def own_action(armature: bpy.types.Object, *, nla: bool = False) -> None:
 
 
 def _is_shared(armature: bpy.types.Object, action: bpy.types.Action, slot: Any) -> bool:
+    """Whether another object uses that slot of an action."""
     others = bpy.data.objects if action.users - action.use_fake_user > 1 else ()
     users = (user for other in others if other != armature for user in users_of(other))
     return any(user.action == action and action_slot(user) == slot for user in users)

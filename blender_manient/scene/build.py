@@ -85,6 +85,7 @@ class BuildOptions:
     model: str | None = None
     """Instead of `take.model`, for takes whose model file has moved"""
     pose_correctives: bool = True
+    """Whether shape keys fill out bent joints, where the model has any"""
     picture: bool = True
     match_scene: bool = True
     """Whether the scene gets the take's frame rate, frame range, picture size and camera; else it stays as it
@@ -95,6 +96,7 @@ class BuildOptions:
     """Whether a scene that is matched, or shows this in front, gets lights and the picture in its renders
     too"""
     wrist: Wrist = "forearm"
+    """How the meshes end"""
     frame: float | None = None
     """None: the current one"""
     camera: bpy.types.Object | None = None
@@ -460,6 +462,7 @@ class ChangeWatch:
 
 
 def _remove(made: Sequence[bpy.types.ID]) -> None:
+    """Take away what is still there of what was made."""
     there = []
     for block in made:
         try:

@@ -304,6 +304,7 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 
 
 def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:
+    """Whether a capture has made an object of its collection: a hand, a mesh, the camera, lights, card."""
     if thing in (capture.manient.camera, capture.manient.view_camera) or OURS in thing:
         return True
     stem, _, number = thing.name.rpartition(".")

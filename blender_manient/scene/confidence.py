@@ -50,6 +50,7 @@ _COLORS: Final = np.array([(0.10, 0.70, 0.20), (0.95, 0.80, 0.10), (0.90, 0.12, 
 """sRGB of what is good, fair and poor"""
 
 _following = False
+"""Whether some hand shows its colours"""
 
 
 @dataclass(frozen=True, eq=False)

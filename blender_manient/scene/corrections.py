@@ -29,7 +29,7 @@ from handfit_core.edit.corrections import (
     kept_frame,
 )
 
-from ..common.blender_versions import AFTER_APPEND, action_slot, channels, has_one_slot, property_group
+from ..common.blender_versions import action_slot, channels, has_one_slot, property_group
 from ..common.block_reference import BlockReference
 from ..rigs import rig_of
 from ..rigs.rig import Rig
@@ -444,4 +444,4 @@ def _move_to_actions(*_: Any) -> None:
         armature.manient.corrections = ""
 
 
-HANDLERS = dict.fromkeys(("load_post", *AFTER_APPEND), _move_to_actions)
+HANDLERS = dict.fromkeys(("load_post", "blend_import_post"), _move_to_actions)

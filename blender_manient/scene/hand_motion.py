@@ -40,6 +40,7 @@ class BoneKeys:
     settings: tuple[float, ...] = ()
     """Travel, smoothing and marked frame of that hand"""
     arm: bool = False
+    """Whether the only bone is one of an arm"""
 
     @property
     def keyed(self) -> np.ndarray:

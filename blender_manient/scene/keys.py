@@ -492,6 +492,7 @@ def change_places(curve: Any, scale: Sequence[float], shift: Sequence[float]) ->
 
 
 def _rebuild(curve: Any, data: dict[str, np.ndarray]) -> None:
+    """Give the curve exactly these key points."""
     points = curve.keyframe_points
     count = len(data["co"])
     if count < len(points):
@@ -581,6 +582,7 @@ def _plain(
 
 
 def _kind(name: str, kind: str) -> int:
+    """The number of a key point's enumerated value."""
     return bpy.types.Keyframe.bl_rna.properties[name].enum_items[kind].value
 
 

@@ -216,6 +216,7 @@ def _is_hand(block: bpy.types.ID) -> bool:
 
 
 _CAMERA = (7.358891, -6.925791, 4.958309, 1.109319, 0.0, 0.814928, 50.0)
+"""Place, rotation and lens"""
 _LIGHT = (4.07625, 1.00545, 5.90386)
 """Place; too far off to light a hand"""
 _SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}

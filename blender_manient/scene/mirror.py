@@ -101,6 +101,7 @@ def _pairs(source: Rig, rig: Rig) -> list[tuple[str, str]]:
 
 
 def _mirror(source: bpy.types.PoseBone, bone: bpy.types.PoseBone) -> None:
+    """Pose a bone as the other side's, as Blender mirrors bones."""
     bone.rotation_mode = source.rotation_mode
     for attribute in ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle"):
         for index, value in enumerate(getattr(source, attribute)):

@@ -134,6 +134,7 @@ class TransferOptions(ArmOptions):
     reference: float = 1.0
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
     contacts: bool = True
+    """Whether fingertips that touch do so on the character, too"""
     travel: float = 1.0
     """How far a placed hand goes, as a share of the captured way"""
     smoothing: float = 0.0
@@ -649,6 +650,7 @@ def _check_uncovered(armature: bpy.types.Object, keys: Sequence[BoneKeys]) -> No
 
 
 def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into: Into) -> None:
+    """Have the armature use a finished action."""
     data = armature.animation_data or armature.animation_data_create()
     if into == "STRIP":
         add_strip(data, action, slot)

@@ -84,6 +84,7 @@ def _shift_keys(armature: bpy.types.Object, name: str, along: np.ndarray) -> Non
 
 
 def _move_origin(armature: bpy.types.Object, moved: Matrix) -> None:
+    """Move the object, in its own space, and keep what hangs on it where it is."""
     before = armature.matrix_world.copy()
     kept = {path: tuple(getattr(armature, path)) for path in _TURNS}
     armature.matrix_world = before @ moved

@@ -115,6 +115,7 @@ class Smoothed:
 
     keys: PoseKeys
     field: CorrectionField
+    """The corrections on top of the new motion"""
     numbers: list[int]
     """The M source frames that were fitted anew"""
     quats: np.ndarray

@@ -169,6 +169,7 @@ class _CapturedPosable(PosableHand):
         ]
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:
+        """The other hand of the same capture, else the scene's only one."""
         others = [o for o in captured_hands(context.scene) if o.manient.side != self._hand.side]
         others = [o for o in others if o.manient.capture == self._hand.collection] or others
         found = [hand for hand in map(hand_of, others) if hand is not None]
@@ -204,6 +205,7 @@ class _CapturedPosable(PosableHand):
         return span, frames_between(union([inside, np.array(ends)]))
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:
+        """Bones that are animated get keys, others one on the current frame with Auto Keying."""
         armature, moved = self._hand.armature, posed.moved
         auto = posed.span is None and context.scene.tool_settings.use_keyframe_insert_auto
         keyed = moved & (read_pose_keys(self.rig).rotation_keyed.any(axis=0) | auto)
@@ -267,6 +269,7 @@ class _CharacterPosable(PosableHand):
         return np.where(unkeyed, np.nan, super()._rest())
 
     def opposite(self, context: bpy.types.Context) -> PosableHand:  # noqa: ARG002
+        """The character's other hand."""
         side = other_side(self._source.side)
         table = table_of(self._armature, side)
         if table == empty_map(side):
@@ -298,6 +301,7 @@ class _CharacterPosable(PosableHand):
         return span, union([own[(own > begin) & (own < end)], np.array(ends)])
 
     def put(self, context: bpy.types.Context, posed: Posed) -> None:  # noqa: ARG002
+        """Key all bones that move."""
         count, moved = len(posed.frames), posed.moved
         keys = PoseKeys(
             posed.frames,

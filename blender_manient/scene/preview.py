@@ -168,6 +168,7 @@ def _scene(take: Take, scale: float) -> Iterator[bpy.types.Scene]:
 
 
 def _render(scene: bpy.types.Scene, frame: int) -> np.ndarray:
+    """Render one frame of the scene: rows (H, W, 4), the first row on top."""
     scene.frame_set(frame)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "render.png"

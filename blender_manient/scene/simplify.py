@@ -85,6 +85,7 @@ class Thinned:
     chosen: tuple[int | None, ...]
     """The bones that get the keys of `result.splines`, in this order; None: the first one's location"""
     before: int
+    """the number of keys that the chosen bones' channels had"""
     result: Simplified
     made_of: str
     """`state_of` the hand when it was read"""
@@ -268,6 +269,7 @@ def keeping_simplified(armature: bpy.types.Object) -> Iterator[None]:
 
 
 def _is_unchanged(user: Any) -> bool:
+    """Whether an action with fewer keys is as Simplify has left it."""
     return _digest(user.action, action_slot(user)) == _note(user.action)["digest"]
 
 
@@ -340,6 +342,7 @@ def _note(action: bpy.types.Action) -> dict[str, Any]:
 
 
 def _digest(action: bpy.types.Action, slot: Any) -> str:
+    """A digest of an action's keys."""
     found = hashlib.sha256()
     for curve in sorted(curves_in(channels(action, slot)), key=lambda c: (c.data_path, c.array_index)):
         points = curve.keyframe_points

@@ -61,9 +61,11 @@ class CapturedHand:
     camera: bpy.types.Object | None
     """The camera that saw it; None where the artist deleted it"""
     collection: bpy.types.Collection
+    """Keeps the take"""
     take: Take
     track: HandTrack
     index: int
+    """the hand's index in `take.hands`"""
     side: Side
 
     @property

@@ -78,6 +78,7 @@ def _schedule(armature: bpy.types.Object) -> None:
 
 
 def _remember_offsets(armature: bpy.types.Object) -> None:
+    """Remember where a character's offsets are."""
     character = armature.manient.character
     if any(getattr(character, side).offset is not None for side in SIDES):
         _offsets[armature.session_uid] = BlockReference.of("objects", armature), _places(armature)
@@ -100,6 +101,7 @@ def _on_update(*_args) -> None:
 
 
 def _on_file(*_args) -> None:
+    """Another file is open."""
     _changes.clear()
     _offsets.clear()
     _messages.clear()

@@ -43,6 +43,7 @@ def _of(get: Callable[[HandMap], Any], changes: Callable[[HandMap, Any], dict[st
 
 
 def _bone(name: str) -> Any:
+    """The property of one bone's name."""
     field, index = BONES[name]
 
     def changes(shown: HandMap, value: str) -> dict[str, Any]:

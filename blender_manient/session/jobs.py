@@ -39,6 +39,7 @@ from .cache import folder_path, temporary_take
 State = Literal["waiting", "capturing", "building", "done", "failed", "cancelled"]
 
 _MAX_FINISHED = 6
+"""finished jobs that the panel still shows"""
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class Building:
     retimed: float | None = None
     """Frames per second of the scene that a clip of another rate will be retimed to"""
     camera: BlockReference | None = None
+    """An existing camera to look through instead of a new one"""
 
 
 @dataclass(eq=False)
@@ -79,11 +81,13 @@ class Job:
     then: Callable[[BuiltTake], Generator[float, None, None]] | None = None
     """What is done with new hands before they are an undo step, in slices"""
     hands_to_choose: int = 0
+    """the number of hands found, where there were too many to build without asking; else 0"""
     state: State = "waiting"
     stage: str = ""
     done: int = 0
     total: int = 0
     fraction: float = 0.0
+    """0..1 of the whole job"""
     message: str = ""
     """What went wrong, or what is to be known, in one sentence"""
     warnings: list[str] = field(default_factory=list)
@@ -99,6 +103,7 @@ class Job:
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
+    """Names of the armatures that came of it"""
     key: str = field(default_factory=lambda: uuid.uuid4().hex[:8])
     """the key under which scenes note the job, so that an undo is seen"""
     _request: int = 0

@@ -355,6 +355,7 @@ class LiveSession:
             self.hide()  # the next pose makes hands of the shape
 
     def _close(self) -> None:
+        """The worker has ended, or has to."""
         self._closed = True
         self.hide()
         self.worker.stop()
@@ -364,6 +365,7 @@ class LiveSession:
 
 
 current: LiveSession | None = None
+"""What goes on"""
 
 
 def start(scene: bpy.types.Scene, options: CaptureOptions, followed: Followed) -> LiveSession:
@@ -387,6 +389,7 @@ class _Pictures:
         self._all: Any = None
 
     def show(self, rgb: np.ndarray) -> None:
+        """Show (H, W, 3) uint8."""
         if self._all is None:
             self._all = bpy.utils.previews.new()
             self._all.new("live")
@@ -401,9 +404,11 @@ class _Pictures:
 
     @property
     def icon(self) -> int:
+        """Its number; 0 where none has come."""
         return 0 if self._all is None else self._all["live"].icon_id
 
     def forget(self) -> None:
+        """Let go of it."""
         if self._all is not None:
             bpy.utils.previews.remove(self._all)
             self._all = None
@@ -421,6 +426,7 @@ def _frame_at(moment: float) -> float:
 
 
 def _motion(told: dict[str, Any]) -> HandMotion:
+    """A hand of an event, as a motion of one frame."""
     betas, *pose = (unpack(told[name]) for name in ("betas", "global_orient", "hand_pose", "transl"))
     return HandMotion(told["side"], betas, *(rows[None] for rows in pose))
 

@@ -71,6 +71,7 @@ class LiveTake:
     """Seconds, and the hands that were shown then"""
     job: jobs.Job | None = None
     trouble: str = ""
+    """Why there is no preview, a sentence"""
     _made: list[BlockReference] = field(default_factory=list)
     """Collections: of the preview, or of what was captured"""
     _last: float = 0.0
@@ -210,6 +211,7 @@ class LiveTake:
 
 
 takes: list[LiveTake] = []
+"""Recorded takes that were neither kept nor thrown away yet, the oldest first"""
 
 
 def live_transfer(

@@ -39,6 +39,7 @@ class _Settings:
 _worker: Worker | None = None
 _worker_settings: _Settings | None = None
 _abandoned: set[int] = set()
+"""Requests whose answers nobody waits for any more"""
 
 
 def worker() -> Worker:

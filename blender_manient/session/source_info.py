@@ -116,6 +116,7 @@ class SourceInfo:
     files: SourceFiles | None = None
     problem: str = ""
     siblings: int = 0
+    """Numbered pictures that lie beside a photo, with it"""
     frames: int = 0
     """0: not known yet"""
     width: int = 0

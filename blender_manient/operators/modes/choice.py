@@ -49,6 +49,7 @@ class FoundHand:
         return float(np.ptp(self.points, axis=0).max())
 
     def is_same_hand(self, other: FoundHand) -> bool:
+        """Whether both are detections of one hand."""
         apart = np.linalg.norm(self.points - other.points, axis=-1).mean()
         return bool(apart < SAME_HAND_DISTANCE * max(self.extent, other.extent))
 
@@ -62,6 +63,7 @@ class Choice:
 
     @property
     def chosen(self) -> tuple[FoundHand, ...]:
+        """The hands that are to be built."""
         return tuple(hand for hand in self.hands if hand.chosen)
 
     def show(self, found: Iterable[dict[str, Any]], wanted: HandChoice) -> None:
@@ -77,15 +79,19 @@ class Choice:
         self._set_hands((*(other for other in self.hands if not other.is_same_hand(hand)), hand))
 
     def toggle(self, hand: FoundHand) -> None:
+        """Choose a hand, or leave it."""
         self._change(hand, chosen=not hand.chosen)
 
     def flip_side(self, hand: FoundHand) -> None:
+        """Make a left hand a right one, or back, and choose it."""
         self._change(hand, side=other_side(hand.side), chosen=True)
 
     def remove(self, hand: FoundHand) -> None:
+        """Remove a detection that is no hand."""
         self._set_hands(tuple(other for other in self.hands if other is not hand))
 
     def toggle_all(self) -> None:
+        """Choose all; none where all are chosen."""
         every = len(self.chosen) < len(self.hands)
         self._set_hands(tuple(replace(hand, chosen=every) for hand in self.hands))
 

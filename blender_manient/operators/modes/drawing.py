@@ -69,7 +69,9 @@ class Picture:
     hovered: int | None
     dragged: int | None
     text: str
+    """A line at the top of the picture"""
     warning: bool
+    """Whether that line is one to worry about"""
     corner: tuple[float, float]
     """pixels of the region: where the line begins"""
 

@@ -85,8 +85,10 @@ class Button:
     text: str
     box: Box
     hand: FoundHand | None = None
+    """Whose side it is"""
 
     def holds(self, x: float, y: float) -> bool:
+        """Whether a place in pixels of the region lies on it."""
         return self.box[0] <= x < self.box[2] and self.box[1] <= y < self.box[3]
 
 
@@ -116,12 +118,14 @@ class FindMode(view.Overlay):
         super().__init__(viewport)
 
     def end(self) -> None:
+        """Leave nothing behind. May be called twice."""
         if self.remove():
             self._texture = None
             self._cancel_requests()
             self._picture.unlink(missing_ok=True)
 
     def trouble(self, context: bpy.types.Context) -> str | None:
+        """Why the mode cannot go on, in a sentence."""
         if jobs.busy():
             return "Find Hands: a capture has begun"
         if self.viewport() is None:
@@ -134,9 +138,11 @@ class FindMode(view.Overlay):
 
     @property
     def busy(self) -> bool:
+        """Whether the worker still searches."""
         return bool(self._asked)
 
     def tick(self, context: bpy.types.Context) -> None:
+        """Look for answers."""
         try:
             for request, box in list(self._asked.items()):
                 found = shared_worker.answer(request)
@@ -178,6 +184,7 @@ class FindMode(view.Overlay):
             self._ask((*low.tolist(), *(high - low).tolist()))
 
     def regions(self) -> tuple[Region, ...]:
+        """The chosen hands as a capture's regions."""
         return self.choice.regions(self.source.frame)
 
     # The mouse
@@ -243,6 +250,7 @@ class FindMode(view.Overlay):
         )
 
     def status_line(self) -> tuple[str, bool]:
+        """The line over the picture, and whether it is a warning."""
         if self.message:
             return self.message, True
         if self.hovered is not None:
@@ -262,6 +270,7 @@ class FindMode(view.Overlay):
         return f"{where}{found} found, {chosen} chosen. Drag a box around a hand that is missing", False
 
     def draw(self, viewport: view.Viewport) -> None:
+        """Draw the picture, hands and boxes over it, buttons and the line."""
         scale, free = ui_scale(), screen.free_box(viewport.area, viewport.region)
         with drawing.blended():
             drawing.fill_box((0.0, 0.0, viewport.region.width, viewport.region.height), (*DARK, 1.0))
@@ -308,6 +317,7 @@ class FindMode(view.Overlay):
                 draw_tag(said, box, (*DARK, 0.85), PIN_COLOR, scale)
 
     def _draw_skeletons(self, places: dict[FoundHand, np.ndarray], scale: float) -> None:
+        """Draw the lines of hands, those of small ones last and thinner."""
         for small in (False, True):
             hands = [
                 hand for hand, at in places.items() if (np.ptp(at, axis=0).max() < SMALL * scale) == small
@@ -354,3 +364,4 @@ def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> li
 
 
 current: FindMode | None = None
+"""The mode that runs"""

@@ -63,6 +63,7 @@ class _Request(NamedTuple):
     moved_at: float
     pins: Pins
     final: bool
+    """Whether the result is to be kept, and no draft"""
 
 
 @dataclass(eq=False)
@@ -72,6 +73,7 @@ class _Drag:
     keypoint: int
     row: int
     frame: float
+    """Scene frame"""
     pins_before: Pins
     start: BonePoses
     """What the pins are measured against"""
@@ -88,9 +90,11 @@ class _Drag:
     released: bool = False
     asked: _Request | None = None
     waiting: bool = False
+    """Whether it is with the worker"""
     answer: tuple[Pins, BonePoses] | None = None
     """The newest answer, and the pins that it was fitted to"""
     drawn: bool = True
+    """Whether the view was asked to show the newest place"""
 
     @property
     def pins(self) -> Pins:
@@ -102,6 +106,7 @@ class _Drag:
 
     @property
     def needs_request(self) -> bool:
+        """Whether no request has the newest place yet."""
         asked = self.asked
         return asked is None or asked.place is not self.place or (self.released and not asked.final)
 
@@ -143,6 +148,7 @@ class KeypointMode(view.Overlay):
     # Beginning and end
 
     def end(self, context: bpy.types.Context) -> None:
+        """Leave nothing behind. May be called twice."""
         if not self.remove():
             return
         self.cancel_drag(context)
@@ -153,6 +159,7 @@ class KeypointMode(view.Overlay):
         self.view.leave(context)
 
     def trouble(self, context: bpy.types.Context) -> str | None:
+        """Why the mode cannot go on, in a sentence."""
         if self.ended is not None:
             return self.ended
         if jobs.busy():
@@ -174,6 +181,7 @@ class KeypointMode(view.Overlay):
     # The view, its zoom and pan
 
     def switch_view(self, context: bpy.types.Context, viewport: view.Viewport) -> None:
+        """Show the capture's other view."""
         if len(self.refiner.cameras) > 1:
             self.view.switch(viewport, context.scene)
             if not viewport.space.use_local_camera:
@@ -181,6 +189,7 @@ class KeypointMode(view.Overlay):
             self._follow_view(context)
 
     def _look(self) -> None:
+        """Take up the view that is looked through."""
         self.looking = self.view.looking
         see_through.end()
         camera = bpy.data.objects[self.view.camera].data
@@ -209,6 +218,7 @@ class KeypointMode(view.Overlay):
             viewport.enlarge(float(factor), (low + high) / 2.0, free.mean(axis=0))
 
     def show_picture(self, viewport: view.Viewport) -> None:
+        """Frame the whole picture."""
         self.view.face(viewport)
         viewport.show_picture(self.refiner.cameras[self.looking], bpy.context.scene)
 
@@ -228,6 +238,7 @@ class KeypointMode(view.Overlay):
             saved_views[armature.session_uid, self.looking] = zoom, offset, self._places
 
     def _follow_hand(self, context: bpy.types.Context) -> None:
+        """Move the view with the hand where another frame is shown now."""
         if context.scene.frame_current_final == self._frame:
             return
         self._frame, before, now = context.scene.frame_current_final, self._places, self.picture_places()
@@ -255,6 +266,7 @@ class KeypointMode(view.Overlay):
         return len(places) > 0
 
     def toggle_solid(self) -> None:
+        """Make the hand solid, or see-through again."""
         self.solid = not self.solid
         see_through.follow()
         screen.redraw("VIEW_3D")
@@ -262,6 +274,7 @@ class KeypointMode(view.Overlay):
     # Places of the handles
 
     def row(self) -> int | None:
+        """The take's row that the scene shows."""
         scene = bpy.context.scene
         return None if scene is None else self.refiner.row_at(scene.frame_current_final)
 
@@ -304,6 +317,7 @@ class KeypointMode(view.Overlay):
         return places
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
+        """Picture to region; None while the viewport does not look through the capture camera."""
         cameras, looking = self.refiner.cameras, self.view.looks(viewport)
         if looking is None or looking >= len(cameras):
             return None
@@ -331,6 +345,7 @@ class KeypointMode(view.Overlay):
     # Dragging
 
     def press(self, context: bpy.types.Context, viewport: view.Viewport, x: int, y: int) -> bool:
+        """Take the handle there, if there is one."""
         keypoint, row = self.handle_at(viewport, x, y), self.row()
         if keypoint is None or row is None or self.drag is not None:
             return False
@@ -343,6 +358,7 @@ class KeypointMode(view.Overlay):
         return True
 
     def move(self, viewport: view.Viewport, x: int, y: int) -> None:
+        """The mouse drags the handle there."""
         drag, matrix = self.drag, self.matrix(viewport)
         if drag is None or drag.mouse is None or matrix is None or drag.released:
             return
@@ -362,6 +378,7 @@ class KeypointMode(view.Overlay):
             self.drag = None
 
     def unpin(self, keypoint: int) -> bool:
+        """Let a pinned keypoint go: the hand follows the other pins only."""
         row = self.row()
         if row is None or self.drag is not None or keypoint not in self.pins():
             return False
@@ -376,6 +393,7 @@ class KeypointMode(view.Overlay):
         return _Drag(keypoint, row, frame, refiner.pins(row), start, before)
 
     def cancel_drag(self, context: bpy.types.Context) -> None:
+        """Put the hand back to before the drag."""
         drag, self.drag = self.drag, None
         if drag is None:
             return
@@ -389,6 +407,7 @@ class KeypointMode(view.Overlay):
         screen.redraw("VIEW_3D")
 
     def tick(self, context: bpy.types.Context) -> None:
+        """Look for answers, and ask for what has not been asked for."""
         self._follow_view(context)
         self._follow_hand(context)
         try:
@@ -459,9 +478,11 @@ class KeypointMode(view.Overlay):
         self._redraw()
 
     def _is_constrained(self, drag: _Drag) -> bool:
+        """Whether the frame's hand has pins, or points that touch."""
         return bool(drag.pins or self.refiner.touches(drag.row))
 
     def _finish(self, context: bpy.types.Context, drag: _Drag) -> None:
+        """Write the keys, and make an undo step of it."""
         self.drag = None
         if not self._is_constrained(drag):
             self.refiner.unpin(drag.row)
@@ -488,6 +509,7 @@ class KeypointMode(view.Overlay):
     # Undo and redo of single drags
 
     def undo(self, context: bpy.types.Context, *, redo: bool) -> None:
+        """Take the last drag of this mode back, or do it again."""
         self.cancel_drag(context)
         if (self.undone if redo else self.done) == 0:
             self.message = "Nothing to do again here" if redo else "Nothing to undo here"
@@ -509,6 +531,7 @@ class KeypointMode(view.Overlay):
     # Drawing
 
     def draw(self, viewport: view.Viewport) -> None:
+        """Draw the points, and the line about them."""
         if self.trouble(bpy.context) is None:
             dragged = self.drag.keypoint if self.drag is not None else None
             places, pinned = self.region_places(viewport), frozenset(self.pins(self.looking))
@@ -516,6 +539,7 @@ class KeypointMode(view.Overlay):
             drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
 
     def draw_beside(self, viewport: view.Viewport) -> None:
+        """Draw the points in another viewport that looks through one of the cameras."""
         looking = self.view.looks(viewport)
         if looking is not None and self.trouble(bpy.context) is None:
             dragged = self.drag.keypoint if self.drag is not None else None
@@ -524,6 +548,7 @@ class KeypointMode(view.Overlay):
             drawing.draw(drawing.Picture(places, pinned, None, dragged, "", False, corner))
 
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
+        """The line over the picture about this frame, and whether it is a warning."""
         row = self.row()
         if self.message:
             return capitalised(self.message), True

@@ -27,6 +27,7 @@ _STEP: Final = 1.25
 _SWIPE: Final = 20.0
 """pixels that fingers move on a trackpad for the same"""
 _ZOOMS: Final = {"WHEELUPMOUSE": 1, "NUMPAD_PLUS": 1, "WHEELDOWNMOUSE": -1, "NUMPAD_MINUS": -1}
+"""By how many notches events enlarge"""
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,12 @@ class Viewport:
 
     @property
     def view(self) -> bpy.types.RegionView3D:
+        """What the region shows."""
         return self.space.region_3d
 
     def contains(self, x: int, y: int) -> bool:
+        """Whether a place in window pixels lies in the view, and not in what overlaps it."""
+
         def inside(region: bpy.types.Region) -> bool:
             shown = min(region.width, region.height) > 1
             return shown and 0 <= x - region.x < region.width and 0 <= y - region.y < region.height
@@ -140,9 +144,11 @@ class Overlay:
         return True
 
     def viewport(self) -> Viewport | None:
+        """The viewport; None where it is gone."""
         return viewport_at(bpy.context, self.address)
 
     def draw(self, viewport: Viewport) -> None:
+        """Draw in the viewport's region, in pixels."""
         raise NotImplementedError
 
     def draw_beside(self, viewport: Viewport) -> None:
@@ -195,6 +201,7 @@ class CaptureView:
         return self._cameras.index(self.camera)
 
     def face(self, viewport: Viewport) -> None:
+        """Have the viewport look through the capture camera."""
         scene, space, camera = bpy.context.scene, viewport.space, bpy.data.objects[self.camera]
         if scene is not None:
             captures.leave_other_view(scene, camera)
@@ -213,6 +220,7 @@ class CaptureView:
         return self._cameras.index(name) if name in self._cameras else None
 
     def shows(self, viewport: Viewport) -> bool:
+        """Whether the viewport looks through one of the cameras now."""
         return self.looks(viewport) is not None
 
     def follow(self, viewport: Viewport) -> bool:
@@ -230,6 +238,7 @@ class CaptureView:
             captures.leave_other_view(scene, other)
 
     def leave(self, context: bpy.types.Context) -> None:
+        """Put the view back; nothing where the viewport is gone."""
         viewport = viewport_at(context, self.address)
         if viewport is None:
             return
@@ -257,6 +266,7 @@ class FrontView:
         view.view_location, view.view_distance = (0.0, self._AWAY * units, 0.0), self._DISTANCE * units
 
     def leave(self, context: bpy.types.Context) -> None:
+        """Put the view back; nothing where the viewport is gone."""
         viewport = viewport_at(context, self._address)
         if viewport is not None:
             for name, value in self._before.items():
@@ -280,6 +290,7 @@ class PictureView:
         self.show_all()
 
     def show_all(self) -> None:
+        """Show the whole picture."""
         self._zoom, self._centre = 1.0, self.size / 2.0
 
     def scale(self, free: Sequence[float]) -> float:
