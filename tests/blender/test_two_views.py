@@ -104,7 +104,7 @@ def test_renders_show_the_picture_of_the_camera_that_they_look_through(take, tmp
     scene.render.filepath = str(tmp_path / "render.png")
     scene.frame_set(14)
     bpy.ops.render.render(write_still=True)
-    shown = cv2.imread(scene.render.filepath)[64, :, 0]
+    shown = cv2.imread(scene.render.filepath)[64, :, 0].astype(float)
     number = round(1 + ((14 - int(FRAMES[0])) / 30.0 - OFFSET) * RATE)
     black, grey = (shown[-4], shown[4]) if mirrored else (shown[4], shown[-4])
     assert black < 10

@@ -38,7 +38,7 @@ def cluster(folder: Path, *more: str, count: int = 2) -> Iterator[tuple[str, lis
         those = [start("worker", *words) for _ in range(count)]
         try:
             until = time.monotonic() + PATIENCE
-            while not address.exists():
+            while not (address.exists() and address.read_text().endswith("}")):  # written whole
                 assert time.monotonic() < until
                 time.sleep(0.1)
             yield json.loads(address.read_text())["address"], those
