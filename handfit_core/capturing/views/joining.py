@@ -29,6 +29,15 @@ def joined(
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
     do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
     lenses both were captured. `on_step` is called before each step, and may raise to stop."""
+    for clip, other in ((first, second), (second, first)):
+        longest = np.minimum(np.diff(clip.times), other.times[-1]).sum()
+        if options.offset is None and longest > VIEWS.longest_view:
+            why = (
+                f"The views are {first.times[-1] / 60.0:.0f} and {second.times[-1] / 60.0:.0f} minutes long, and "
+                f"the offset between them is looked for in up to {VIEWS.longest_view / 60.0:.0f}: give it (offset), "
+                "or shorter clips"
+            )
+            return _likelier_take(first, second, why)
     attempts: list[PairingAttempt] = []
     for other, mirrored in readings(first, second, options):
         attempt = attempt_pairing(first, other, options, rig, on_step, mirrored=mirrored)
