@@ -1,7 +1,7 @@
 """Recordings of live sources: a Matroska file of JPEGs with the time of each.
 
 Each frame is a cluster of its own, written when it comes: whatever ends the program or fills the disk, the
-frames before can be read. A reader that asks for a rate gets the median one: breaks do not slow the rest down.
+frames before can be read. A reader that asks for a rate gets the median one, which breaks do not slow down.
 """
 
 from __future__ import annotations

@@ -29,15 +29,13 @@ def joined(
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
     do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
     lenses both were captured. `on_step` is called before each step, and may raise to stop."""
-    for clip, other in ((first, second), (second, first)):
-        longest = np.minimum(np.diff(clip.times), other.times[-1]).sum()
-        if options.offset is None and longest > VIEWS.longest_view:
-            why = (
-                f"The views are {first.times[-1] / 60.0:.0f} and {second.times[-1] / 60.0:.0f} minutes long, and "
-                f"the offset between them is looked for in up to {VIEWS.longest_view / 60.0:.0f}: give it (offset), "
-                "or shorter clips"
-            )
-            return _likelier_take(first, second, why)
+    longest = max(_searched(first, second), _searched(second, first))
+    if options.offset is None and longest > VIEWS.longest_view:
+        most = f"{VIEWS.longest_view / 60.0:.0f} minutes"
+        why = (
+            f"The views are longer than the {most} in which their offset is looked for: tell it, or cut them"
+        )
+        return _likelier_take(first, second, why)
     attempts: list[PairingAttempt] = []
     for other, mirrored in readings(first, second, options):
         attempt = attempt_pairing(first, other, options, rig, on_step, mirrored=mirrored)
@@ -56,6 +54,11 @@ def joined(
     if verdict.agreement == "failed":
         return _likelier_take(first, second, verdict.text)
     return fitted_to_both(best, first, options, verdict, on_step)
+
+
+def _searched(clip: Clip, other: Clip) -> float:
+    """Seconds of a view without gaps into which all of the other one fits."""
+    return float(np.minimum(np.diff(clip.times), other.times[-1]).sum())
 
 
 def _verdict(attempt: PairingAttempt, first: Clip, options: CaptureOptions) -> Verdict:

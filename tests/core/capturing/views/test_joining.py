@@ -233,3 +233,21 @@ class TestFiles:
         views = [str(samples / PAIR / f"clip1_{view}.mp4") for view in "ab"]
         with pytest.raises(HandfitError, match=r"rig\.toml: not a calibration of two cameras"):
             capture(views[0], None, lambda _: pytest.fail("began"), view=views[1], cameras=str(rig))
+
+
+def test_times_that_repeat_run_back_or_are_missing():
+    first, second = takes()
+    stamps = first.even_times
+    stamps[[1, 30, 31, -1]] = stamps[0], np.nan, stamps[29] - 1.0, stamps[-2]
+    take = joined(replace(first, stamps=stamps), second, CaptureOptions())
+    assert take.verdict.agreement == "good"
+    assert take.cameras.time_offset[1] == pytest.approx(OFFSET, abs=0.3 / FPS)
+    assert replace(first, stamps=np.full(FRAMES, np.nan)).stamps is None
+
+
+def test_views_of_many_hours_are_told_of():
+    """They are so long that one is no matter to the other's gaps."""
+    clips = [replace(clip, stamps=clip.even_times * 20_000.0) for clip in takes()]
+    verdict = joined(*clips, CaptureOptions()).verdict
+    assert verdict.agreement == "failed"
+    assert verdict.text.startswith("The views are longer than the 60 minutes in which")
