@@ -96,8 +96,8 @@ def evenly_timed(take: Take, times: np.ndarray) -> Take:
     breaks = passed[missing > bridged]
     if len(breaks):
         log.warning(
-            "%s: no pictures came for %.1f s in %d places; no hand is there meanwhile",
-            *(shown(take.source.files[0]), breaks.sum(), len(breaks)),
+            "%s: no pictures came for %.1f s in all; no hand is there meanwhile",
+            *(shown(take.source.files[0]), breaks.sum()),
         )
     return replace(take, fps=1.0 / pace, frame_numbers=numbers[0] + even, hands=hands)
 

@@ -22,7 +22,7 @@ from handfit_core.common.files import shown, why
 log = logging.getLogger("handfit")
 
 _MARK: Final = "Manient live recording"
-_TICKS: Final = 10_000
+_TICKS: Final = 1_000_000
 """a second"""
 _QUALITY: Final = 95
 """JPEG's"""
