@@ -30,6 +30,8 @@ class MediaSettings:
     """Frames by which a header may be wrong about a clip's length, as lengths are rounded"""
     square_pixels: float = 0.005
     """By which the width of pixels may differ from their height without being meant to"""
+    max_animation_pixels: float = 2.5e8
+    """Of all pictures of an animated WebP together, which is decoded at once"""
     max_aspect: float = 8.0
     """Width of pixels by their height, or the other way round, that is believed"""
     rows_at_once: int = 256
