@@ -62,7 +62,7 @@ def test_an_animated_webp(tmp_path):
     animation = cv2.Animation()
     animation.frames = [np.full((48, 64, 3), 8 + 4 * n, dtype=np.uint8) for n in (1, 5, 9, 13)]
     animation.durations = np.array([100, 100, 200, 100])
-    cv2.imwriteanimation(str(tmp_path / "a.webp"), animation, [cv2.IMWRITE_WEBP_QUALITY, 101])
+    cv2.imwriteanimation(str(tmp_path / "a.webp"), animation)
     media = Video(tmp_path / "a.webp", Wanted())
     assert (media.fps, media.expected_frames) == (10.0, 5)
     assert shown(media) == [1, 5, 9, None, 13]
