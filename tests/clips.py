@@ -35,8 +35,8 @@ def written_clip(
     trimmed: int = 0,
 ) -> Path:
     """Write pictures (H, W, 3) uint8 RGB at `times`, in frames of 25 a second; None: one a frame. `aspect` is
-    the width of a pixel by its height, `orientation` EXIF's, which an MP4's display matrix tells. Its edit list
-    hides the first `trimmed` frames."""
+    the width of a pixel by its height, and `orientation` is EXIF's, which an MP4's display matrix tells. Its
+    edit list hides the first `trimmed` frames."""
     import av
 
     height, width = pictures[0].shape[:2]
