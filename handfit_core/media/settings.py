@@ -24,6 +24,8 @@ class MediaSettings:
     """Frames that are nearer are read as fast as they are sought"""
     reordered_frames: int = 4
     """Frames by which a damaged video's decoder may give pictures too early"""
+    break_seconds: float = 1.0
+    """Between two pictures of a clip, from which one is told of"""
     max_gap_seconds: float = 60.0
     """Between two pictures of a clip; what is behind a longer gap is another clip"""
     missing_frames: int = 2

@@ -135,6 +135,8 @@ class _Reading:
         self._per_frame = 1.0 / ((self.fps or DEFAULT_FPS) * unit)
         self.out_of_order = 0
         """Pictures that were left out, as their time is before that of one that came before"""
+        self.broken = 0.0
+        """Seconds of breaks between pictures"""
 
     def close(self) -> None:
         """Release the file."""
@@ -191,6 +193,8 @@ class _Reading:
             if shown is not None and number > shown[0]:
                 yield shown
             gap = (number - max(first, shown[0] if shown else 0)) / (self.fps or DEFAULT_FPS)
+            if gap > MEDIA.break_seconds:
+                self.broken += gap
             if gap > MEDIA.max_gap_seconds:
                 log.warning(
                     "%s: no picture follows for %.0f seconds after frame %d; the clip is read up to there",
@@ -239,7 +243,8 @@ class _Animation(_Reading):
         self._path, self.scaler = path, VideoReformatter()
         self._frames = animation.frames
         self._times = np.concatenate([[0], np.cumsum(np.maximum(animation.durations, 1))]).tolist()
-        self.size, self.aspect, self.start, self.out_of_order = (width, height), 1.0, 0, 0
+        self.size, self.aspect, self.start = (width, height), 1.0, 0
+        self.out_of_order, self.broken = 0, 0.0
         self.seconds = self._times[-1] / 1000.0
         self.fps = min(1000.0 / float(np.median(np.diff(self._times))), MEDIA.max_fps)
         self._per_frame = 1000.0 / self.fps
@@ -379,6 +384,12 @@ class Video(Media):
                 self._path,
                 last,
                 self._count,
+            )
+        if reading.broken:
+            log.warning(
+                "%s: no pictures came for %.1f seconds; no hand is there meanwhile",
+                self._path,
+                reading.broken,
             )
         if reading.out_of_order:
             log.warning(
