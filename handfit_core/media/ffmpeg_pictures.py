@@ -24,8 +24,8 @@ _MORE_PIXELS = 64
 
 
 def decoded_by_ffmpeg(path: Path, data: bytes) -> tuple[np.ndarray, int] | None:
-    """(H, W) or (H, W, 3) BGR as stored, uint8 or linear float16 or float32, and the EXIF orientation to undo;
-    None for a picture of another kind. Raises InputError."""
+    """(H, W) or (H, W, 3) BGR as stored, uint8 or linear float16 or float32, and the EXIF orientation to
+    undo; None for a picture of another kind. Raises InputError."""
     try:
         if re.match(HEIF, data, re.DOTALL):
             return _heif(path, data)
@@ -76,7 +76,8 @@ def _exr(path: Path, data: bytes) -> np.ndarray:
             break
     else:
         raise InputError(
-            f"{path}: this is an OpenEXR picture without colours (it has {', '.join(names[:6])}); export R, G and B"
+            f"{path}: this is an OpenEXR picture without colours (it has {', '.join(names[:6])}); "
+            "export R, G and B"
         )
     frame = _one("exr", data, **({"layer": layer} if layer else {}))
     kind = np.float16 if "f16" in frame.format.name else np.float32
@@ -89,7 +90,7 @@ def _exr(path: Path, data: bytes) -> np.ndarray:
 
 
 def _likely_beauty(layer: str) -> tuple[bool, bool, str]:
-    """Sorts the layer first that holds the picture itself: without a name, or as Blender and others call it."""
+    """Sorts the layer first that holds the picture itself: that without a name, or with a usual one."""
     return layer != "", not re.search("combined|rgba?$|beauty", layer, re.IGNORECASE), layer
 
 
@@ -110,7 +111,8 @@ def _heif(path: Path, data: bytes) -> tuple[np.ndarray, int]:
         missing.discard(frame.pts)
     if missing:
         raise InputError(
-            f"{path}: this is a HEIC or AVIF photo of which {len(missing)} of {len(packets)} tiles are damaged "
-            "or missing; copy it again, or export it as JPEG"
+            f"{path}: this is a HEIC or AVIF photo of which {len(missing)} of {len(packets)} tiles are "
+            "damaged or missing; copy it again, or export it as JPEG"
         )
-    return pixels, found.orientation
+    left, top, right, bottom = found.crop
+    return pixels[top:bottom, left:right], found.orientation

@@ -267,11 +267,8 @@ def is_animated(path: Path) -> bool:
     with open(path, "rb") as stream:
         start = _read_at(stream, 0, 65536)
     # A PNG's chunk of its animation stands before its pixels.
-    before = re.match(rb"\x89PNG\r\n\x1a\n.*?(acTL|IDAT)", start, re.DOTALL)
-    return bool(
-        (before and before[1] == b"acTL")
-        or re.match(rb"RIFF....WEBPVP8X.*ANIM|....ftypavis", start, re.DOTALL)
-    )
+    animated = rb"\x89PNG\r\n\x1a\n(?:(?!IDAT).)*acTL|RIFF....WEBPVP8X.*ANIM|....ftypavis"
+    return bool(re.match(animated, start, re.DOTALL))
 
 
 # MP4 and QuickTime: boxes with a size and a name; some hold boxes again.

@@ -29,7 +29,9 @@ class Heif:
 
     width: int
     height: int
-    """Pixels before it is turned"""
+    """Pixels before it is cropped and turned"""
+    crop: tuple[int, int, int, int]
+    """Left, top, right and bottom of what is to be seen"""
     orientation: int
     """As EXIF counts, 1-8; whatever the file's EXIF says is done already"""
     tile_width: int
@@ -42,6 +44,7 @@ class Heif:
 
     @property
     def columns(self) -> int:
+        """Tiles in a row."""
         return -(-self.width // self.tile_width)
 
 
@@ -72,7 +75,8 @@ def read_heif(stream: BinaryIO) -> Heif | None:
         return None
     decoder, needed = _DECODERS[kinds[tiles[0]]]
     found = Heif(
-        *(width, height, _orientation(of_main), tile_width, tile_height),
+        *(width, height, _crop(dict(of_main).get(b"clap"), width, height)),
+        *(_orientation(of_main), tile_width, tile_height),
         tuple(places[tile] for tile in tiles),
         *(decoder, of_tile[needed], max(of_tile.get(b"pixi", bytes(5) + b"\x08")[5:])),
     )
@@ -163,6 +167,19 @@ def _places(data: bytes, idat: int, end: int) -> Iterator[tuple[int, tuple[tuple
             extents.append((start + number(sizes[0]), number(sizes[1])))
         if sum(length for _, length in extents) <= end:
             yield item, tuple(extents)
+
+
+def _crop(aperture: bytes | None, *size: int) -> tuple[int, int, int, int]:
+    """Of a picture of that size; its middle and its own size are told as fractions."""
+    if aperture is None:
+        return 0, 0, *size
+    values = struct.unpack(">4I4i", aperture[:32])
+    first, last = [], []
+    for i, whole in enumerate(size):
+        part, away = (values[at] / max(values[at + 1], 1) for at in (2 * i, 2 * i + 4))
+        first.append(min(max(round((whole - part) / 2 + away), 0), whole - 1))
+        last.append(min(max(first[i] + round(part), first[i] + 1), whole))
+    return *first, *last
 
 
 def _orientation(properties: list[tuple[bytes, bytes]]) -> int:

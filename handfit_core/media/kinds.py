@@ -1,4 +1,4 @@
-"""What a file is that cannot be read, told by its content. Standard library only."""
+"""What a file is that cannot be read, told by its content."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Final
 
+from handfit_core.common.errors import InputError
 from handfit_core.media.heif import HEIF
 
 _PICTURE: Final = "picture that is cut off or damaged; open it in a viewer and save it again"
@@ -28,7 +29,7 @@ _KINDS: Final = {
     rb"....(?:ftyp|moov|mdat|wide)|\x1a\x45\xdf\xa3|RIFF....AVI |\x30\x26\xb2\x75|OggS|FLV": "a clip that is "
     "cut off, damaged or of an unusual kind; if it plays in a viewer, convert it to .mp4 (H.264)",
     rb"RIFF....WAVE|ID3|\xff[\xfb\xf3\xf2]|fLaC": f"a sound; {_CHOOSE}",
-    rb"PK\3\4|Rar!|7z\xbc\xaf|\x1f\x8b|\x28\xb5\x2f\xfd": f"packed data; unpack it and {_CHOOSE}",
+    rb"PK\x03\x04|Rar!|7z\xbc\xaf|\x1f\x8b|\x28\xb5\x2f\xfd": f"packed data; unpack it and {_CHOOSE}",
     rb"BLENDER": "a Blender file; render it and choose the pictures",
     rb"\x7fELF|MZ": f"a program; {_CHOOSE}",
     rb"(?i:\s*(?:<\?xml.{,500})?<svg)": "a drawing of lines (SVG); export it as PNG",
@@ -46,3 +47,12 @@ def what_is(path: Path) -> str:
         if re.match(pattern, start, re.DOTALL):
             return f"this is {kind}"
     return "this is data of an unknown kind, or damaged; export it as PNG, JPEG or MP4"
+
+
+def is_heif(path: Path) -> bool:
+    """Whether a file begins as a HEIC or AVIF photo does. Raises InputError where it cannot be read."""
+    try:
+        with open(path, "rb") as stream:
+            return bool(re.match(HEIF, stream.read(64), re.DOTALL))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error

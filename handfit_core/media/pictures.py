@@ -107,22 +107,26 @@ def _rgb8(pixels: np.ndarray, white: float) -> np.ndarray:
     return rgb
 
 
+def _to_8_bits(values: np.ndarray, white: float, *, curved: bool) -> np.ndarray:
+    if values.dtype == np.uint16 and white == _WHITE16:
+        return (values >> 8).astype(np.uint8)
+    scaled = np.clip(np.nan_to_num(values.astype(np.float32) / np.float32(white)), 0.0, 1.0)
+    if values.dtype != np.uint16 and curved:
+        scaled = np.where(scaled <= 0.0031308, 12.92 * scaled, 1.055 * scaled ** (1 / 2.4) - 0.055)
+    return np.round(255.0 * scaled).astype(np.uint8)
+
+
 def _rows_rgb8(pixels: np.ndarray, white: float) -> np.ndarray:
     import cv2
 
-    if pixels.dtype == np.uint16 and white == _WHITE16:
-        pixels = (pixels >> 8).astype(np.uint8)
-    elif pixels.dtype == np.uint16:
-        alpha = pixels[..., 3:] >> 8
-        pixels = np.minimum(pixels * (255.0 / white) + 0.5, 255.0).astype(np.uint8)
-        pixels[..., 3:] = alpha
-    elif pixels.dtype != np.uint8:
-        # Scene-linear floats become sRGB.
-        linear = np.clip(np.nan_to_num(pixels.astype(np.float32) / np.float32(white)), 0.0, 1.0)
-        curved = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        pixels = np.round(255.0 * curved).astype(np.uint8)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
+    if pixels.dtype != np.uint8:
+        colours, alpha = np.split(pixels, [(pixels.shape[2] - 1) // 2 * 2 + 1], axis=2)
+        opaque = _WHITE16 if pixels.dtype == np.uint16 else 1.0
+        pixels = np.concatenate(
+            [_to_8_bits(colours, white, curved=True), _to_8_bits(alpha, opaque, curved=False)], axis=2
+        )
     if pixels.shape[2] == 2:  # grey and alpha
         pixels = pixels[..., (0, 0, 0, 1)]
     if pixels.shape[2] == 4 and pixels[..., 3].min() < 255:
@@ -132,6 +136,18 @@ def _rows_rgb8(pixels: np.ndarray, white: float) -> np.ndarray:
     # Not by NumPy's indexing, which takes as long as decoding does.
     to_rgb = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[pixels.shape[2]]
     return cv2.cvtColor(pixels, to_rgb)
+
+
+def _absolute(files: Sequence[Path]) -> tuple[str, ...]:
+    """Their absolute paths; folders are resolved once, since there may be a hundred thousand files."""
+    folders: dict[str, str] = {}
+    found: list[str] = []
+    for file in files:
+        folder = str(file).removesuffix(file.name)
+        if folder not in folders:
+            folders[folder] = str(file.parent.resolve() / "_")[:-1]
+        found.append(folders[folder] + file.name)
+    return tuple(found)
 
 
 class Pictures(Media):
@@ -161,7 +177,7 @@ class Pictures(Media):
         first_file, first, orientation = self._first_readable()
         self._read_already = {first_file: first}
         self.height, self.width = first.shape[:2]
-        self.source = Source(kind=kind, files=tuple(str(f.resolve()) for f in files), orientation=orientation)
+        self.source = Source(kind=kind, files=_absolute(files), orientation=orientation)
 
     def _first_readable(self) -> tuple[Path, np.ndarray, int]:
         errors: list[InputError] = []
