@@ -118,7 +118,9 @@ def _fits(value: Any, kind: Any) -> bool:
     if isinstance(kind, list):
         return isinstance(value, list) and all(_fits(each, kind[0]) for each in value)
     if isinstance(kind, Mapping):
-        return isinstance(value, dict) and all(_fits(value.get(name), k) for name, k in kind.items())
+        return isinstance(value, dict) and all(
+            name in value and _fits(value[name], k) for name, k in kind.items()
+        )
     return isinstance(value, kind)
 
 
