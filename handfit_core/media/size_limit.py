@@ -98,8 +98,8 @@ def pixel_limit(path: Path, max_megapixels: float | None) -> int:
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
-    one that it cannot read, one that is too large, and a video with %d in its name, which its FFmpeg takes for
-    that of other files."""
+    one that it cannot read, one that is too large, and a video with %d in its name, which its FFmpeg takes
+    for that of other files."""
     if is_file(path) and is_heif(path):
         raise InputError(f"{path}: this is a HEIC or AVIF photo, which Blender cannot show")
     if is_picture(path):
