@@ -1,7 +1,8 @@
 """Recordings of live sources: a Matroska file of JPEGs with the time of each.
 
 Each frame is a cluster of its own, written when it comes: whatever ends the program or fills the disk, the
-frames before can be read. A reader that asks for a rate gets the mean one.
+frames before can be read. When it is closed, times move to the nearest frame of a constant rate, that of
+the steps between breaks in whole frames per second: jitter goes, and a break stays as long as it was.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from handfit_core.common.files import shown, why
 _MARK: Final = "Manient live recording"
 _TICKS: Final = 10_000
 """a second"""
+_TO_TIME: Final = 9
+"""bytes from the beginning of a cluster to its time"""
 _QUALITY: Final = 95
 """JPEG's"""
-_MARK_WITHIN: Final = 512
-"""bytes from the beginning"""
 
 
 def _element(name: str, content: bytes | int | str | float) -> bytes:
@@ -75,6 +76,8 @@ class ClipWriter:
         self._fps = fps
         self._size: tuple[int, int] | None = None
         self._began = 0.0
+        self._times: list[tuple[int, float]] = []
+        """Where in the file the time of each frame stands, and the time"""
         try:
             self._file = open(self.path, "xb", buffering=0)  # noqa: SIM115 (until it is closed)
         except OSError as error:
@@ -99,9 +102,10 @@ class ClipWriter:
         since = time - self._began
         head = b"" if self.frames else _head(*self._size, 1.0 / self._fps, 0)
         cluster = _element("E7", round(since * _TICKS)) + _element("A3", b"\x81\0\0\x80" + jpeg)
+        whole = head + _element("1F43B675", cluster)
         end = self._file.tell()
         try:
-            self._put(head + _element("1F43B675", cluster))
+            self._put(whole)
         except OSError as error:
             self.failed = True
             with contextlib.suppress(OSError):
@@ -111,6 +115,7 @@ class ClipWriter:
                 f"{shown(str(self.path))}: the recording ended after {self.frames} frames, which are kept "
                 f"({why(error)}); free some space, or record elsewhere"
             ) from error
+        self._times.append((end + len(whole) - len(cluster) + _TO_TIME, since))
         self.frames, self.seconds = self.frames + 1, since
 
     def _put(self, data: bytes) -> None:
@@ -121,26 +126,25 @@ class ClipWriter:
 
     @property
     def fps(self) -> float:
-        """The mean rate of its frames."""
-        return (self.frames - 1) / self.seconds if self.seconds > 0.0 else self._fps
+        """The usual rate of its frames, in whole frames per second."""
+        steps = np.diff([since for _, since in self._times])
+        usual = (
+            float(steps[steps < 2.0 * np.median(steps)].mean()) if len(steps) and np.all(steps > 0) else 0.0
+        )
+        return max(1.0, round(1.0 / usual)) if usual > 0.0 else self._fps
 
     def close(self) -> None:
-        """Write the rate and the length, and close it; an empty file is removed. Where the disk is gone, the
-        rate that was named first stays."""
+        """Write the rate, the length and even times, and close it; an empty file is removed. Where the disk
+        is gone, the rate that was named first stays."""
         if self._file.closed:
             return
         with contextlib.suppress(OSError), self._file:
             if self.frames and self._size is not None:
                 self._file.seek(0)
-                self._put(_head(*self._size, 1.0 / self.fps, self.frames))
+                fps = self.fps
+                self._put(_head(*self._size, 1.0 / fps, 1 + round(self.seconds * fps)))
+                for place, since in self._times:
+                    self._file.seek(place)
+                    self._put(struct.pack(">Q", round(round(since * fps) / fps * _TICKS)))
         if not self.frames:
             self.path.unlink(missing_ok=True)
-
-
-def is_recording(path: Path) -> bool:
-    """Whether a video is one of ours, whose frames stand at their own times."""
-    try:
-        with open(path, "rb") as stream:
-            return _MARK.encode("ascii") in stream.read(_MARK_WITHIN)
-    except OSError:
-        return False

@@ -18,7 +18,7 @@ from handfit_core.common.version import __version__
 from handfit_core.edit import warm_up
 from handfit_core.hand_model import OPEN_HAND
 
-PACKAGES: Final = ("numpy", "scipy", "cv2", "mediapipe")
+PACKAGES: Final = ("numpy", "scipy", "cv2", "mediapipe", "av")
 """What capturing imports"""
 
 

@@ -11,7 +11,7 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.views.pairing import PairingAttempt, attempt_pairing
 from handfit_core.capturing.views.readings import Clip, readings
 from handfit_core.capturing.views.rig_file import Rig
-from handfit_core.capturing.views.two_view_fit import by_even_frames, fitted_to_both
+from handfit_core.capturing.views.two_view_fit import fitted_to_both
 from handfit_core.capturing.views.verdict import Evidence, degrees_apart, verdict_of
 from handfit_core.fit.settings import VIEWS
 from handfit_core.take import Take
@@ -53,7 +53,7 @@ def _verdict(attempt: PairingAttempt, first: Clip, options: CaptureOptions) -> V
     found = attempt.found
     return verdict_of(
         Evidence(
-            offset_frames=by_even_frames(first, attempt.second, found.offset)[0] * first.take.fps,
+            offset_frames=found.offset * first.take.fps,
             error=max(found.error),
             residual=found.residual,
             common=attempt.common,
