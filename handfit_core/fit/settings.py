@@ -186,6 +186,8 @@ class ViewSettings:
     """Offsets that are tried"""
     peaks_apart: float = 8.0
     """frames of the slower view between them"""
+    longest_view: float = 3600.0
+    """seconds of a view in which the offset is looked for"""
     weak_score: float = 0.15
     """Agreement of fingers' motions below which the offset is not believed, and more starts are tried"""
     most_starts: int = 16

@@ -278,13 +278,13 @@ def read_video_focal_35mm(stream: BinaryIO) -> float | None:
                     if item == number:
                         return _number(kind, value)
                     at += max(size, 8)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, OverflowError):
         pass
     return None
 
 
 def _number(kind: int, value: bytes) -> float:
-    """A value of that well-known type as a number. Raises struct.error and ValueError."""
+    """A value of that well-known type as a number. Raises struct.error, ValueError and OverflowError."""
     if kind == 1:
         return float(value.decode("ascii").removesuffix("mm"))
     return struct.unpack(_NUMBERS[kind], value)[0] if kind in _NUMBERS else float(int.from_bytes(value))

@@ -24,12 +24,16 @@ class MediaSettings:
     """Frames that are nearer are read as fast as they are sought"""
     reordered_frames: int = 4
     """Frames by which a damaged video's decoder may give pictures too early"""
+    break_seconds: float = 1.0
+    """Between two pictures of a clip, from which one is told of"""
     max_gap_seconds: float = 60.0
     """Between two pictures of a clip; what is behind a longer gap is another clip"""
     missing_frames: int = 2
     """Frames by which a header may be wrong about a clip's length, as lengths are rounded"""
     square_pixels: float = 0.005
     """By which the width of pixels may differ from their height without being meant to"""
+    max_animation_pixels: float = 2.5e8
+    """Of all pictures of an animated WebP together, which is decoded at once"""
     max_aspect: float = 8.0
     """Width of pixels by their height, or the other way round, that is believed"""
     rows_at_once: int = 256

@@ -12,7 +12,9 @@ import contextlib
 import heapq
 import logging
 import math
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,14 +24,13 @@ import numpy as np
 
 from handfit_core.common.errors import InputError
 from handfit_core.media.exif import upright
+from handfit_core.media.headers import read_picture_header
 from handfit_core.media.settings import MEDIA
-from handfit_core.media.size_limit import check_frame_size, check_video, not_a_video, pixel_limit
+from handfit_core.media.size_limit import check_frame_size, check_video, is_picture, not_a_video, pixel_limit
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
 
 if TYPE_CHECKING:
-    from av.container import InputContainer
     from av.video.frame import VideoFrame
-    from av.video.stream import VideoStream
 
 log = logging.getLogger("handfit")
 
@@ -63,11 +64,9 @@ class _Form:
     """EXIF orientation that is undone"""
 
     @classmethod
-    def of(cls, picture: VideoFrame, aspect: Any) -> _Form:
-        """That of a clip's first picture; `aspect` is the width of a pixel by its height, None where the file
-        does not tell."""
+    def of(cls, picture: VideoFrame, aspect: float) -> _Form:
+        """That of a clip's first picture; `aspect` is the width of a pixel by its height."""
         width, height = picture.width, picture.height
-        aspect = float(aspect or 1.0)
         if abs(aspect - 1.0) > MEDIA.square_pixels and 1.0 / MEDIA.max_aspect < aspect < MEDIA.max_aspect:
             width, height = round(width * max(aspect, 1.0)), round(height / min(aspect, 1.0))
         matrix = picture.side_data.get("DISPLAYMATRIX")
@@ -102,36 +101,46 @@ class _Reading:
     def __init__(self, path: Path, max_pixels: int) -> None:
         """Open it. Raises InputError where FFmpeg cannot, and for one without pictures."""
         import av
+        from av.error import FFmpegError
         from av.video.reformatter import VideoReformatter
+        from av.video.stream import VideoStream
 
         self._path, self.scaler = path, VideoReformatter()
         # FFmpeg gets the open file and never its name, which it might take for an address or a pattern.
         self._file = open(path, "rb")  # noqa: SIM115 (until it is closed)
         try:
-            self.container: InputContainer = av.open(
-                self._file,
-                options={"format_whitelist": _CONTAINERS, "protocol_whitelist": "none"},
-                stream_options=None,
+            self._container = av.open(
+                self._file, "r", options={"format_whitelist": _CONTAINERS, "protocol_whitelist": "none"}
             )
-            self.stream: VideoStream = self.container.streams.best("video")  # type: ignore[assignment]
-            if self.stream is None:
-                raise InputError(f"{path}: there are no pictures in it, as in a sound; choose a video")
-        except (av.FFmpegError, InputError) as error:
+        except FFmpegError as error:
             self._file.close()
-            raise error if isinstance(error, InputError) else InputError(not_a_video(path)) from error
-        context = self.stream.codec_context
+            raise InputError(not_a_video(path)) from error
+        stream = self._container.streams.best("video")
+        if not isinstance(stream, VideoStream):
+            self.close()
+            raise InputError(f"{path}: there are no pictures in it, as in a sound; choose a video")
+        self._stream, context = stream, stream.codec_context
         context.options = {"max_pixels": str(max_pixels)}
         context.thread_type = "AUTO"
-        self.start = self.stream.start_time or 0
-        rate = float(self.stream.guessed_rate or 0.0)
+        self.size = context.width, context.height
+        """Width and height that the container claims, in pixels"""
+        self.aspect = float(stream.sample_aspect_ratio or 1.0)
+        """The width of a pixel by its height"""
+        self.start = stream.start_time or 0
+        unit, rate = float(stream.time_base or 1.0), float(stream.guessed_rate or 0.0)
         self.fps = rate if 0.0 < rate <= MEDIA.max_fps else 0.0
-        self._per_frame = 1.0 / ((self.fps or DEFAULT_FPS) * float(self.stream.time_base or 1.0))
+        """The rate that the file tells; 0 where it tells none"""
+        self.seconds = (stream.duration or 0) * unit or (self._container.duration or 0) / 1e6
+        """Its length, as the container claims; 0 where it does not"""
+        self._per_frame = 1.0 / ((self.fps or DEFAULT_FPS) * unit)
         self.out_of_order = 0
         """Pictures that were left out, as their time is before that of one that came before"""
+        self.broken = 0.0
+        """Seconds of breaks between pictures"""
 
     def close(self) -> None:
         """Release the file."""
-        self.container.close()
+        self._container.close()
         self._file.close()
 
     def _stamp(self, number: int) -> int:
@@ -147,17 +156,17 @@ class _Reading:
 
     def _decoded(self) -> Iterator[VideoFrame]:
         """Pictures as the decoder gives them; what is damaged is left out."""
-        import av
+        from av.error import FFmpegError
 
-        packets = self.container.demux(self.stream)
+        packets = self._container.demux(self._stream)
         while True:
             try:
                 packet = next(packets)
-            except (StopIteration, av.FFmpegError):
+            except (StopIteration, FFmpegError):
                 return
             try:
                 yield from packet.decode()
-            except av.FFmpegError:
+            except FFmpegError:
                 continue
 
     def _ordered(self) -> Iterator[tuple[int, int, VideoFrame]]:
@@ -184,6 +193,8 @@ class _Reading:
             if shown is not None and number > shown[0]:
                 yield shown
             gap = (number - max(first, shown[0] if shown else 0)) / (self.fps or DEFAULT_FPS)
+            if gap > MEDIA.break_seconds:
+                self.broken += gap
             if gap > MEDIA.max_gap_seconds:
                 log.warning(
                     "%s: no picture follows for %.0f seconds after frame %d; the clip is read up to there",
@@ -198,11 +209,11 @@ class _Reading:
 
     def sought(self, number: int) -> Iterator[tuple[int, VideoFrame]]:
         """`pictures` from one on that is shown on a frame or before it, as the container's index has it."""
-        import av
+        from av.error import FFmpegError
 
         for stamp in (self._stamp(number), 0):
-            with contextlib.suppress(av.FFmpegError):
-                self.container.seek(self.start + stamp, stream=self.stream)
+            with contextlib.suppress(FFmpegError):
+                self._container.seek(self.start + stamp, stream=self._stream)
                 following = self.pictures(first=number)
                 if (begun := next(following, None)) is not None and begun[0] <= number:
                     yield begun
@@ -210,25 +221,81 @@ class _Reading:
                     return
 
 
+class _Animation(_Reading):
+    """A WebP with several pictures, which FFmpeg does not decode."""
+
+    def __init__(self, path: Path, width: int, height: int) -> None:
+        """Decode it. Raises InputError for a damaged one, and for more than is held in memory."""
+        import cv2
+        from av.video.reformatter import VideoReformatter
+
+        data = path.read_bytes()
+        pixels = data.count(b"ANMF") * width * height
+        if pixels > MEDIA.max_animation_pixels:
+            raise InputError(f"{path}: its pictures have {pixels / 1e6:.0f} megapixels; convert it to .mp4")
+        with (
+            tempfile.TemporaryDirectory() as folder
+        ):  # since OpenCV reads it by its name, in ASCII on Windows
+            shutil.copy(path, copy := Path(folder) / "a.webp")
+            found, animation = cv2.imreadanimation(str(copy))
+        if not found:
+            raise InputError(f"{path}: a damaged animation; open it in a viewer and save it again")
+        self._path, self.scaler = path, VideoReformatter()
+        self._frames = animation.frames
+        self._times = np.concatenate([[0], np.cumsum(np.maximum(animation.durations, 1))]).tolist()
+        self.size, self.aspect, self.start = (width, height), 1.0, 0
+        self.out_of_order, self.broken = 0, 0.0
+        self.seconds = self._times[-1] / 1000.0
+        self.fps = min(1000.0 / float(np.median(np.diff(self._times))), MEDIA.max_fps)
+        self._per_frame = 1000.0 / self.fps
+
+    def close(self) -> None:
+        """Free the pictures."""
+        self._frames = []
+
+    def _decoded(self) -> Iterator[VideoFrame]:
+        from av.video.frame import VideoFrame
+
+        for time, bgr in zip(self._times, self._frames, strict=False):
+            picture = VideoFrame.from_ndarray(
+                np.ascontiguousarray(bgr[..., :3], dtype=np.uint8), format="bgr24"
+            )
+            picture.pts = time
+            yield picture
+
+    def sought(self, number: int) -> Iterator[tuple[int, VideoFrame]]:  # noqa: ARG002
+        """All pictures, as they are in memory."""
+        return self.pictures()
+
+
+def _opened(path: Path, max_megapixels: float | None) -> _Reading:
+    """A clip, to be read from its beginning."""
+    with open(path, "rb") as stream:
+        header = read_picture_header(stream) if stream.read(4) == b"RIFF" else None
+    if header is not None:
+        return _Animation(path, header.width, header.height)
+    return _Reading(path, pixel_limit(path, max_megapixels))
+
+
 class Video(Media):
     """A video file, read through FFmpeg."""
 
     def __init__(self, path: Path, wanted: Wanted) -> None:
         self._path, self._range, frames = path, wanted.frames, wanted.frames
-        check_video(path, wanted.max_megapixels)
-        self._max_pixels = pixel_limit(path, wanted.max_megapixels)
+        if not is_picture(path):  # an animation
+            check_video(path, wanted.max_megapixels)
+        self._max_megapixels = wanted.max_megapixels
         self._reading: tuple[_Reading, Iterator[tuple[int, VideoFrame]], int] | None = None
         """Where a part was read: the decoder, its pictures, and the number of the one that it gave last"""
         self._warned = False
         """True once it was said that pictures change their size"""
-        reading = _Reading(path, self._max_pixels)
+        reading = _opened(path, wanted.max_megapixels)
         try:
-            context = reading.stream.codec_context
-            check_frame_size(path, context.width, context.height, wanted.max_megapixels)
+            check_frame_size(path, *reading.size, wanted.max_megapixels)
             _, first = next(reading.pictures(), (0, None))
             if first is None:
                 raise InputError(not_a_video(path))
-            self._form = _Form.of(first, reading.stream.sample_aspect_ratio)
+            self._form = _Form.of(first, reading.aspect)
             self.width, self.height = self._form.size
             check_frame_size(path, self.width, self.height, wanted.max_megapixels)
             if not reading.fps:
@@ -248,9 +315,7 @@ class Video(Media):
     def _frame_count(self, reading: _Reading) -> int:
         """How many frames the clip has by its header; 0 where it tells no length, or more frames than the
         file has bytes."""
-        seconds = float((reading.stream.duration or 0) * (reading.stream.time_base or 0))
-        seconds = seconds or (reading.container.duration or 0) / 1e6
-        count = round(seconds * self.fps)
+        count = round(reading.seconds * self.fps)
         return count if 0 < count <= min(self._path.stat().st_size, MEDIA.max_frame_number) else 0
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
@@ -275,7 +340,7 @@ class Video(Media):
             kept[0].close()
             kept = None
         if kept is None:
-            reading = _Reading(self._path, self._max_pixels)
+            reading = _opened(self._path, self._max_megapixels)
             kept = reading, reading.pictures(), 0
         reading, pictures, number = kept
         at, ended = 0, True
@@ -320,6 +385,12 @@ class Video(Media):
                 last,
                 self._count,
             )
+        if reading.broken:
+            log.warning(
+                "%s: no pictures came for %.1f seconds; no hand is there meanwhile",
+                self._path,
+                reading.broken,
+            )
         if reading.out_of_order:
             log.warning(
                 "%s: the times of %d pictures run back; they are left out", self._path, reading.out_of_order
@@ -328,7 +399,7 @@ class Video(Media):
     def pictures(self, numbers: Sequence[int]) -> Iterator[np.ndarray | None]:
         """The pictures (H, W, 3) uint8 RGB that are shown on single frames, by increasing number; None for
         one that cannot be read. Frames that are far apart are sought."""
-        reading = _Reading(self._path, self._max_pixels)
+        reading = _opened(self._path, self._max_megapixels)
         try:
             following = reading.pictures()
             shown, ahead = None, next(following, None)

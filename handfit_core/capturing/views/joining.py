@@ -29,6 +29,13 @@ def joined(
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
     do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
     lenses both were captured. `on_step` is called before each step, and may raise to stop."""
+    longest = max(first.times[-1], second.times[-1])
+    if options.offset is None and longest > VIEWS.longest_view:
+        most = f"{VIEWS.longest_view / 60.0:.0f} minutes"
+        why = (
+            f"The views are longer than the {most} in which their offset is looked for: tell it, or cut them"
+        )
+        return _likelier_take(first, second, why)
     attempts: list[PairingAttempt] = []
     for other, mirrored in readings(first, second, options):
         attempt = attempt_pairing(first, other, options, rig, on_step, mirrored=mirrored)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import resource
+import shutil
 import socket
 import subprocess
 import sys
@@ -242,6 +243,11 @@ def test_addresses_of_others_want_permission(address):
             LiveSource.parse(address)
 
 
+def test_schemes_in_capitals_are_the_same():
+    """Or what comes over HTTP would be followed to other addresses."""
+    assert LiveSource.parse("HTTP://127.0.0.1/Video").address == "http://127.0.0.1/Video"
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "no such camera", "-1", "ftp://127.0.0.1/x", "http://", "concat:a|b", "http://[::1", "\0"],
@@ -322,6 +328,13 @@ def test_address_that_stalls_is_told_of_and_tried_again(station, monkeypatch):
         waited(lambda: "sends no pictures any more" in reader.problem)
 
 
+def test_address_that_sends_no_pictures_is_told_of(station, monkeypatch):
+    monkeypatch.setattr(camera, "CAMERA", replace(camera.CAMERA, answer_seconds=0.3, retry_seconds=0.05))
+    station.pictures, station.silent = [b"<html>no picture</html>"] * 100, False
+    with LiveReader(LiveSource(address=station.address)) as reader:
+        waited(lambda: "or sends no pictures that can be read" in reader.problem)
+
+
 def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
     """They are neither followed nor recorded."""
     good = cv2.imencode(".jpg", frames[0].rgb)[1].tobytes()
@@ -363,7 +376,7 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
             waited(lambda: "sends no pictures any more" in run.reader.problem)
         written = run.reader.stop_recording()
     found = capture(tmp_path / "a.mkv")
-    assert len(found.frame_numbers) == written.frames
+    assert len(found.frame_numbers) == pytest.approx(1.0 + written.seconds * written.fps, abs=1.0)
     assert found.hands
     assert (found.width, found.height) == (640, 480)
 
@@ -439,6 +452,37 @@ def test_recording_that_is_cut_off_can_be_read(tmp_path, frames):
     assert len([f for f in open_media(path).frames() if f.rgb is not None]) >= 7
 
 
+def test_pictures_that_turn_keep_their_shape(tmp_path, frames, caplog):
+    turned = [replace(frame, rgb=np.ascontiguousarray(frame.rgb.swapaxes(0, 1))) for frame in frames[:3]]
+    written(tmp_path / "a.mkv", [*frames[:3], *turned], [i / 24.0 for i in range(6)])
+    last = list(open_media(tmp_path / "a.mkv").frames())[5].rgb.astype(int)
+    assert last.shape == (480, 640, 3)
+    assert max(last[:, :138].max(), last[:, -138:].max()) < 12
+    inside = cv2.resize(turned[2].rgb, (360, 480), interpolation=cv2.INTER_AREA)
+    assert np.abs(last[:, 140:500] - inside).mean() < 3.0
+    assert caplog.text.count("pictures of 480x640 follow those of 640x480") == 1
+
+
+@pytest.mark.parametrize("what", ["deleted", "wide", "pause"])
+def test_recording_that_cannot_go_on_says_why(tmp_path, frames, what):
+    """It ends, and nobody waits for it."""
+    said: list[str] = []
+    (tmp_path / "takes").mkdir()
+    recorder = camera.Recorder(tmp_path / "takes" / "a.mkv", 30.0, said.append)
+    rgb = np.zeros((2, 70_000, 3), dtype=np.uint8) if what == "wide" else frames[0].rgb
+    for i in range(100):
+        if i == 4 and what == "deleted":
+            waited(lambda: recorder.writer.frames == 4)
+            shutil.rmtree(tmp_path / "takes")
+        time.sleep(0.001)
+        recorder.put(camera.LivePicture(i, i / 30.0 + 90.0 * (what == "pause" and i > 4), lambda: rgb))
+    writer = recorder.close()
+    words = {"deleted": "deleted or moved", "wide": "larger than a JPEG", "pause": "no picture came for 90"}
+    assert len(said) == 1
+    assert words[what] in said[0]
+    assert (writer.failed, writer.frames) == (True, 5 if what == "pause" else 0)
+
+
 def test_recorded_clip_is_captured_as_the_file(tmp_path):
     """What a live run records gives the take that a capture of that file gives."""
     path = tmp_path / "live.mkv"
@@ -467,7 +511,9 @@ def test_full_disk_keeps_what_was_written_and_captures_it(tmp_path):
     )
     assert "which are kept" in done.stdout
     media = open_media(path.with_suffix(".mkv"))
-    assert 0 < len(list(media.frames())) == media.expected_frames == len(Take.load(path).frame_numbers) < 24
+    count = len(Take.load(path).frame_numbers)
+    assert 0 < len(list(media.frames())) <= count < 24
+    assert media.expected_frames == pytest.approx(count, abs=1)
 
 
 def test_recordings_replace_nothing(tmp_path):
@@ -517,7 +563,8 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
     done = worker.wait(request, timeout=PATIENCE)
     assert (recorded["output"], done["recording"]) == (path, None)
     assert done["frames"] >= done["shown"] > 0
-    assert worker.wait(worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"] == recorded["frames"]
+    probed = worker.wait(worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"]
+    assert probed == pytest.approx(1.0 + recorded["seconds"] * recorded["fps"], abs=1.0)
 
 
 def test_newest_pose_alone_waits_to_be_taken(worker, station):

@@ -231,3 +231,11 @@ class TestFiles:
         views = [str(samples / PAIR / f"clip1_{view}.mp4") for view in "ab"]
         with pytest.raises(HandfitError, match=r"rig\.toml: not a calibration of two cameras"):
             capture(views[0], None, lambda _: pytest.fail("began"), view=views[1], cameras=str(rig))
+
+
+def test_views_of_many_hours_are_told_of():
+    clips = [replace(clip, take=replace(clip.take, fps=FPS / 20_000.0)) for clip in takes()]
+    verdict = joined(*clips, CaptureOptions()).verdict
+    assert verdict is not None
+    assert verdict.agreement == "failed"
+    assert verdict.text.startswith("The views are longer than the 60 minutes in which")
