@@ -13,6 +13,7 @@ import numpy as np
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import is_file
 from handfit_core.common.slices import run_to_completion
+from handfit_core.media.copies import copy_path
 from handfit_core.media.opening import numbered_like, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
 from handfit_core.take import Take
@@ -118,8 +119,7 @@ def loading_plate(
     timing = timing or Timing()
     if take.source.kind == "data":
         return None, []
-    # Absolute, since Blender's FFmpeg takes a relative name that begins with "http:" for an address.
-    path = Path(take.source.files[0]).absolute()
+    path, is_copy = shown_file(take)
     if not is_file(path):
         return None, [f"{path}: the picture is not there any more, so nothing is shown behind the hands"]
     refused = yield from _checking(path, take, max_megapixels or preferences.get().max_megapixels or None)
@@ -130,12 +130,13 @@ def loading_plate(
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError:
         return None, [_unreadable(path)]
+    if take.source.kind == "video":
+        image.source = "MOVIE"
     size = tuple(image.size)  # asked here, since as a sequence it is that of a frame not yet chosen
     if 0 in size:
         bpy.data.images.remove(image)
         return None, [_unreadable(path)]
     if take.source.kind == "video":
-        image.source = "MOVIE"
         plate = movie_plate(image, take, timing)
     elif take.source.kind == "sequence":
         image.source = "SEQUENCE"
@@ -144,7 +145,10 @@ def loading_plate(
         plate = Plate(image, _first_scene_frame(take, timing), first - 1, last - first + 1)
     else:
         plate = Plate(image)
-    orientation = take.source.orientation
+    orientation = 1 if is_copy else take.source.orientation
+    if is_copy and take.source.kind == "photo":
+        image.name = take.source.name
+        image.pack()
     if take.source.kind == "video" and turns_movies():
         orientation = _AFTER_BLENDERS_TURN.get(orientation, 1)
     plate = replace(plate, orientation=orientation)
@@ -152,6 +156,15 @@ def loading_plate(
     pixel = size[1] / size[0] * (1.0 / picture_aspect(take) if turned else picture_aspect(take))
     image.display_aspect = (max(1.0, pixel), max(1.0, 1.0 / pixel))
     return plate, _mismatches(path, size[::-1] if turned else size, take)
+
+
+def shown_file(take: Take) -> tuple[Path, bool]:
+    """The file that Blender shows, and whether it is a copy, upright, of one that it cannot read."""
+    copy = copy_path(take.source)
+    if copy is not None and is_file(copy):
+        return copy, True
+    # Absolute, since Blender's FFmpeg takes a relative name that begins with "http:" for an address.
+    return Path(take.source.files[0]).absolute(), False
 
 
 def picture_aspect(take: Take) -> float:

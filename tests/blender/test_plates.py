@@ -15,6 +15,7 @@ from blender_manient.scene.background import Plate, load_plate
 from blender_manient.scene.camera import show_behind
 from blender_manient.scene.preview import render_plate
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.media.copies import copy_path, write_copy
 from handfit_core.media.opening import open_media
 from tests.clips import MATRICES, written_clip
 
@@ -60,6 +61,29 @@ def test_a_clip(make_take, tmp_path, kind):
     path = written_clip(tmp_path / "clip.mp4", [picture(n) for n in range(FRAMES)], **KINDS[kind])
     if kind == "trimmed":
         trim(path)
+    assert min(shown_frames(make_take, path)) == (LEFT_OUT if kind == "trimmed" else 0)
+
+
+@pytest.mark.parametrize(("name", "codec", "count"), [("a.apng", "apng", FRAMES), ("a.avif", "libsvtav1", 1)])
+def test_a_copy_of_what_blender_cannot_read(make_take, tmp_path, monkeypatch, name, codec, count):
+    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "cache"))
+    path = written_clip(tmp_path / name, [picture(n) for n in range(count)], codec=codec)
+    media = open_media(path)
+    write_copy(media.source)
+    written = copy_path(media.source)
+    assert written is not None
+    state = written.stat()
+    shown_frames(make_take, path, min(count, 10))
+    write_copy(media.source)
+    assert written.stat() == state
+    (image,) = bpy.data.images
+    assert bool(image.packed_file) == (count == 1)
+    path.touch()
+    assert copy_path(media.source) != written
+
+
+def shown_frames(make_take, path: Path, count: int = 10) -> set[int]:
+    """The numbers of the pictures of as many of a clip's frames, which Blender shows as they were read."""
     media = open_media(path)
     read = [frame for frame in media.frames() if frame.rgb is not None]
     numbers = np.arange(1, read[-1].number + 1)
@@ -67,14 +91,14 @@ def test_a_clip(make_take, tmp_path, kind):
     take = make_take(sides=(), source=media.source, fps=media.fps, frame_numbers=numbers, **size).take
     plate, warnings = load_plate(take)
     assert not warnings
-    greys = set()
-    for frame in read[:: len(read) // 10][:10]:
+    found = set()
+    for frame in read[:: len(read) // count][:count]:
         shown = render_plate(plate, take, frame.number, 1.0)[..., :3] * 255
         assert shown.shape == frame.rgb.shape
         assert np.abs(shown - frame.rgb).mean() < 3.5
-        greys.add(round((float(np.median(frame.rgb)) - 4) / 6))
-    assert len(greys) == 10
-    assert min(greys) == (LEFT_OUT if kind == "trimmed" else 0)
+        found.add(round((float(np.median(frame.rgb)) - 4) / 6))
+    assert len(found) == count
+    return found
 
 
 @pytest.mark.parametrize("orientation", sorted(MATRICES))
