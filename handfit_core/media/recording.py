@@ -19,6 +19,7 @@ import numpy as np
 
 from handfit_core.common.errors import OutputError
 from handfit_core.common.files import shown, why
+from handfit_core.media.settings import MEDIA
 
 log = logging.getLogger("handfit")
 
@@ -27,6 +28,8 @@ _TICKS: Final = 10_000
 """a second"""
 _TO_TIME: Final = 21
 """bytes from the beginning of a cluster to its time"""
+_STEPS: Final = 8
+"""frames over which a rate is counted: pictures may come in bursts"""
 _QUALITY: Final = 95
 """JPEG's"""
 _LARGEST_SIDE: Final = 65_535
@@ -175,8 +178,10 @@ class ClipWriter:
     def fps(self) -> float:
         """The rate of its frames where nothing breaks them, in whole frames per second."""
         steps = np.diff(self._times)
-        usual = steps[steps < 2.0 * np.median(steps)] if len(steps) else steps
-        return max(1.0, round(1.0 / usual.mean())) if usual.sum() > 0.0 else self._fps
+        times = np.cumsum(steps[steps < MEDIA.break_seconds])
+        apart = min(_STEPS, len(times) // 2)
+        usual = float(np.median(times[apart:] - times[:-apart])) / apart if apart else 0.0
+        return max(1.0, round(1.0 / usual)) if usual > 0.0 else self._fps
 
     def close(self) -> None:
         """Write the rate, the length and even times, and close it; an empty file is removed. Where the disk

@@ -39,6 +39,11 @@ class MediaSettings:
     rows_at_once: int = 256
     """Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the
     picture"""
+    exposure_pixels: int = 100_000
+    """Pixels of a picture by which its range is told"""
+    darkest: float = 0.1
+    brightest: float = 1.5
+    """Between which the bright parts of a linear picture lie, if its exposure needs no change"""
     read_ahead_frames: int = 2
     """Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
     exif_bytes: int = 1 << 20

@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from handfit_core.common.errors import InputError
+from handfit_core.common.files import is_file
 from handfit_core.media.headers import Header, read_picture_header, read_video_header
+from handfit_core.media.kinds import is_heif, what_is
 
 SMALL_FILE: Final = 10_000_000
 """Bytes; a smaller input may claim less than a larger one: what it may claim stays below 1 GB in the worker
@@ -67,7 +69,7 @@ def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> No
     if header is None:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
-        raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
+        raise InputError(f"{path}: {what_is(path)}")
     _check(path, header, max_megapixels or PICTURE)
 
 
@@ -96,7 +98,10 @@ def pixel_limit(path: Path, max_megapixels: float | None) -> int:
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
-    one that is too large, and a video with %d in its name, which its FFmpeg takes for that of other files."""
+    one that it cannot read, one that is too large, and a video with %d in its name, which its FFmpeg takes for
+    that of other files."""
+    if is_file(path) and is_heif(path):
+        raise InputError(f"{path}: this is a HEIC or AVIF photo, which Blender cannot show")
     if is_picture(path):
         check_picture(path, max_megapixels)
         return
