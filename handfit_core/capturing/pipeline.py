@@ -28,6 +28,7 @@ from handfit_core.fit.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
+from handfit_core.media.copies import write_copy
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media
@@ -302,6 +303,8 @@ def capture_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
+    for view in (take, *(take.cameras.views if take.cameras is not None else ())):
+        write_copy(view.source, options.max_megapixels)
     report = _saved(take, output, compact, started)
     if cameras_to is not None and take.cameras is not None:
         write_rig(cameras_to, take)
