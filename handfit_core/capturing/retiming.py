@@ -7,20 +7,15 @@ measured in a picture stays that of the nearest picture, which is the one that t
 
 from __future__ import annotations
 
-import logging
 from dataclasses import replace
 
 import numpy as np
 
 from handfit_core.common.errors import OptionError
-from handfit_core.common.files import shown
 from handfit_core.edit.corrections import Correction, CorrectionField
-from handfit_core.fit.settings import MOTION
 from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack, Take, at_rows
-
-log = logging.getLogger("handfit")
 
 LOWEST_RATE, HIGHEST_RATE = 1.0, 120.0
 """frames per second that a clip is retimed to"""
@@ -76,45 +71,15 @@ def retimed(take: Take, scale: float) -> Take:
     return replace(take, fps=take.fps * scale, frame_numbers=numbers, hands=hands)
 
 
-def evenly_timed(take: Take, times: np.ndarray) -> Take:
-    """The take of frames that were seen at `times` (T,), seconds, with its rows at even moments from the
-    first to the last, at the median of their rates. Short breaks between them are bridged as the fit bridges
-    gaps; in longer ones no hand is there, and it is said."""
-    numbers = np.asarray(take.frame_numbers)
-    passed, apart = np.diff(times), np.diff(numbers)
-    pace = float(np.median(passed / apart)) if len(apart) else 0.0
-    if not 0.0 < pace < np.inf or passed.min() < 0.0:
-        return take
-    # Pictures that are missing count as frames.
-    missing = np.maximum(np.floor(passed / pace + 0.25).astype(np.int64) - apart, 0)
-    seen = numbers[0] + np.append(0, np.cumsum(apart + missing))
-    step = int(np.median(np.diff(numbers)))
-    even = np.arange(0, int((times[-1] - times[0]) / pace + 0.5) + 1, step)
-    rows = np.interp(times[0] + pace * even, times, seen)
-    bridged = MOTION.max_gap_seconds / pace
-    hands = tuple(sampled(track, seen, rows, bridged) for track in take.hands)
-    breaks = passed[missing > bridged]
-    if len(breaks):
-        log.warning(
-            "%s: no pictures came for %.1f s in all; no hand is there meanwhile",
-            *(shown(take.source.files[0]), breaks.sum()),
-        )
-    return replace(take, fps=1.0 / pace, frame_numbers=numbers[0] + even, hands=hands)
-
-
-def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray, bridged: float = 0.0) -> HandTrack:
+def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTrack:
     """A track with rows at frame numbers (T,) -> its rows at `times` (N,), in the same numbers.
 
-    A hand is there where its nearest row has one, and detected where that row lies within half a frame. It is
-    there, too, between two rows of it that lack no more than `bridged` frames between them.
+    A hand is there where its nearest row has one, and detected where that row lies within half a frame.
     """
     nearest, before, after, part = _around(numbers, times)
     step = int(np.diff(numbers).min()) if len(numbers) > 1 else 1
     away = np.abs(numbers[nearest] - times)
-    lacking = np.where(
-        track.present[before] & track.present[after], numbers[after] - numbers[before] - 1, np.inf
-    )
-    there = track.present[nearest] & ((away <= 0.5 * step + _ON_ROW) | (lacking <= bridged))
+    there = track.present[nearest] & (away <= 0.5 * step + _ON_ROW)
     detected = np.asarray(track.detected)[nearest] & (away <= 0.5 + _ON_ROW)
     rows = at_rows(track, nearest)
     # Beside a gap the pose of its edge holds: nothing is known on the other side.

@@ -1,7 +1,8 @@
 """Recordings of live sources: a Matroska file of JPEGs with the time of each.
 
 Each frame is a cluster of its own, written when it comes: whatever ends the program or fills the disk, the
-frames before can be read. A reader that asks for a rate gets the median one, which breaks do not slow down.
+frames before can be read. When it is closed, times move to the nearest frame of a constant rate, that of
+the steps between breaks in whole frames per second: jitter goes, and a break stays as long as it was.
 """
 
 from __future__ import annotations
@@ -18,16 +19,19 @@ import numpy as np
 
 from handfit_core.common.errors import OutputError
 from handfit_core.common.files import shown, why
+from handfit_core.media.settings import MEDIA
 
 log = logging.getLogger("handfit")
 
 _MARK: Final = "Manient live recording"
-_TICKS: Final = 1_000_000
+_TICKS: Final = 10_000
 """a second"""
+_TO_TIME: Final = 21
+"""bytes from the beginning of a cluster to its time"""
+_STEPS: Final = 8
+"""frames over which a rate is counted: pictures may come in bursts"""
 _QUALITY: Final = 95
 """JPEG's"""
-_MARK_WITHIN: Final = 512
-"""bytes from the beginning"""
 _LARGEST_SIDE: Final = 65_535
 """pixels of a JPEG"""
 _LONGEST_BREAK: Final = 60.0
@@ -83,6 +87,8 @@ class ClipWriter:
         self._size: tuple[int, int] | None = None
         self._times = array("d")
         """Seconds of each frame's clock"""
+        self._places = array("q")
+        """Where in the file the time of each frame stands"""
         self._other_shape = False
         """True once a frame of another shape than the first's was told of"""
         try:
@@ -124,6 +130,7 @@ class ClipWriter:
             raise self._ended(why(error), "free some space, or record elsewhere") from error
         self.frames += 1
         self._times.append(time)
+        self._places.append(end + len(head) + _TO_TIME)
         if not self.path.exists():  # Linux and macOS write on into a file that is in no folder any more
             self.frames = 0
             raise self._ended("the file was deleted or moved meanwhile", "leave its folder, and record anew")
@@ -169,27 +176,26 @@ class ClipWriter:
 
     @property
     def fps(self) -> float:
-        """The median rate of its frames."""
-        step = float(np.median(np.diff(self._times))) if len(self._times) > 1 else 0.0
-        return 1.0 / step if step > 0.0 else self._fps
+        """The rate of its frames where nothing breaks them, in whole frames per second."""
+        steps = np.diff(self._times)
+        times = np.cumsum(steps[steps < MEDIA.break_seconds])
+        apart = min(_STEPS, len(times) // 2)
+        usual = float(np.median(times[apart:] - times[:-apart])) / apart if apart else 0.0
+        return max(1.0, round(1.0 / usual)) if usual > 0.0 else self._fps
 
     def close(self) -> None:
-        """Write the rate and the length, and close it; an empty file is removed. Where the disk is gone, the
-        rate that was named first stays."""
+        """Write the rate, the length and even times, and close it; an empty file is removed. Where the disk
+        is gone, the rate that was named first stays."""
         if self._file.closed:
             return
         with contextlib.suppress(OSError), self._file:
             if self._times and self._size is not None:
                 self._file.seek(0)
-                self._put(_head(*self._size, 1.0 / self.fps, self.seconds + 1.0 / self.fps))
+                fps = self.fps
+                self._put(_head(*self._size, 1.0 / fps, self.seconds + 1.0 / fps))
+                for place, time in zip(self._places, self._times, strict=True):
+                    self._file.seek(place)
+                    number = round((time - self._times[0]) * fps)
+                    self._put(struct.pack(">Q", round(number / fps * _TICKS)))
         if not self.frames:
             self.path.unlink(missing_ok=True)
-
-
-def is_recording(path: Path) -> bool:
-    """Whether a video is one of ours, whose frames stand at their own times."""
-    try:
-        with open(path, "rb") as stream:
-            return _MARK.encode("ascii") in stream.read(_MARK_WITHIN)
-    except OSError:
-        return False

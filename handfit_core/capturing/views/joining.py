@@ -11,7 +11,7 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.views.pairing import PairingAttempt, attempt_pairing
 from handfit_core.capturing.views.readings import Clip, readings
 from handfit_core.capturing.views.rig_file import Rig
-from handfit_core.capturing.views.two_view_fit import by_even_frames, fitted_to_both
+from handfit_core.capturing.views.two_view_fit import fitted_to_both
 from handfit_core.capturing.views.verdict import Evidence, degrees_apart, verdict_of
 from handfit_core.fit.settings import VIEWS
 from handfit_core.take import Take
@@ -29,7 +29,7 @@ def joined(
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
     do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
     lenses both were captured. `on_step` is called before each step, and may raise to stop."""
-    longest = max(_searched(first, second), _searched(second, first))
+    longest = max(first.times[-1], second.times[-1])
     if options.offset is None and longest > VIEWS.longest_view:
         most = f"{VIEWS.longest_view / 60.0:.0f} minutes"
         why = (
@@ -56,16 +56,11 @@ def joined(
     return fitted_to_both(best, first, options, verdict, on_step)
 
 
-def _searched(clip: Clip, other: Clip) -> float:
-    """Seconds of a view without gaps into which all of the other one fits."""
-    return float(np.minimum(np.diff(clip.times), other.times[-1]).sum())
-
-
 def _verdict(attempt: PairingAttempt, first: Clip, options: CaptureOptions) -> Verdict:
     found = attempt.found
     return verdict_of(
         Evidence(
-            offset_frames=by_even_frames(first, attempt.second, found.offset)[0] * first.take.fps,
+            offset_frames=found.offset * first.take.fps,
             error=max(found.error),
             residual=found.residual,
             common=attempt.common,

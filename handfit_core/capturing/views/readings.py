@@ -23,36 +23,12 @@ class Clip:
 
     take: Take
     lens_known: bool = False
-    stamps: np.ndarray | None = None
-    """(T,) seconds after its first frame, as the file tells them; None: as its rate says. Those that do not
-    rise lie evenly between those that do"""
-
-    def __post_init__(self) -> None:
-        if self.stamps is not None:
-            object.__setattr__(self, "stamps", _rising(self.stamps, 1.0 / self.take.fps))  # frozen
-
-    @property
-    def even_times(self) -> np.ndarray:
-        """(T,) seconds after its first frame, as its rate says."""
-        numbers = np.asarray(self.take.frame_numbers)
-        return (numbers - numbers[0]) / self.take.fps
 
     @property
     def times(self) -> np.ndarray:
         """(T,) seconds after its first frame."""
-        return self.even_times if self.stamps is None else self.stamps
-
-
-def _rising(stamps: np.ndarray, frame: float) -> np.ndarray | None:
-    """(T,) seconds of which some repeat, run back or are NaN -> such as rise strictly; `frame`: the seconds
-    that each one takes behind the last that does. None where none does but the first."""
-    latest = np.maximum.accumulate(np.where(np.isfinite(stamps), stamps, -np.inf))
-    rows = np.flatnonzero(latest > np.append(-np.inf, latest[:-1]))
-    if len(rows) < 2:
-        return None
-    at = np.arange(len(stamps))
-    outside = np.minimum(at - rows[0], 0) + np.maximum(at - rows[-1], 0)
-    return np.interp(at, rows, latest[rows]) + frame * outside
+        numbers = np.asarray(self.take.frame_numbers)
+        return (numbers - numbers[0]) / self.take.fps
 
 
 def readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tuple[Clip, bool]]:

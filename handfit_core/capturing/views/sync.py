@@ -8,7 +8,7 @@ detector's world landmarks. With r_c the correlation of channel c at a lag, the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -56,7 +56,6 @@ def offset_scores(pairs: Sequence[HandPair]) -> list[OffsetScore]:
     """The likeliest offsets of hands seen in both views, the best first; empty where too little is common."""
     from scipy.fft import next_fast_len  # slow to load
 
-    pairs, gaps = _without_gaps(pairs)
     rate = _STEPS * min(pairs[0].first.fps, pairs[0].second.fps)
     views = [pair.first for pair in pairs], [pair.second for pair in pairs]
     count = [1 + max(int(np.ceil(hand.times[-1] * rate)) for hand in view) for view in views]
@@ -67,76 +66,40 @@ def offset_scores(pairs: Sequence[HandPair]) -> list[OffsetScore]:
         a, known_a = _sampled(pair.first, rate, size)
         b, known_b = _sampled(pair.second, rate, size)
         least += VIEWS.least_overlap * min(known_a.sum(), known_b.sum())
-        n = _lagged(known_a, known_b)
-        common += n
+        moments = [_lagged(x, y) for x, y in (
+            (known_a, known_b), (a, known_b), (known_a, b), (a * a, known_b), (known_a, b * b), (a, b),
+        )]  # fmt: skip
+        n, of_a, of_b, of_aa, of_bb, of_ab = moments
+        common += n[:, 0]
         n = np.maximum(n, 1.0)
-        for x, y in zip(a, b, strict=True):  # one by one: films are long
-            of_a, of_b = _lagged(x, known_b) / n, _lagged(known_a, y) / n
-            of_aa, of_bb = _lagged(x * x, known_b) / n, _lagged(known_a, y * y) / n
-            variance = np.maximum(of_aa - of_a**2, 0.0) * np.maximum(of_bb - of_b**2, 0.0)
-            r = (_lagged(x, y) / n - of_a * of_b) / np.sqrt(variance + 1e-12)
-            total += -0.5 * np.log1p(-(np.clip(r, 0.0, 0.999) ** 2))
-        channel_count += len(a)
+        variance = np.maximum(of_aa / n - (of_a / n) ** 2, 0.0) * np.maximum(of_bb / n - (of_b / n) ** 2, 0.0)
+        r = (of_ab / n - of_a * of_b / n**2) / np.sqrt(variance + 1e-12)
+        total += -0.5 * np.log1p(-(np.clip(r, 0.0, 0.999) ** 2)).sum(axis=1)
+        channel_count += r.shape[1]
     score = np.where(common >= max(least, _STEPS * 5), total / channel_count, -1.0)
     # Lags beyond the first view's length are those before its start.
     lags = np.arange(size)
     lags = np.where(lags < count[0], lags, lags - size)
     order = np.argsort(lags)
-    found = _peaks(lags[order] / rate, score[order], VIEWS.peaks_apart * _STEPS)
-    return [replace(each, offset=gaps.longer(each.offset)) for each in found]
-
-
-@dataclass(frozen=True, eq=False)
-class _Gaps:
-    """Stretches without a hand, of which parts were left out: those that are longer than all of the other
-    view, whose hands are seen either before or behind them."""
-
-    first: np.ndarray
-    """(G, 2) seconds of the first view: where a gap begins once it and those before are shortened, and what
-    it has lost"""
-    second: np.ndarray
-    """The same of the second view"""
-    starts: tuple[float, float]
-    """seconds at which the first hand of each view is seen"""
-
-    def longer(self, offset: float) -> float:
-        """The offset of the views as they were, of those without the gaps."""
-        begun = [self.first[:, 0] < offset + self.starts[1], self.second[:, 0] < self.starts[0] - offset]
-        return float(offset + self.first[begun[0], 1].sum() - self.second[begun[1], 1].sum())
-
-
-def _without_gaps(pairs: Sequence[HandPair]) -> tuple[list[HandPair], _Gaps]:
-    """Pairs whose views have no gaps of which the length costs anything."""
-    views = [pair.first for pair in pairs], [pair.second for pair in pairs]
-    times = [np.unique(np.concatenate([hand.times for hand in view])) for view in views]
-    spans = [float(np.ptp(each)) + 1.0 for each in times]
-    gaps, shortened = [], []
-    for view, seen, span in zip(views, times, spans[::-1], strict=True):
-        lost = np.maximum(np.diff(seen) - span, 0.0)
-        before = np.append(0.0, np.cumsum(lost))
-        rows = np.flatnonzero(lost)
-        gaps.append(np.stack([(seen - before)[rows], lost[rows]], axis=1))
-        shortened.append(
-            [replace(hand, times=hand.times - np.interp(hand.times, seen, before)) for hand in view]
-        )
-    made = [replace(pair, first=a, second=b) for pair, a, b in zip(pairs, *shortened, strict=True)]
-    return made, _Gaps(gaps[0], gaps[1], (float(times[0][0]), float(times[1][0])))
+    return _peaks(lags[order] / rate, score[order], VIEWS.peaks_apart * _STEPS)
 
 
 def _sampled(hand: ViewedHand, rate: float, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """(C, size) channels, centred, smoothed and in even steps, and (size,) 1 where they are known, else 0."""
+    """(size, C) channels, centred, smoothed and in even steps, and (size, 1) where they are known."""
     from scipy.ndimage import gaussian_filter1d
 
     values = channels(hand)
     values = gaussian_filter1d(values - values.mean(axis=0), 1.0, axis=0)
     times = np.arange(size) / rate
-    known = hand.seen_at(times).astype(float)
-    return np.stack([known * np.interp(times, hand.times, column) for column in values.T]), known
+    known = hand.seen_at(times)[:, None].astype(float)
+    sampled = np.stack([np.interp(times, hand.times, column) for column in values.T], axis=1)
+    return sampled * known, known
 
 
 def _lagged(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(L,) sum over t of a[t] b[t - lag], for lags modulo L."""
-    return np.fft.irfft(np.fft.rfft(a) * np.conj(np.fft.rfft(b)), len(a))
+    """(L, C) sum over t of a[t] b[t - lag], for lags modulo L."""
+    spectrum = np.fft.rfft(a, axis=0) * np.conj(np.fft.rfft(b, axis=0))
+    return np.fft.irfft(spectrum, len(a), axis=0)
 
 
 def _peaks(lags: np.ndarray, score: np.ndarray, apart: float) -> list[OffsetScore]:

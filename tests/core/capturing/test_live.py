@@ -32,7 +32,6 @@ from handfit_core.capturing.live.streaming import (
     OneEuro,
 )
 from handfit_core.capturing.options import CaptureOptions
-from handfit_core.capturing.retiming import evenly_timed
 from handfit_core.common.arrays import unpack
 from handfit_core.common.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.geometry.camera import Intrinsics
@@ -278,7 +277,7 @@ def test_cameras_by_name(tmp_path):
     [
         ("999", "camera 999"),
         ("file:/nowhere/clip.mp4", "no such file"),
-        (f"file:{ROOT / 'README.md'}", "neither"),
+        (f"file:{ROOT / 'README.md'}", "this is a text"),
     ],
 )
 def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
@@ -346,8 +345,8 @@ def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
         waited(lambda: (frame := reader.newest(0.1)) is not None and frame.rgb.any())
         waited(lambda: reader.recording.frames > 1)
         written = reader.stop_recording()
-    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames()]
-    assert len(read) == written.frames
+    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames() if frame.rgb is not None]
+    assert 0 < len(read) <= written.frames  # of two that come at once the later one counts
     assert all(np.abs(rgb.astype(int) - frames[0].rgb[..., ::-1]).mean() < 20.0 for rgb in read)
 
 
@@ -431,14 +430,18 @@ def written(path: Path, frames: list[Frame], times: list[float]) -> ClipWriter:
     return writer
 
 
-def test_recording_has_its_frames_and_times(tmp_path, frames):
-    times = (np.arange(24) / 24.0 + np.random.default_rng(1).uniform(0.0, 0.005, 24)).tolist()
-    writer = written(tmp_path / "a.mkv", frames, times)
+def test_a_recording_has_its_frames_at_a_constant_rate(tmp_path, frames):
+    """A camera's jitter goes, and a break of five seconds stays one, in which there are no pictures."""
+    times = np.arange(24) / 30.0 + np.random.default_rng(1).uniform(-0.004, 0.004, 24)
+    times[12:] += 5.0
+    writer = written(tmp_path / "a.mkv", frames, times.tolist())
     media = open_media(tmp_path / "a.mkv")
-    assert media.expected_frames == writer.frames == len(frames)
-    assert media.fps == pytest.approx(1.0 / np.median(np.diff(times)), rel=1e-6)
-    np.testing.assert_allclose(media.recorded_times(), np.array(times) - times[0], atol=1e-4)
-    pictures = [frame.rgb for frame in media.frames()]
+    assert media.fps == writer.fps == 30.0
+    assert media.expected_frames == 24 + 150
+    read = list(media.frames())
+    shown = [frame.number for frame in read if frame.rgb is not None]
+    assert shown == [*range(1, 13), *range(163, 175)]
+    pictures = [frame.rgb for frame in read if frame.rgb is not None]
     apart = [np.abs(a.astype(int) - b.rgb).mean() for a, b in zip(pictures, frames, strict=True)]
     assert max(apart) < 3.0
 
@@ -448,43 +451,6 @@ def test_recording_that_is_cut_off_can_be_read(tmp_path, frames):
     written(path, frames[:8], [i / 30 for i in range(8)])
     path.write_bytes(path.read_bytes()[:-1000])
     assert len([f for f in open_media(path).frames() if f.rgb is not None]) >= 7
-
-
-def test_recorded_take_is_even_in_time(tmp_path, frames, take):
-    """Frames that came at uneven times give a motion at even ones; even ones give the clip's own."""
-    even = evenly_timed(take, np.arange(24) / 24.0)
-    for track, before in zip(even.hands, take.hands, strict=True):
-        np.testing.assert_allclose(track.hand_pose, before.hand_pose, atol=1e-6)
-        np.testing.assert_allclose(track.transl, before.transl, atol=1e-6)
-    times = np.where(np.arange(24) < 12, np.arange(24), np.arange(24) + 6.0) / 24.0  # a stall in the middle
-    times[5] += 0.01
-    moved = evenly_timed(take, times)
-    (hand,), (before,) = moved.hands, take.hands
-    assert moved.fps == pytest.approx(24.0)
-    assert moved.frame_numbers.tolist() == list(range(1, 31))
-    moments = np.arange(30) / 24.0
-    for axis in range(3):
-        np.testing.assert_allclose(
-            hand.transl[:, axis], np.interp(moments, times, before.transl[:, axis]), atol=1e-9
-        )
-    np.testing.assert_array_equal(hand.detected, np.abs(np.arange(30) - 14.5) > 3.0)
-
-
-def test_break_of_a_recording_has_no_hand(take, caplog):
-    """Five seconds without a picture slow nothing down."""
-    moved = evenly_timed(take, (np.arange(24) + 120.0 * (np.arange(24) >= 12)) / 24.0)
-    (hand,), (before,) = moved.hands, take.hands
-    assert moved.fps == pytest.approx(24.0)
-    there = np.append(np.arange(12), np.arange(132, 144))
-    assert np.flatnonzero(hand.present).tolist() == np.flatnonzero(hand.detected).tolist() == there.tolist()
-    np.testing.assert_allclose(hand.transl[there], before.transl, atol=1e-9)
-    assert "no pictures came for 5.0 s in all" in caplog.text
-
-
-def test_recording_names_the_rate_between_its_breaks(tmp_path, frames):
-    times = [i / 24.0 + 5.0 * (i >= 12) for i in range(24)]
-    writer = written(tmp_path / "a.mkv", frames, times)
-    assert (writer.fps, open_media(tmp_path / "a.mkv").fps) == pytest.approx((24.0, 24.0), rel=1e-6)
 
 
 def test_pictures_that_turn_keep_their_shape(tmp_path, frames, caplog):
@@ -531,8 +497,7 @@ def test_recorded_clip_is_captured_as_the_file(tmp_path):
     assert [hand.side for hand in found.hands] == [hand.side for hand in again.hands]
     for one, other in zip(found.hands, again.hands, strict=True):
         np.testing.assert_allclose(one.hand_pose, other.hand_pose, atol=1e-6)
-    steps = np.diff(open_media(path).recorded_times())
-    assert found.fps == pytest.approx(1.0 / np.median(steps), rel=0.01)
+    assert found.fps == pytest.approx(24.0, abs=3.0)
 
 
 @pytest.mark.slow
