@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from handfit_core.common.errors import HandfitError
+from handfit_core.common.errors import HandfitError, InputError
 from handfit_core.common.files import cache_dir, is_file, written_whole
 from handfit_core.media.heif import HEIF
 from handfit_core.media.opening import open_media
@@ -64,7 +64,9 @@ def write_copy(source: Source, max_megapixels: float | None = None) -> None:
 def _write_photo(path: Path, media: Media) -> None:
     import cv2
 
-    rgb = next(frame.rgb for frame in media.frames() if frame.rgb is not None)
+    rgb = next((frame.rgb for frame in media.frames()), None)
+    if rgb is None:
+        raise InputError(f"{media.source.files[0]}: cannot be read")
     encoded = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 98])[1]
     path.write_bytes(encoded.tobytes())
 
