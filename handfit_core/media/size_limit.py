@@ -99,7 +99,7 @@ def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
     one that it cannot read, and one that is too large."""
     if is_file(path) and is_heif(path):
-        raise InputError(f"{path}: this is a HEIC or AVIF photo, which Blender cannot show")
+        raise InputError(f"{path}: this is a HEIC or AVIF photo, which few Blenders read; export it as JPEG")
     (check_picture if is_picture(path) else check_video)(path, max_megapixels)
 
 

@@ -98,7 +98,7 @@ def test_a_damaged_photo_is_a_sentence(tmp_path, data, said):
 
 def test_a_phones_photo_is_not_for_blender(tmp_path):
     (tmp_path / "a.heic").write_bytes(four())
-    with pytest.raises(InputError, match="HEIC or AVIF photo, which Blender cannot show"):
+    with pytest.raises(InputError, match="HEIC or AVIF photo, which few Blenders read"):
         check_for_blender(tmp_path / "a.heic")
 
 
