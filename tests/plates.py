@@ -43,10 +43,8 @@ def heic(
 ) -> bytes:
     """A photo of `size`, of one tile or a `grid` of (columns, rows); `more` boxes turn or crop it."""
     count = len(tiles)
-    items = [data for _, data in tiles]
-    if grid:
-        items.append(struct.pack(">4B2H", 0, 0, grid[1] - 1, grid[0] - 1, *size))
-    main = len(items)
+    layout = struct.pack(">4B2H", 0, 0, grid[1] - 1, grid[0] - 1, *size) if grid else b""
+    main = count + bool(grid)
     kinds = [b"hvc1"] * count + [b"grid"] * (main - count)
     entries = [
         box(b"infe", b"\2\0\0\0", struct.pack(">HH", i, 0), kind, b"\0") for i, kind in enumerate(kinds, 1)
@@ -60,22 +58,25 @@ def heic(
 
     def meta(start: int) -> bytes:
         places = []
-        for i, data in enumerate(items, 1):
-            places.append(struct.pack(">HHHII", i, 0, 1, start, len(data)))
+        for i, (_, data) in enumerate(tiles, 1):
+            places.append(struct.pack(">HHHHII", i, 0, 0, 1, start, len(data)))
             start += len(data)
+        if grid:  # in a box beside the list, as phones have it
+            places.append(struct.pack(">HHHHII", main, 1, 0, 1, 0, len(layout)))
         refers = struct.pack(f">HH{count}H", main, count, *range(1, count + 1))
         return box(
             b"meta",
             bytes(4),
             box(b"pitm", bytes(4), struct.pack(">H", main)),
-            box(b"iloc", bytes(4), b"\x44\0", struct.pack(">H", main), *places),
+            box(b"iloc", b"\1\0\0\0", b"\x44\0", struct.pack(">H", main), *places),
             box(b"iinf", bytes(4), struct.pack(">H", main), *entries),
             box(b"iprp", known, box(b"ipma", bytes(4), struct.pack(">I", main), *links)),
+            box(b"idat", layout),
             *([box(b"iref", bytes(4), box(b"dimg", refers))] if grid else []),
         )
 
     kind = box(b"ftyp", b"heic", bytes(4), b"mif1heic")
-    return kind + meta(len(kind) + len(meta(0)) + 8) + box(b"mdat", *items)
+    return kind + meta(len(kind) + len(meta(0)) + 8) + box(b"mdat", *(data for _, data in tiles))
 
 
 def exr(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from handfit_core.common.errors import InputError
-from handfit_core.common.files import path_of, shown, why
+from handfit_core.common.files import path_of, printable, shown, why
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.headers import is_animated
 from handfit_core.media.kinds import what_is
@@ -121,7 +121,9 @@ def pictures_and_others(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def _files_in(folder: Path) -> list[Path]:
-    """The files of a folder that are not hidden."""
+    """The files of a folder that are not hidden; none where there is no such folder."""
+    if not folder.is_dir():
+        return []
     # Asking a path whether it is a file would ask the disk, once for each.
     with os.scandir(folder) as entries:
         names = {entry.name for entry in entries if entry.name[0] != "." and entry.is_file()}
@@ -140,7 +142,8 @@ def to_read(
     if len(best) < len(pictures) - sum(map(len, numbered)):
         best = []
     elif best:
-        left = [[file.name for _, file in each] for each in series if each is not best]
+        left = [[file.name for _, file in sorted(each)] for each in series if each is not best]
+        best = sorted(best)
         pictures = [file for _, file in best]
     if left:
         tie = "longest" if max(map(len, left)) < len(best) else "first of the longest"
@@ -151,7 +154,7 @@ def to_read(
     count = sum(map(len, left)) + len(others)
     if count:
         are = "file is" if count == 1 else "files are"
-        said = f"{where}: {said}{count} {are} left out: {', '.join([*names, *_kinds(others)])}"
+        said = printable(f"{where}: {said}{count} {are} left out: {', '.join([*names, *_kinds(others)])}")
     return pictures, [number for number, _ in best] or None, said
 
 
@@ -235,7 +238,7 @@ def matching(pattern: Path) -> tuple[list[Path], list[int] | None]:
         found = [glob.glob(str(Path(glob.escape(str(pattern.parent))) / part)) for part in parts]
         files = map(Path, found[0] or found[1])
         return sorted((p for p in files if p.suffix.lower() in PHOTO_SUFFIXES), key=_natural), None
-    files = _files_in(pattern.parent) if pattern.parent.is_dir() else []
+    files = _files_in(pattern.parent)
     for place in reversed(places[-_MOST_NAMED:]):  # a name may also have "#3" and "100%done" in it
         number = re.compile(re.escape(name[: place.start()]) + r"(-?\d+)" + re.escape(name[place.end() :]))
         numbered = sorted((int(match[1]), p) for p in files if (match := number.fullmatch(p.name)))

@@ -102,7 +102,7 @@ def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -
     one that it cannot read, one that is too large, and a video with %d in its name whose ending does not keep
     its FFmpeg from taking that for the numbers of pictures."""
     if is_file(path) and is_heif(path):
-        raise InputError(f"{path}: this is a HEIC or AVIF photo, which Blender cannot show")
+        raise InputError(f"{path}: this is a HEIC or AVIF photo, which few Blenders read; export it as JPEG")
     if is_picture(path):
         check_picture(path, max_megapixels)
         return

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from handfit_core.common.errors import InputError
+from handfit_core.media.exif import read_focal_35mm
 from handfit_core.media.headers import Header, is_animated, read_picture_header
 from handfit_core.media.kinds import what_is
 from handfit_core.media.opening import open_media
@@ -45,6 +46,7 @@ def test_a_phones_photo_is_joined_of_its_tiles(tmp_path):
     assert rgb[63, 10].argmax() == 0
     assert rgb[64, 10].min() > 150
     assert read_picture_header(io.BytesIO(four())) == Header(100, 90)
+    assert read_focal_35mm(four() + b"\0\0\0\6Exif\0\0" + tiff_block(1, ">", 26)) == 26.0
     single = heic([tile(RED)], (64, 64))
     np.testing.assert_allclose(read(tmp_path / "b.heic", single)[20, 20], RED, atol=6)
 
@@ -98,7 +100,7 @@ def test_a_damaged_photo_is_a_sentence(tmp_path, data, said):
 
 def test_a_phones_photo_is_not_for_blender(tmp_path):
     (tmp_path / "a.heic").write_bytes(four())
-    with pytest.raises(InputError, match="HEIC or AVIF photo, which Blender cannot show"):
+    with pytest.raises(InputError, match="HEIC or AVIF photo, which few Blenders read"):
         check_for_blender(tmp_path / "a.heic")
 
 
