@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -34,31 +35,32 @@ def decoded_by_ffmpeg(path: Path, data: bytes) -> tuple[np.ndarray, int] | None:
         if data.startswith((b"SDPX", b"XPDS")):
             # Logarithmic film densities, too, are taken as they would be shown.
             return _one("dpx", data).to_ndarray(format="bgr24"), 1
-    except (ValueError, LookupError, struct.error) as error:  # FFmpeg's errors are ValueErrors, too
+    except (ValueError, LookupError, struct.error) as error:
         raise InputError(f"{path}: {what_is(path)}") from error
     return None
 
 
-def _frames(decoder: str, packets: Sequence[bytes], **options: object) -> Iterator[av.VideoFrame]:
-    """The pictures of packets, which are numbered by `pts`. Raises ValueError."""
+def _frames(decoder: str, packets: Sequence[bytes], **options: object) -> Iterator[tuple[int, av.VideoFrame]]:
+    """The pictures of those packets that can be read, with the packets' indices."""
     import av
+    from av.error import FFmpegError
 
-    context = av.CodecContext.create(decoder, "r")
+    context: Any = av.CodecContext.create(decoder, "r")
     context.thread_type = "AUTO"
     context.extradata = options.pop("extradata", None)
     context.options = {name: str(value) for name, value in options.items()}
-    try:
-        for number, data in enumerate((*packets, None)):
-            packet = None if data is None else av.Packet(data)
-            if packet is not None:
-                packet.pts = number
-            yield from context.decode(packet)
-    except av.FFmpegError as error:
-        raise ValueError(str(error)) from error
+    for index, data in enumerate((*packets, None)):
+        packet = None if data is None else av.Packet(data)
+        if packet is not None:
+            packet.pts = index
+        with contextlib.suppress(FFmpegError):
+            for frame in context.decode(packet):
+                if not frame.is_corrupt and frame.pts is not None:
+                    yield frame.pts, frame
 
 
 def _one(decoder: str, data: bytes, **options: object) -> av.VideoFrame:
-    for frame in _frames(decoder, [data], **options):
+    for _, frame in _frames(decoder, [data], **options):
         return frame
     raise ValueError("no picture")
 
@@ -81,9 +83,8 @@ def _exr(path: Path, data: bytes) -> np.ndarray:
         )
     frame = _one("exr", data, **({"layer": layer} if layer else {}))
     kind = np.float16 if "f16" in frame.format.name else np.float32
-    planes = [
-        np.frombuffer(plane, kind).reshape(plane.height, -1)[:, : plane.width] for plane in frame.planes
-    ]
+    planes: list[Any] = list(frame.planes)
+    planes = [np.frombuffer(each, kind).reshape(each.height, -1)[:, : each.width] for each in planes]
     if len(planes) < 3:
         return planes[0].copy()
     return np.stack([planes[1], planes[0], planes[2]], axis=-1)  # FFmpeg has green, blue, red
@@ -103,12 +104,12 @@ def _heif(path: Path, data: bytes) -> tuple[np.ndarray, int]:
     pixels = np.zeros((found.height, found.width, 3), dtype=np.uint8)
     missing = set(range(len(packets)))
     most = (wide + _MORE_PIXELS) * (high + _MORE_PIXELS)
-    for frame in _frames(found.decoder, packets, extradata=found.extradata, max_pixels=most):
-        row, column = divmod(frame.pts, found.columns)
+    for index, frame in _frames(found.decoder, packets, extradata=found.extradata, max_pixels=most):
+        row, column = divmod(index, found.columns)
         place = pixels[row * high : (row + 1) * high, column * wide : (column + 1) * wide]
         tile = frame.to_ndarray(format="bgr24")[: place.shape[0], : place.shape[1]]
         place[: tile.shape[0], : tile.shape[1]] = tile
-        missing.discard(frame.pts)
+        missing.discard(index)
     if missing:
         raise InputError(
             f"{path}: this is a HEIC or AVIF photo of which {len(missing)} of {len(packets)} tiles are "

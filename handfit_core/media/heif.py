@@ -60,15 +60,14 @@ def read_heif(stream: BinaryIO) -> Heif | None:
     places = dict(_places(boxes[b"iloc"][1], boxes.get(b"idat", (0, b""))[0], size))
     of_main = properties[primary]
     width, height = struct.unpack_from(">4xII", dict(of_main)[b"ispe"])
-    tiles = [primary]
+    tiles, told = (primary,), (1, 1)
     if kinds[primary] == b"grid":
         tiles = dict(_tiles(boxes[b"iref"][1]))[primary]
         ((at, length),) = places[primary]
         stream.seek(at)
         _, wide, rows, columns, *output = stream.read(length)
         width, height = struct.unpack_from(">II" if wide & 1 else ">HH", bytes(output))
-        if len(tiles) != (rows + 1) * (columns + 1):
-            return None
+        told = columns + 1, rows + 1
     of_tile = dict(properties[tiles[0]])
     tile_width, tile_height = struct.unpack_from(">4xII", of_tile[b"ispe"])
     if kinds[tiles[0]] not in _DECODERS or not (tile_width and tile_height and width and height):
@@ -81,9 +80,7 @@ def read_heif(stream: BinaryIO) -> Heif | None:
         *(decoder, of_tile[needed], max(of_tile.get(b"pixi", bytes(5) + b"\x08")[5:])),
     )
     grid = found.columns, -(-height // tile_height)
-    if kinds[primary] == b"grid" and grid != (columns + 1, rows + 1):
-        return None
-    return found if grid == (1, 1) or len(tiles) > 1 else None
+    return found if grid == told and len(tiles) == told[0] * told[1] else None
 
 
 def _meta(stream: BinaryIO) -> tuple[int, bytes]:
@@ -169,17 +166,17 @@ def _places(data: bytes, idat: int, end: int) -> Iterator[tuple[int, tuple[tuple
             yield item, tuple(extents)
 
 
-def _crop(aperture: bytes | None, *size: int) -> tuple[int, int, int, int]:
+def _crop(aperture: bytes | None, width: int, height: int) -> tuple[int, int, int, int]:
     """Of a picture of that size; its middle and its own size are told as fractions."""
     if aperture is None:
-        return 0, 0, *size
+        return 0, 0, width, height
     values = struct.unpack(">4I4i", aperture[:32])
     first, last = [], []
-    for i, whole in enumerate(size):
+    for i, whole in enumerate((width, height)):
         part, away = (values[at] / max(values[at + 1], 1) for at in (2 * i, 2 * i + 4))
         first.append(min(max(round((whole - part) / 2 + away), 0), whole - 1))
         last.append(min(max(first[i] + round(part), first[i] + 1), whole))
-    return *first, *last
+    return first[0], first[1], last[0], last[1]
 
 
 def _orientation(properties: list[tuple[bytes, bytes]]) -> int:

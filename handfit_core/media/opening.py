@@ -35,7 +35,7 @@ MediaInput = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 log = logging.getLogger("handfit")
 
 _NUMBER_IN_PATTERN = re.compile(r"%0?\d*d|#+")
-_LAST_NUMBER = re.compile(r"(-?)(\d+)(\D*)$")
+_LAST_NUMBER = re.compile(r"(.*?)(-?)(\d+)(\D*(?:\.[^.]*)?)", re.DOTALL)
 _MOST_NAMED = 5
 """Series, kinds of files and places for a number that are looked at"""
 _NOT_MISSED = frozenset(".npz .json .blend .db .ini".split(" "))
@@ -58,7 +58,8 @@ def open_media(
             for file in files:
                 if not file.is_file():
                     raise InputError(f"{shown(file)}: there is no such file")
-            media = _open_pictures(files, sequence_numbers(files), "", wanted, "the list of pictures")
+            numbers = sequence_numbers(files) if len(files) > 1 else None
+            media = _open_pictures(files, numbers, "", wanted, "the list of pictures")
             media.given, media.wanted = [str(p) for p in source], wanted
             return media
         if not str(source):
@@ -168,18 +169,18 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
 
     Numbers with wide gaps are no frames but a camera's counter or a time of day, as phones name photos.
     """
-    series = list(_series(files).values())
-    numbers = [number for number, _ in series[0]] if len(series) == 1 else []
-    return numbers if _are_frames(numbers) else None
+    series = _series(files)
+    numbers = [number for name, each in series.items() for number, _ in each if len(name) > 1]
+    return numbers if len(series) == 1 and _are_frames(numbers) else None
 
 
 def numbered_like(file: Path) -> list[tuple[int, Path]]:
     """The files beside `file`, itself included, that differ from it in the last number of their names only,
     with that number; none where its name has no number."""
     beside = [each for each in _files_in(file.parent) if each.name.endswith(file.suffix)]
-    for each in _series(beside).values():
-        if file in (found for _, found in each):
-            return sorted(each) if _LAST_NUMBER.search(file.stem) else []
+    for name, each in _series(beside).items():
+        if len(name) > 1 and file in (found for _, found in each):
+            return sorted(each)
     return []
 
 
@@ -189,13 +190,14 @@ def _series(files: Sequence[Path]) -> dict[tuple[str, ...], list[tuple[int, Path
     As Blender writes negative numbers, a minus is one behind `_`, `.` or nothing, and behind anything
     where the same name without it is there, too.
     """
-    parts: list[tuple[tuple[str, str, str], str, int, Path]] = []
+    parts: list[tuple[tuple[str, ...], str, int, Path]] = []
     for file in files:
-        stem, dot, suffix = file.name.rpartition(".")
-        stem, suffix = (stem, suffix.lower()) if dot else (suffix, "")
-        match = _LAST_NUMBER.search(stem)
-        head, minus, number, tail = (stem[: match.start()], *match.groups()) if match else (stem, "", "", "?")
-        parts.append(((head, tail, suffix), minus, int(number or 0), file))
+        match = _LAST_NUMBER.fullmatch(file.name)
+        if match:
+            head, minus, number, tail = match.groups()
+            parts.append(((head, tail), minus, int(number), file))
+        else:
+            parts.append(((file.name,), "", 0, file))
     positive = {name for name, minus, _, _ in parts if not minus}
     found: dict[tuple[str, ...], list[tuple[int, Path]]] = {}
     for name, minus, number, file in parts:

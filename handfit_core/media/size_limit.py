@@ -44,6 +44,7 @@ cameras."""
 VIDEO: Final = Limit(12.0, 80.0)
 """4K has 8.3 to 12, 8K 36 and 12K 80. Decoders keep up to some 30 frames at once, of one and a half bytes a
 pixel."""
+_NO_PATTERNS: Final = frozenset(".mp4 .mov .m4v .mkv .webm .avi .mts .m2ts .mxf .wmv .mpg .mpeg .ogv".split())
 LONGEST_SIDE: Final = 65_535
 """Pixels; no JPEG is longer"""
 
@@ -98,15 +99,15 @@ def pixel_limit(path: Path, max_megapixels: float | None) -> int:
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
-    one that it cannot read, one that is too large, and a video with %d in its name, which its FFmpeg takes
-    for that of other files."""
+    one that it cannot read, one that is too large, and a video with %d in its name whose ending does not keep
+    its FFmpeg from taking that for the numbers of pictures."""
     if is_file(path) and is_heif(path):
         raise InputError(f"{path}: this is a HEIC or AVIF photo, which Blender cannot show")
     if is_picture(path):
         check_picture(path, max_megapixels)
         return
     check_video(path, max_megapixels)
-    if re.search(r"%\d*d", str(path.absolute())):
+    if path.suffix.lower() not in _NO_PATTERNS and re.search(r"%\d*d", str(path.absolute())):
         raise InputError(
             f"{path}: Blender takes %d in the names of a video and its folders for other files; rename them"
         )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import glob
 import logging
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,7 +15,7 @@ from handfit_core.media.opening import (
     PHOTO_SUFFIXES,
     VIDEO_SUFFIXES,
     is_pattern,
-    pictures_in,
+    pictures_and_others,
     to_read,
 )
 from handfit_core.take import is_take
@@ -55,9 +55,11 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
     """
     path = Path(text).expanduser()
     if path.is_dir():
-        videos = sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.name[0] != ".")
-        pictures = [p for p in pictures_in(path) if not p.name.endswith(_OURS)]
-        jobs = _group(pictures, grouping, path) + [_one_file(v) for v in videos]
+        pictures, others = pictures_and_others(path)
+        pictures, others = ([p for p in files if not p.name.endswith(_OURS)] for files in (pictures, others))
+        videos = sorted(p for p in others if p.suffix.lower() in VIDEO_SUFFIXES)
+        left = [p for p in others if p.suffix.lower() not in VIDEO_SUFFIXES] if pictures or videos else []
+        jobs = _group(pictures, grouping, path, left) + [_one_file(v) for v in videos]
         if not jobs and is_recording(path):
             return [Input(text, path.resolve().name, (str(path),))]
         return jobs or [Input(text, path.resolve().name, error=f"{text}: no photos or videos in this folder")]
@@ -81,12 +83,13 @@ def _one_file(path: Path) -> Input:
     return Input(str(path), path.stem, (str(path),))
 
 
-def _group(pictures: list[Path], grouping: str | None, folder: Path) -> list[Input]:
-    numbers = None
-    if grouping is None:
-        pictures, numbers, said = to_read(folder, pictures)
-        if said:
-            log.warning("%s", said)
+def _group(
+    pictures: list[Path], grouping: str | None, folder: Path, others: Sequence[Path] = ()
+) -> list[Input]:
+    chosen, numbers, said = to_read(folder, [] if grouping else pictures, others)
+    pictures = chosen or pictures
+    if said:
+        log.warning("%s", said)
     if len(pictures) > 1 and (numbers or grouping == "sequence"):
         shown = f"{pictures[0]} ... {pictures[-1].name} ({len(pictures)} pictures)"
         return [Input(shown, folder.resolve().name, tuple(map(str, pictures)))]

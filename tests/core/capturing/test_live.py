@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import queue
 import resource
 import shutil
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -276,7 +277,7 @@ def test_cameras_by_name(tmp_path):
     [
         ("999", "camera 999"),
         ("file:/nowhere/clip.mp4", "no such file"),
-        (f"file:{ROOT / 'README.md'}", "neither"),
+        (f"file:{ROOT / 'README.md'}", "this is a text"),
     ],
 )
 def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
@@ -287,7 +288,7 @@ def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
 class Station:
     """A camera on 127.0.0.1 that can be silent, and sends all pictures to whoever connects."""
 
-    def __init__(self, pictures: list[np.ndarray | bytes]) -> None:
+    def __init__(self, pictures: Iterable[np.ndarray | bytes]) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         self.address = f"http://127.0.0.1:{self.server.getsockname()[1]}/x"
         self.pictures, self.silent = pictures, True
@@ -329,8 +330,8 @@ def test_address_that_stalls_is_told_of_and_tried_again(station, monkeypatch):
 
 
 def test_address_that_sends_no_pictures_is_told_of(station, monkeypatch):
-    monkeypatch.setattr(camera, "CAMERA", replace(camera.CAMERA, answer_seconds=0.3, retry_seconds=0.05))
-    station.pictures, station.silent = [b"<html>no picture</html>"] * 100, False
+    monkeypatch.setattr(camera, "CAMERA", replace(camera.CAMERA, answer_seconds=1.0, retry_seconds=0.05))
+    station.pictures, station.silent = itertools.repeat(b"x" * 100), False
     with LiveReader(LiveSource(address=station.address)) as reader:
         waited(lambda: "or sends no pictures that can be read" in reader.problem)
 
@@ -344,8 +345,8 @@ def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
         waited(lambda: (frame := reader.newest(0.1)) is not None and frame.rgb.any())
         waited(lambda: reader.recording.frames > 1)
         written = reader.stop_recording()
-    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames()]
-    assert len(read) == written.frames
+    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames() if frame.rgb is not None]
+    assert 0 < len(read) <= written.frames  # of two that come at once the later one counts
     assert all(np.abs(rgb.astype(int) - frames[0].rgb[..., ::-1]).mean() < 20.0 for rgb in read)
 
 
