@@ -16,6 +16,11 @@ from typing import Any
 import bpy
 
 
+def turns_movies() -> bool:
+    """Whether Blender turns a movie as its display matrix says. Nothing but the version tells."""
+    return bpy.app.version >= (4, 4)
+
+
 def action_slot(user: Any) -> Any:
     """The slot that animation data or an NLA strip uses; None for none, and before Blender 4.4."""
     return getattr(user, "action_slot", None)

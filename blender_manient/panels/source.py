@@ -37,6 +37,8 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
             sentence(layout, context, info.problem, "INFO" if missing else "ERROR")
             return
         self._describe(context, info)
+        if info.files.left_out:
+            sentence(layout, context, info.files.left_out, "INFO")
         if info.unsized:
             sentence(layout, context, "How large are its pictures? The file does not say", "QUESTION")
             size = layout.row(align=True)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Generator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor
 from pathlib import Path
 
@@ -13,17 +14,30 @@ import numpy as np
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import is_file
 from handfit_core.common.slices import run_to_completion
-from handfit_core.media.exif import upright
-from handfit_core.media.opening import numbered_like, sequence_numbers
+from handfit_core.media.copies import copy_path
+from handfit_core.media.opening import sequence_numbers
 from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
 from handfit_core.take import Take
 
 from ..common import preferences
+from ..common.blender_versions import turns_movies
 from .timing import Timing
 
-_MOST_TURNED = 16e6
-"""Pixels of a turned copy: turning takes 36 bytes for each, and a copy of 100 megapixels would bloat the
-.blend"""
+_UPRIGHT = {
+    1: (False, False, 0),
+    2: (True, False, 0),
+    3: (True, True, 0),
+    4: (False, True, 0),
+    5: (True, False, -1),
+    6: (False, False, 1),
+    7: (True, False, 1),
+    8: (False, False, -1),
+}
+"""EXIF orientation -> whether the stored picture is flipped in x and in y, and how many quarter turns
+clockwise it is given then, so that it is upright"""
+_AFTER_BLENDERS_TURN = {2: 4, 4: 4, 5: 2, 7: 2}
+"""Orientation of a movie -> the one that is left where Blender has turned it: it takes a display matrix for
+the rotation of the picture's x axis, and knows no reflections"""
 
 _WHOLE = 1e-6
 """frames within which a moment is that of a frame"""
@@ -40,8 +54,26 @@ class Plate:
     offset_driver: str = ""
     """What drives the offset where scene frames are not the source's: a simple expression of `frame`, which
     Blender evaluates without Python"""
-    mirrored: bool = False
-    """Whether left and right are exchanged where it is shown"""
+    orientation: int = 1
+    """The EXIF orientation (1-8) that the image has, and that is undone where it is shown"""
+
+    @property
+    def placing(self) -> tuple[bool, bool, int]:
+        """Whether the image is flipped in x and in y where it is shown, and how many quarter turns clockwise
+        (-1, 0 or 1) it is given after that."""
+        return _UPRIGHT[self.orientation]
+
+    def mirrored(self) -> Plate:
+        """The same, with left and right exchanged where it is shown."""
+        return replace(self, orientation=(self.orientation - 1 ^ 1) + 1)
+
+    def places(self, uv: np.ndarray) -> np.ndarray:
+        """(N, 2) texture coordinates in the image of those in the upright picture."""
+        flip_x, flip_y, turns = self.placing
+        x, y = np.asarray(uv).T - 0.5
+        for _ in range(turns % 4):
+            x, y = -y, x
+        return 0.5 + np.stack([-x if flip_x else x, -y if flip_y else y], axis=-1)
 
     def apply_timing(self, user: bpy.types.ImageUser) -> None:
         """Set an image user (of a background image or of a texture node)."""
@@ -88,8 +120,7 @@ def loading_plate(
     timing = timing or Timing()
     if take.source.kind == "data":
         return None, []
-    # Absolute, since Blender's FFmpeg takes a relative name that begins with "http:" for an address.
-    path = Path(take.source.files[0]).absolute()
+    path, is_copy = shown_file(take)
     if not is_file(path):
         return None, [f"{path}: the picture is not there any more, so nothing is shown behind the hands"]
     refused = yield from _checking(path, take, max_megapixels or preferences.get().max_megapixels or None)
@@ -100,12 +131,13 @@ def loading_plate(
         image = bpy.data.images.load(str(path), check_existing=False)
     except RuntimeError:
         return None, [_unreadable(path)]
+    if take.source.kind == "video":
+        image.source = "MOVIE"
     size = tuple(image.size)  # asked here, since as a sequence it is that of a frame not yet chosen
     if 0 in size:
         bpy.data.images.remove(image)
         return None, [_unreadable(path)]
     if take.source.kind == "video":
-        image.source = "MOVIE"
         plate = movie_plate(image, take, timing)
     elif take.source.kind == "sequence":
         image.source = "SEQUENCE"
@@ -114,11 +146,31 @@ def loading_plate(
         plate = Plate(image, _first_scene_frame(take, timing), first - 1, last - first + 1)
     else:
         plate = Plate(image)
-    if take.source.kind == "photo" and take.source.orientation != 1:
-        plate = Plate(_upright_copy(image, take.source.orientation))
-        bpy.data.images.remove(image)
-        size = size[::-1] if take.source.orientation in (5, 6, 7, 8) else size
-    return plate, _mismatches(path, size, take)
+    orientation = 1 if is_copy else take.source.orientation
+    if is_copy and take.source.kind == "photo":
+        image.name = take.source.name
+        image.pack()
+    if take.source.kind == "video" and turns_movies():
+        orientation = _AFTER_BLENDERS_TURN.get(orientation, 1)
+    plate = replace(plate, orientation=orientation)
+    turned = plate.placing[2] != 0
+    pixel = size[1] / size[0] * (1.0 / picture_aspect(take) if turned else picture_aspect(take))
+    image.display_aspect = (max(1.0, pixel), max(1.0, 1.0 / pixel))
+    return plate, _mismatches(path, size[::-1] if turned else size, take)
+
+
+def shown_file(take: Take) -> tuple[Path, bool]:
+    """The file that Blender shows, and whether it is a copy, upright, of one that it cannot read."""
+    copy = copy_path(take.source)
+    if copy is not None and is_file(copy):
+        return copy, True
+    # Absolute, since Blender's FFmpeg takes a relative name that begins with "http:" for an address.
+    return Path(take.source.files[0]).absolute(), False
+
+
+def picture_aspect(take: Take) -> float:
+    """How wide the upright picture is if it is one high, as the scene was seen."""
+    return take.width * take.intrinsics.fy / (take.height * take.intrinsics.fx)
 
 
 def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator[None, None, str]:
@@ -126,9 +178,14 @@ def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator
     opened, or nothing. A take may name any file, and Blender opens pictures of a sequence that no take
     names."""
     files = [path]
-    if take.source.kind == "sequence":
+    number = re.search(r"\d+(?=\D*$)", path.stem)
+    if take.source.kind == "sequence" and number is not None:
+        # All that has such a name counts: Blender would wait for a pipe.
         first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
-        files += [file for number, file in numbered_like(path) if first <= number <= last]
+        like = re.escape(path.name[: number.start()]), re.escape(path.name[number.end() :])
+        found = ((re.fullmatch(r"(\d+)".join(like), file.name), file) for file in path.parent.iterdir())
+        numbered = sorted((int(match[1]), file) for match, file in found if match)
+        files += [file for n, file in numbered if first <= n <= last or first <= -n <= last]
     limit = common_limit(files, max_megapixels)
     for file in files:
         yield
@@ -148,18 +205,14 @@ def _unreadable(path: Path) -> str:
 def _mismatches(path: Path, size: tuple[int, ...], take: Take) -> list[str]:
     """Where what Blender shows is not what the capture saw."""
     files = [Path(f) for f in take.source.files]
-    if take.source.kind == "sequence":
-        if sequence_numbers(files) != [int(n) for n in take.frame_numbers]:
-            return [
-                f"{path.parent}: the pictures' names are not one numbered sequence, so Blender cannot show "
-                "them one after the other behind the hands; number them to see them"
-            ]
-        if take.source.orientation != 1:
-            return [
-                f"{path}: the pictures are stored turned (EXIF orientation {take.source.orientation}), which "
-                "Blender does not undo in sequences; save them upright to see them behind the hands"
-            ]
-    if size != (take.width, take.height):
+    if take.source.kind == "sequence" and sequence_numbers(files) != [int(n) for n in take.frame_numbers]:
+        return [
+            f"{path.parent}: the pictures' names are not one numbered sequence, so Blender cannot show "
+            "them one after the other behind the hands; number them to see them"
+        ]
+    # The capture stretches one side of a clip whose pixels are not square.
+    same = [a == b for a, b in zip(size, (take.width, take.height), strict=True)]
+    if not (any(same) if take.source.kind == "video" else all(same)):
         return [
             f"{path}: Blender reads {size[0]} x {size[1]} pixels where the capture had {take.width} x "
             f"{take.height}, so the picture may not fit behind the hands"
@@ -205,27 +258,6 @@ def shown_number(take: Take, timing: Timing, frame: int) -> int:
 
 def _first_scene_frame(take: Take, timing: Timing) -> int:
     return round(float(timing.scene_frames(take.frame_numbers[:1])[0]))
-
-
-def _upright_copy(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
-    """Blender ignores EXIF orientation: a packed copy of the pixels, turned as the camera was held, and
-    smaller where there are more than `_MOST_TURNED`."""
-    width, height = image.size
-    smaller = (_MOST_TURNED / (width * height)) ** 0.5
-    if smaller < 1.0:
-        width, height = max(1, int(width * smaller)), max(1, int(height * smaller))
-        image.scale(width, height)
-    rows = rows_of(image)
-    image.buffers_free()
-    turned = np.ascontiguousarray(upright(rows, orientation)[::-1])
-    del rows  # as `turned` up to a quarter of a gigabyte, which Blender needs for its copy and for packing
-    copy = bpy.data.images.new(f"{image.name} upright", turned.shape[1], turned.shape[0], alpha=False)
-    copy.colorspace_settings.name = image.colorspace_settings.name
-    copy.pixels.foreach_set(turned.ravel())
-    del turned
-    copy.update()
-    copy.pack()
-    return copy
 
 
 def rows_of(image: bpy.types.Image) -> np.ndarray:

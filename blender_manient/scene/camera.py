@@ -10,7 +10,7 @@ from mathutils import Matrix
 from handfit_core.common.errors import OptionError
 from handfit_core.take import Take
 
-from .background import Plate
+from .background import Plate, picture_aspect
 
 _SENSOR_WIDTH = 36.0
 """mm. Only the ratio of lens and sensor matters; full frame gives lenses that photographers know"""
@@ -111,15 +111,18 @@ def show_behind(
     background.image = plate.image
     background.alpha = 1.0
     background.display_depth = "BACK"
-    background.use_flip_x = plate.mirrored
-    if scene is None:
-        background.frame_method = "STRETCH"
-    else:
-        plate.image.display_aspect = (1.0, _pixel_height(take))
-        picture = take.width / (take.height * _pixel_height(take))
+    background.use_flip_x, background.use_flip_y, turns = plate.placing
+    background.rotation = math.radians(90.0 * turns)
+    picture = frame = picture_aspect(take)
+    if scene is not None:
         render = scene.render
         frame = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
-        # Either touches two sides of the frame; these are left and right.
+    if scene is None and not turns:
+        background.frame_method = "STRETCH"
+    elif turns:  # Before it is turned the image gets the frame's height, of which the scale makes its width.
+        background.frame_method = "CROP" if 1.0 / picture > frame else "FIT"
+        background.scale = frame
+    else:  # Either touches two sides of the frame; these are left and right.
         background.frame_method = "FIT" if picture > frame else "CROP"
     plate.apply_timing(background.image_user)
     return background

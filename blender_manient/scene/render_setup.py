@@ -112,8 +112,7 @@ def picture_card(name: str, plate: Plate, take: Take, distance: float) -> bpy.ty
     mesh = bpy.data.meshes.new(name)
     points = distance * axes.points_to_world(take.intrinsics.rays(corners))
     mesh.from_pydata(points.tolist(), [], [(0, 1, 2, 3)])
-    shown = uv * [-1.0, 1.0] + [1.0, 0.0] if plate.mirrored else uv
-    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", shown.astype(np.float32).ravel())
+    mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", plate.places(uv).astype(np.float32).ravel())
 
     material = bpy.data.materials.new(name)
     tree = use_nodes(material)

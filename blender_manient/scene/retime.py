@@ -30,7 +30,7 @@ from handfit_core.take import Take
 from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import PosedBones
 from .actions import present_curves
-from .background import movie_plate
+from .background import movie_plate, shown_file
 from .confidence import is_marked, mark_doubtful
 from .corrections import check_writable, corrections_of, keep_field
 from .editable import check_unlayered
@@ -224,7 +224,7 @@ def _retime_plate(collection: bpy.types.Collection, take: Take, clip: Timing) ->
     """Have all that shows the clip's picture for this capture show it at the new rate."""
     if take.source.kind != "video":
         return
-    path = Path(take.source.files[0]).absolute()
+    path, _ = shown_file(take)
     for image, user in list(_image_users(collection)):
         if image is not None and Path(bpy.path.abspath(image.filepath, library=image.library)) == path:
             movie_plate(image, take, clip).apply_timing(user)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -73,8 +73,8 @@ def building_view(
     plate, warnings = None, []
     if picture:
         plate, warnings = yield from loading_plate(view, timing, max_megapixels)
-    if plate is not None:
-        plate = replace(plate, mirrored=take.cameras.views[0].mirrored)
+    if plate is not None and take.cameras.views[0].mirrored:
+        plate = plate.mirrored()
     name = named_after(view.source.name, "camera")
     camera = build_camera(name, view, plate, scene=scene, units_per_metre=units_per_metre)
     place = axes.camera_in_world(take.cameras.rotation[1], take.cameras.translation[1])

@@ -22,7 +22,16 @@ from handfit_core.common.errors import HandfitError, InputError, OptionError
 from handfit_core.common.files import shown, why
 from handfit_core.interchange.opening import is_recording
 from handfit_core.media.frame_range import FrameRange
-from handfit_core.media.opening import PHOTO_SUFFIXES, VIDEO_SUFFIXES, pictures_in, sequence_numbers
+from handfit_core.media.headers import is_animated
+from handfit_core.media.kinds import what_is
+from handfit_core.media.opening import (
+    PHOTO_SUFFIXES,
+    VIDEO_SUFFIXES,
+    numbered_like,
+    pictures_and_others,
+    sequence_numbers,
+    to_read,
+)
 from handfit_core.media.size_limit import check_for_blender
 from handfit_core.media.source import SourceKind
 from handfit_core.take import is_take
@@ -46,6 +55,8 @@ class SourceFiles:
     files: tuple[str, ...]
     """absolute: the photo, the video, the other program's file or folder, or every picture of a sequence in
     order"""
+    left_out: str = ""
+    """What else is in the folder that was named, in a sentence"""
 
     @property
     def numbers(self) -> list[int] | None:
@@ -73,15 +84,15 @@ def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
     if is_recording(path) and not is_take(path):
         return SourceFiles("data", (str(path),))
     if path.is_dir():
-        pictures = pictures_in(path)
+        pictures, _, left_out = to_read(Path(path.name), *pictures_and_others(path))
         if not pictures:
             raise InputError(f"No pictures in the folder {path.name}: choose a file or another folder")
         kind = "sequence" if len(pictures) > 1 else "photo"
-        return SourceFiles(kind, tuple(map(str, pictures)))
+        return SourceFiles(kind, tuple(map(str, pictures)), left_out)
     if not path.is_file():
         raise InputError(f"{path.name} is not there any more: choose the file again")
     suffix = path.suffix.lower()
-    if suffix in VIDEO_SUFFIXES:
+    if suffix in VIDEO_SUFFIXES or (suffix in PHOTO_SUFFIXES and is_animated(path)):
         return SourceFiles("video", (str(path),))
     if suffix in PHOTO_SUFFIXES:
         numbered = numbered_siblings(path) if as_sequence else []
@@ -90,20 +101,13 @@ def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
         return SourceFiles("photo", (str(path),))
     if is_take(path):
         raise InputError(f"{path.name} is a take: open it with File > Import > Hand Take")
-    raise InputError(f"{path.name} is neither a picture nor a video: choose another file")
+    raise InputError(f"{path.name}: {what_is(path)}")
 
 
 def numbered_siblings(path: Path) -> list[Path]:
     """The pictures beside `path` whose names differ from its own in the last number only, in order;
     without the numbers of a camera's counter (see `sequence_numbers`)."""
-    stem = path.stem.rstrip("0123456789")
-    if stem == path.stem:
-        return []
-    beside = [
-        p
-        for p in pictures_in(path.parent)
-        if p.suffix == path.suffix and p.stem.startswith(stem) and p.stem[len(stem) :].isdigit()
-    ]
+    beside = [file for _, file in numbered_like(path)]
     return beside if len(beside) > 1 and sequence_numbers(beside) is not None else []
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from handfit_core.capturing.fitting import fit_hands
 from handfit_core.capturing.options import VIEW_OPTIONS, CaptureOptions
-from handfit_core.capturing.retiming import evenly_timed
 from handfit_core.capturing.sources import open_source, opened
 from handfit_core.capturing.views.joining import alone, joined
 from handfit_core.capturing.views.readings import Clip
@@ -29,10 +28,10 @@ from handfit_core.fit.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.interchange.readers import program_of
+from handfit_core.media.copies import write_copy
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, sequence_numbers
 from handfit_core.media.source import Media
-from handfit_core.media.videos import Video
 from handfit_core.take import HandTrack, Take
 from handfit_core.take.fit_quality import (
     error_is_known,
@@ -127,9 +126,6 @@ def _captured(
         from handfit_core.capturing.arms import with_arms
 
         take = with_arms(take, bodies)
-    times = media.recorded_times() if isinstance(media, Video) else None
-    if times is not None and found.numbers[-1] <= len(times):
-        take = evenly_timed(take, times[np.asarray(found.numbers) - 1])
     return Clip(take, lens_known=origin.known is not None)
 
 
@@ -155,10 +151,9 @@ def _capture_both(
         second = replace(second, lens=rig.lenses[1])
     views: list[Clip | None] = []
     missing: list[HandfitError] = []
-    for given, each, clip in ((source, first, media[0]), (options.view, second, media[1])):
+    for given, each in ((source, first), (options.view, second)):
         try:
-            view = _captured(given, each, report, stop)
-            views.append(replace(view, stamps=_stamps(clip, view.take)))
+            views.append(_captured(given, each, report, stop))
         except (NoHandFoundError, Cancelled) as error:
             missing.append(error)
             views.append(None)
@@ -197,13 +192,6 @@ def _joined(
         return joined(first, second, options, rig, on_step)
     except Cancelled:
         return alone(takes, 0, stopped)
-
-
-def _stamps(media: Media, take: Take) -> np.ndarray | None:
-    """(T,) seconds after its first frame at which the frames of a take were seen, as the clip's file tells
-    them; None where it does not."""
-    times, rows = media.times() if isinstance(media, Video) else None, np.asarray(take.frame_numbers) - 1
-    return None if times is None or rows[-1] >= len(times) else times[rows] - times[rows[0]]
 
 
 def _check_views(first: MediaInput, second: str) -> None:
@@ -315,6 +303,8 @@ def capture_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
+    for view in (take, *(take.cameras.views if take.cameras is not None else ())):
+        write_copy(view.source, options.max_megapixels)
     report = _saved(take, output, compact, started)
     if cameras_to is not None and take.cameras is not None:
         write_rig(cameras_to, take)

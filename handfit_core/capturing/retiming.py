@@ -71,20 +71,6 @@ def retimed(take: Take, scale: float) -> Take:
     return replace(take, fps=take.fps * scale, frame_numbers=numbers, hands=hands)
 
 
-def evenly_timed(take: Take, times: np.ndarray) -> Take:
-    """The take of frames that were seen at `times` (T,), seconds, increasing, with its rows at even moments
-    from the first to the last, at their mean rate: their number and their frame numbers stay."""
-    numbers = np.asarray(take.frame_numbers, dtype=np.float64)
-    passed = times[-1] - times[0]
-    if len(numbers) < 2 or passed <= 0.0:
-        return take
-    even = times[0] + passed * (numbers - numbers[0]) / (numbers[-1] - numbers[0])
-    rows = np.interp(even, times, numbers)
-    rows[-1] = numbers[-1]
-    hands = tuple(sampled(track, np.asarray(take.frame_numbers), rows) for track in take.hands)
-    return replace(take, fps=float((numbers[-1] - numbers[0]) / passed), hands=hands)
-
-
 def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTrack:
     """A track with rows at frame numbers (T,) -> its rows at `times` (N,), in the same numbers.
 

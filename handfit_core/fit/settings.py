@@ -164,8 +164,6 @@ class ViewSettings:
     similar kinds, and the direction between them hangs on this ratio"""
     known_focal_sigma: float = 0.02
     """Expected error of the logarithm of a focal length that the file or a person tells"""
-    stray_frames: float = 0.1
-    """Frames by which those of a view stray from even ones before a take says when each was seen"""
     evidence: float = 10.0
     """Frames that count as one piece of evidence against what is expected of cameras: errors last"""
     offset_sigma: float = 1.0
@@ -188,6 +186,8 @@ class ViewSettings:
     """Offsets that are tried"""
     peaks_apart: float = 8.0
     """frames of the slower view between them"""
+    longest_view: float = 3600.0
+    """seconds of a view in which the offset is looked for"""
     weak_score: float = 0.15
     """Agreement of fingers' motions below which the offset is not believed, and more starts are tried"""
     most_starts: int = 16

@@ -6,7 +6,6 @@ centre of the top-left pixel is (0.5, 0.5), so a picture spans (0, 0) to (width,
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -30,9 +29,8 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         values = (self.fx, self.fy, self.cx, self.cy)
-        if not all(math.isfinite(v) and abs(v) <= LARGEST_FOCAL for v in values) or not all(
-            v >= SMALLEST_FOCAL for v in values[:2]
-        ):
+        # NaN and whole numbers that no float holds fail these, too.
+        if not all(abs(v) <= LARGEST_FOCAL for v in values) or not min(self.fx, self.fy) >= SMALLEST_FOCAL:
             raise OptionError(
                 f"camera intrinsics need positive, finite focal lengths in pixels, {SMALLEST_FOCAL:g} to "
                 f"{LARGEST_FOCAL:g}; got fx={self.fx}, fy={self.fy}, cx={self.cx}, cy={self.cy}"

@@ -25,7 +25,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from handfit_core.common.errors import InputError, OptionError, OutputError
+from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.files import shown
 from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
 from handfit_core.media.headers import read_picture_header
@@ -114,7 +114,7 @@ def _checked(address: str, *, online: bool) -> str:
             f"{shown(address)}: {host} is another machine, and nothing may be opened over the network: allow "
             "it (--online; in Blender Preferences > System > Allow Online Access)"
         )
-    return address
+    return parts.scheme + address[len(parts.scheme) :]  # FFmpeg knows schemes in small letters only
 
 
 def _is_here(host: str) -> bool:
@@ -175,7 +175,7 @@ class Recorder:
             try:
                 if picture.rgb is not None:
                     self.writer.write(picture.rgb, picture.time)
-            except OutputError as error:
+            except Exception as error:  # whoever closes it waits for this thread
                 self._say(str(error))
 
 
@@ -331,6 +331,7 @@ def _opened(
         capture = _opened_camera(cv2, source.camera, size, fps)
     else:
         capture = _opened_address(cv2, source.address or "")
+    good = time.monotonic()
     try:
         while capture.isOpened() and not stop.is_set():
             found, bgr = capture.read()
@@ -340,7 +341,10 @@ def _opened(
             width, height = _jpeg_size(bgr) if encoded else bgr.shape[1::-1]
             _check_size(source, width, height)
             if width:
+                good = time.monotonic()
                 yield partial(_decoded, bgr, encoded=encoded)
+            elif time.monotonic() > good + CAMERA.answer_seconds:
+                return  # it sends something else
     finally:
         capture.release()
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.headers import read_video_focal_35mm
+from handfit_core.media.heif import HEIF
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
@@ -29,6 +30,7 @@ _MARKERS: Final = {
     rb"\x89PNG\r\n\x1a\n": re.compile(rb"eXIf" + _TIFF),
     rb"RIFF.{4}WEBP": re.compile(rb"EXIF.{4}" + _TIFF, re.DOTALL),
     _TIFF: re.compile(_TIFF),
+    HEIF: re.compile(rb"\0\0\0[\0\x06]" + _TIFF),
 }
 """What stands before the tags, by a picture's first bytes; the chance that it is something else is 2^-64"""
 

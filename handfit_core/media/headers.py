@@ -13,7 +13,10 @@ import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import BinaryIO, Final
+
+from handfit_core.media.heif import HEIF, read_heif
 
 _MAX_STEPS: Final = 100_000
 """Markers, chunks or boxes that are read; no camera and no program writes as many"""
@@ -34,7 +37,7 @@ class Header:
 
 
 def read_picture_header(stream: BinaryIO) -> Header | None:
-    """The header of a JPEG, PNG, WebP, BMP, TIFF, PNM or Radiance picture.
+    """The header of a JPEG, PNG, WebP, BMP, TIFF, PNM, Radiance, OpenEXR, DPX, HEIC or AVIF picture.
 
     `stream` must be seekable; its position afterwards is undefined. None where it is none of these, or is
     damaged before its size.
@@ -43,8 +46,8 @@ def read_picture_header(stream: BinaryIO) -> Header | None:
     header = None
     try:
         for signature, read in _WALKED.items():
-            header = read(stream) if start.startswith(signature) else header
-    except (struct.error, ValueError):
+            header = read(stream) if re.match(signature, start, re.DOTALL) else header
+    except (struct.error, ValueError, LookupError):
         return None
     for pattern, read in _FIXED.items():
         if header is None and (match := re.match(pattern, start, re.DOTALL)):
@@ -166,7 +169,56 @@ def _tiff(stream: BinaryIO) -> Header | None:
     return Header(max(tags[256], tags.get(322, 0)), max(tags[257], tags.get(323, 0)), _cost(bits) * channels)
 
 
-_WALKED: Final = {b"\xff\xd8\xff": _jpeg, b"\x89PNG\r\n\x1a\n": _png, b"II*\0": _tiff, b"MM\0*": _tiff}
+_LONGEST_ATTRIBUTE: Final = 1 << 20
+"""Bytes of one of an OpenEXR picture's attributes that are read"""
+EXR: Final = b"v/1\x01"
+"""What an OpenEXR picture begins with"""
+
+
+def read_exr_attributes(stream: BinaryIO) -> dict[bytes, tuple[int, bytes]]:
+    """Where the value of each attribute of an OpenEXR picture begins, and the value; of parts the first's.
+    Raises struct.error and ValueError for damaged ones."""
+    found: dict[bytes, tuple[int, bytes]] = {}
+    position = 8
+    for _ in range(_MAX_STEPS):
+        name, _, rest = _read_at(stream, position, 600).partition(b"\0")
+        if not name:
+            return found
+        kind, _, rest = rest.partition(b"\0")
+        (size,) = struct.unpack_from("<I", rest)
+        position += len(name) + len(kind) + 6
+        found[name] = position, _read_at(stream, position, min(size, _LONGEST_ATTRIBUTE))
+        position += size
+    raise ValueError("more attributes than anybody writes")
+
+
+def exr_channels(channels: bytes) -> list[str]:
+    """The names in an OpenEXR picture's attribute `channels`."""
+    return [name.decode("utf-8", "replace") for name in re.findall(rb"([^\0]+)\0.{16}", channels, re.DOTALL)]
+
+
+def _exr(stream: BinaryIO) -> Header:
+    attributes = read_exr_attributes(stream)
+    left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"][1])
+    count = len(exr_channels(attributes[b"channels"][1]))
+    return Header(right - left + 1, bottom - top + 1, 4 * max(1, -(-count // 4)))
+
+
+def _heif(stream: BinaryIO) -> Header | None:
+    found = read_heif(stream)
+    if found is None:
+        return None
+    # A decoder holds a whole tile, which may be larger than the picture.
+    return Header(max(found.width, found.tile_width), max(found.height, found.tile_height), _cost(found.bits))
+
+
+_WALKED: Final = {
+    rb"\xff\xd8\xff": _jpeg,
+    rb"\x89PNG\r\n\x1a\n": _png,
+    rb"II\*\0|MM\0\*": _tiff,
+    EXR: _exr,
+    HEIF: _heif,
+}
 """Readers by a picture's first bytes"""
 
 
@@ -199,11 +251,24 @@ _FIXED: Final[dict[bytes, Callable[..., Header]]] = {
     rb"P[2356]%s(\d{1,9})%s(\d{1,9})%s(\d{1,5})\s" % (_GAP, _GAP, _GAP): lambda w, h, most: Header(
         int(w), int(h), _cost(int(most).bit_length())
     ),
+    rb"SDPX.{768}(....)(....).{23}(.)": lambda w, h, bits: Header(
+        int.from_bytes(w), int.from_bytes(h), _cost(bits[0])
+    ),
+    rb"XPDS.{768}(....)(....).{23}(.)": lambda w, h, bits: Header(_little(w), _little(h), _cost(bits[0])),
     rb"#\?(?:RADIANCE|RGBE).*?\n[-+][XY] +(\d{1,9}) +[-+][XY] +(\d{1,9})\s*\n": lambda h, w: Header(
         int(w), int(h), 4
     ),
 }
 """Patterns of pictures whose size stands in one place, and what they say there"""
+
+
+def is_animated(path: Path) -> bool:
+    """Whether a PNG, WebP or AVIF picture has several frames. Raises OSError."""
+    with open(path, "rb") as stream:
+        start = _read_at(stream, 0, 65536)
+    # A PNG's chunk of its animation stands before its pixels.
+    animated = rb"\x89PNG\r\n\x1a\n(?:(?!IDAT).)*acTL|RIFF....WEBPVP8X.*ANIM|....ftypavis"
+    return bool(re.match(animated, start, re.DOTALL))
 
 
 # MP4 and QuickTime: boxes with a size and a name; some hold boxes again.
@@ -278,13 +343,13 @@ def read_video_focal_35mm(stream: BinaryIO) -> float | None:
                     if item == number:
                         return _number(kind, value)
                     at += max(size, 8)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, OverflowError):
         pass
     return None
 
 
 def _number(kind: int, value: bytes) -> float:
-    """A value of that well-known type as a number. Raises struct.error and ValueError."""
+    """A value of that well-known type as a number. Raises struct.error, ValueError and OverflowError."""
     if kind == 1:
         return float(value.decode("ascii").removesuffix("mm"))
     return struct.unpack(_NUMBERS[kind], value)[0] if kind in _NUMBERS else float(int.from_bytes(value))

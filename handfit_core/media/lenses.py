@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.files import data_dir, read_file, shown, storable, why, written_whole
+from handfit_core.common.values import number, whole
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 
@@ -60,10 +61,11 @@ def lens_numbers(lens: Lens) -> dict[str, Any]:
 def lens_of_numbers(numbers: Mapping[str, Any]) -> Lens:
     """The lens that `lens_numbers` made these of. Raises ValueError."""
     try:
-        distortion = tuple(float(term) for term in numbers["distortion"])
-        intrinsics = Intrinsics(*(float(value) for value in numbers["intrinsics"]))
-        return Lens(intrinsics, distortion, int(numbers["width"]), int(numbers["height"]))  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError, OverflowError, OptionError) as error:
+        distortion = tuple(number("distortion", term) for term in numbers["distortion"])
+        intrinsics = Intrinsics(*(number("intrinsics", value) for value in numbers["intrinsics"]))
+        sides = (whole(side, numbers[side]) for side in ("width", "height"))
+        return Lens(intrinsics, distortion, *sides)  # type: ignore[arg-type]
+    except (KeyError, TypeError, ValueError, OptionError) as error:
         raise ValueError(f"a lens with intrinsics, distortion, width and height ({error!r})") from None
 
 
@@ -130,5 +132,5 @@ def save_lens(name: str, measured: MeasuredLens | None) -> None:
 
 
 def _measured(content: Mapping[str, Any]) -> MeasuredLens:
-    numbers = float(content["error"]), float(content["focal_sigma"]), int(content["boards"])
-    return MeasuredLens(lens_of_numbers(content), *numbers)
+    error, sigma = (number(name, content[name], least=0.0) for name in ("error", "focal_sigma"))
+    return MeasuredLens(lens_of_numbers(content), error, sigma, whole("boards", content["boards"]))

@@ -20,13 +20,30 @@ class MediaSettings:
     max_frame_gap: int = 10
     """Mean distance of the frame numbers of a sequence, at most"""
     max_fps: float = 1000.0
-    max_jitter_frames: float = 1.5
-    """By which a frame may lie before or behind its time in a video of a steady rate"""
     min_seek_frames: int = 500
-    """Shorter videos are read from the beginning as fast as they are sought in"""
+    """Frames that are nearer are read as fast as they are sought"""
+    reordered_frames: int = 4
+    """Frames by which a damaged video's decoder may give pictures too early"""
+    break_seconds: float = 1.0
+    """Between two pictures of a clip, from which one is told of"""
+    max_gap_seconds: float = 60.0
+    """Between two pictures of a clip; what is behind a longer gap is another clip"""
+    missing_frames: int = 2
+    """Frames by which a header may be wrong about a clip's length, as lengths are rounded"""
+    square_pixels: float = 0.005
+    """By which the width of pixels may differ from their height without being meant to"""
+    max_animation_pixels: float = 2.5e8
+    """Of all pictures of an animated WebP together, which is decoded at once"""
+    max_aspect: float = 8.0
+    """Width of pixels by their height, or the other way round, that is believed"""
     rows_at_once: int = 256
     """Rows of a picture that are brought to 8-bit RGB together: little memory is needed besides the
     picture"""
+    exposure_pixels: int = 100_000
+    """Pixels of a picture by which its range is told"""
+    darkest: float = 0.1
+    brightest: float = 1.5
+    """Between which the bright parts of a linear picture lie, if its exposure needs no change"""
     read_ahead_frames: int = 2
     """Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
     exif_bytes: int = 1 << 20

@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from handfit_core.common.errors import InputError
+from handfit_core.common.files import is_file
 from handfit_core.media.headers import Header, read_picture_header, read_video_header
+from handfit_core.media.kinds import is_heif, what_is
 
 SMALL_FILE: Final = 10_000_000
 """Bytes; a smaller input may claim less than a larger one: what it may claim stays below 1 GB in the worker
@@ -42,6 +44,7 @@ cameras."""
 VIDEO: Final = Limit(12.0, 80.0)
 """4K has 8.3 to 12, 8K 36 and 12K 80. Decoders keep up to some 30 frames at once, of one and a half bytes a
 pixel."""
+_NO_PATTERNS: Final = frozenset(".mp4 .mov .m4v .mkv .webm .avi .mts .m2ts .mxf .wmv .mpg .mpeg .ogv".split())
 LONGEST_SIDE: Final = 65_535
 """Pixels; no JPEG is longer"""
 
@@ -67,19 +70,14 @@ def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> No
     if header is None:
         if path.stat().st_size == 0:
             raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
-        raise InputError(f"{path}: not a picture, or a damaged one; open it in a viewer and save it again")
+        raise InputError(f"{path}: {what_is(path)}")
     _check(path, header, max_megapixels or PICTURE)
 
 
 def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that is no video which holds its frames itself: a playlist would make
-    FFmpeg open other files and addresses, and a name with %d in it other pictures. Of a GIF, whose header
-    says it, the size is checked, too; `max_megapixels` is the limit for each frame."""
-    if re.search(r"%\d*d", str(path.absolute())):
-        raise InputError(
-            f"{path}: the names of a video and its folders must not have %d in them, which stands for other "
-            "files; rename them"
-        )
+    FFmpeg open other files and addresses. Of a GIF, whose header says it, the size is checked, too;
+    `max_megapixels` is the limit for each frame."""
     header = _header(path, read_video_header)
     if header is None:
         raise InputError(not_a_video(path))
@@ -93,10 +91,26 @@ def check_frame_size(
     _check(path, Header(width, height), max_megapixels or VIDEO)
 
 
+def pixel_limit(path: Path, max_megapixels: float | None) -> int:
+    """How many pixels a frame of a video may have."""
+    small = path.stat().st_size < SMALL_FILE
+    return int(1e6 * (max_megapixels or (VIDEO.small_file if small else VIDEO.large_file)))
+
+
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
-    and one that is too large."""
-    (check_picture if is_picture(path) else check_video)(path, max_megapixels)
+    one that it cannot read, one that is too large, and a video with %d in its name whose ending does not keep
+    its FFmpeg from taking that for the numbers of pictures."""
+    if is_file(path) and is_heif(path):
+        raise InputError(f"{path}: this is a HEIC or AVIF photo, which few Blenders read; export it as JPEG")
+    if is_picture(path):
+        check_picture(path, max_megapixels)
+        return
+    check_video(path, max_megapixels)
+    if path.suffix.lower() not in _NO_PATTERNS and re.search(r"%\d*d", str(path.absolute())):
+        raise InputError(
+            f"{path}: Blender takes %d in the names of a video and its folders for other files; rename them"
+        )
 
 
 def is_picture(path: Path) -> bool:

@@ -180,7 +180,7 @@ def _footage(take: Take, rows: Sequence[int], max_megapixels: float | None) -> I
             found = (_picture(source.files[row : row + 1], max_megapixels) for row in rows)
         elif is_file(source.files[0]):
             video = Video(Path(source.files[0]), Wanted(max_megapixels=max_megapixels))
-            found = video.pictures(numbers[rows].tolist(), int(numbers[-1]))
+            found = video.pictures(numbers[rows].tolist())
     for _ in rows:
         picture = next(found, None)
         fits = picture is not None and picture.shape[:2] == (take.height, take.width)

@@ -114,6 +114,10 @@ class HandTrack(HandMotion):
     seen_by: tuple[SeenHand | None, ...] = ()
     """What each further view of the take saw of it; None: nothing"""
 
+    def __post_init__(self) -> None:
+        if self.arm is not None and not np.any(self.arm.present):
+            object.__setattr__(self, "arm", None)  # frozen; an arm without a row is none
+
     def check(self, count: int) -> None:
         """Raise TakeError unless this is a hand over `count` frames: every array of its shape and kind, and
         finite where there is a hand."""

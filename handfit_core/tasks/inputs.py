@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import glob
+import logging
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,12 +15,14 @@ from handfit_core.media.opening import (
     PHOTO_SUFFIXES,
     VIDEO_SUFFIXES,
     is_pattern,
-    pictures_in,
-    sequence_numbers,
+    pictures_and_others,
+    to_read,
 )
 from handfit_core.take import is_take
 from handfit_core.take.sheet import SUFFIX
 from handfit_core.tasks.record import read_record
+
+log = logging.getLogger("handfit")
 
 PREVIEW_SUFFIX: Final = ".preview.png"
 _OURS: Final = (SUFFIX, PREVIEW_SUFFIX, ".export.json")
@@ -46,15 +49,17 @@ class Input:
 def expand(text: str, grouping: str | None = None) -> list[Input]:
     """The inputs of one INPUT.
 
-    A folder or a glob pattern gives one per video, and one per photo, unless the photos
-    form one numbered sequence (`grouping` forces either: "sequence" or "separate"). Contact
+    A folder or a glob pattern gives one per video, and one for the numbered pictures that a capture of it
+    reads, or one per photo where there are none (`grouping` forces either: "sequence" or "separate"). Contact
     sheets and previews that a batch has put there are left out.
     """
     path = Path(text).expanduser()
     if path.is_dir():
-        videos = sorted(p for p in path.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES and p.name[0] != ".")
-        pictures = [p for p in pictures_in(path) if not p.name.endswith(_OURS)]
-        jobs = _group(pictures, grouping, path.resolve().name) + [_one_file(v) for v in videos]
+        pictures, others = pictures_and_others(path)
+        pictures, others = ([p for p in files if not p.name.endswith(_OURS)] for files in (pictures, others))
+        videos = sorted(p for p in others if p.suffix.lower() in VIDEO_SUFFIXES)
+        left = [p for p in others if p.suffix.lower() not in VIDEO_SUFFIXES] if pictures or videos else []
+        jobs = _group(pictures, grouping, path, left) + [_one_file(v) for v in videos]
         if not jobs and is_recording(path):
             return [Input(text, path.resolve().name, (str(path),))]
         return jobs or [Input(text, path.resolve().name, error=f"{text}: no photos or videos in this folder")]
@@ -68,7 +73,7 @@ def expand(text: str, grouping: str | None = None) -> list[Input]:
     found = [p for p in found if p.suffix.lower() != ".json" or read_record(p) is None]
     pictures = [p for p in found if p.suffix.lower() in PHOTO_SUFFIXES]
     others = [_one_file(p) for p in found if p.suffix.lower() not in PHOTO_SUFFIXES]
-    jobs = _group(pictures, grouping, path.absolute().parent.name) + others
+    jobs = _group(pictures, grouping, path.absolute().parent) + others
     return jobs or [Input(text, "pattern", error=f"{text}: no file matches this pattern")]
 
 
@@ -78,11 +83,16 @@ def _one_file(path: Path) -> Input:
     return Input(str(path), path.stem, (str(path),))
 
 
-def _group(pictures: list[Path], grouping: str | None, name: str) -> list[Input]:
-    is_sequence = grouping == "sequence" or (grouping is None and sequence_numbers(pictures) is not None)
-    if len(pictures) > 1 and is_sequence:
+def _group(
+    pictures: list[Path], grouping: str | None, folder: Path, others: Sequence[Path] = ()
+) -> list[Input]:
+    chosen, numbers, said = to_read(folder, [] if grouping else pictures, others)
+    pictures = chosen or pictures
+    if said:
+        log.warning("%s", said)
+    if len(pictures) > 1 and (numbers or grouping == "sequence"):
         shown = f"{pictures[0]} ... {pictures[-1].name} ({len(pictures)} pictures)"
-        return [Input(shown, name, tuple(map(str, pictures)))]
+        return [Input(shown, folder.resolve().name, tuple(map(str, pictures)))]
     return [_one_file(p) for p in pictures]
 
 

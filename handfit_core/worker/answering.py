@@ -20,7 +20,6 @@ from handfit_core.common.files import written_whole
 from handfit_core.interchange.opening import RELATIVE
 from handfit_core.media.chessboard import measure_lens
 from handfit_core.media.lenses import checked_name, save_lens
-from handfit_core.media.videos import Video
 from handfit_core.take import Take
 from handfit_core.take.sheet import write_sheet
 from handfit_core.worker.events import OnProgress
@@ -101,9 +100,8 @@ def _check_retimed(source: Any, options: Any, rate: float) -> None:
     """Raise what keeps a clip from being retimed to a scene's frames per second, before anything is detected
     in it."""
     media = open_input(source, options)
-    if isinstance(media, Video) and is_other_rate(rate, media.fps):
+    if media.source.kind == "video" and is_other_rate(rate, media.fps):
         check_rate(rate)
-        media.check_steady()
 
 
 def probe(message: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from typing import Any, Final
 
 import numpy as np
@@ -18,14 +19,14 @@ from handfit_core.common.version import __version__
 from handfit_core.edit import warm_up
 from handfit_core.hand_model import OPEN_HAND
 
-PACKAGES: Final = ("numpy", "scipy", "cv2", "mediapipe")
+PACKAGES: Final = ("numpy", "scipy", "cv2", "mediapipe", "av")
 """What capturing imports"""
 
 
 def check(should_stop: Callable[[], bool]) -> dict[str, Any]:
     """The fields of the `done` event: `versions`, a text. Raises what `warm` raises."""
     warm({}, should_stop)
-    packages = [f"{name} {getattr(sys.modules[name], '__version__', 'unknown')}" for name in PACKAGES]
+    packages = [f"{name} {getattr(import_module(name), '__version__', 'unknown')}" for name in PACKAGES]
     python = f"Python {platform.python_version()}, {sys.executable}"
     return {"versions": "\n".join([f"handfit_core {__version__}", python, *packages])}
 

@@ -44,7 +44,9 @@ def follow(
                     say(event="warning", message=problem)
             writer = reader.recording
             if writer is not None and writer.failed:
-                say(event="recorded", **_summary(reader.stop_recording()))
+                writer = reader.stop_recording()
+                if writer is not None and writer.frames:  # else the warning has said all
+                    say(event="recorded", **_summary(writer))
                 writer = None
             pose = run.next()
             if pose is None:

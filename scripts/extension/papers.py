@@ -72,6 +72,8 @@ _OWN_LICENCE = {
     "tqdm": ("MPL-2.0", "MIT"),
 }
 """Of packages whose metadata has no SPDX expression, as their licence files have it"""
+_HELD = {"av": "GPL-3.0-or-later"}
+"""Of what lies in a wheel besides the package: FFmpeg, which PyAV builds with all that asks for this"""
 _LIBRARIES = (
     (r"lib(gfortran|gcc)", _GCC),
     (r"libquadmath", "LGPL-2.1-or-later"),
@@ -86,7 +88,7 @@ text is passed on"""
 def licence(wheel: Wheel) -> str:
     """The SPDX expression of a wheel with the libraries in it. KeyError where none is known."""
     if declared := wheel.metadata.get("License-Expression"):
-        return declared.strip()
+        return " AND ".join(filter(None, (declared.strip(), _HELD.get(wheel.name))))
     files = [member.rpartition("/")[2] for member in wheel.members]
     bundled = [term for pattern, term in _LIBRARIES if any(re.match(pattern, file) for file in files)]
     return " AND ".join(dict.fromkeys((*_OWN_LICENCE[wheel.name], *bundled)))

@@ -12,15 +12,15 @@ import pytest
 from mathutils import Euler, Matrix, Vector
 
 from blender_manient.scene import preview
-from blender_manient.scene.background import load_plate, rows_of
+from blender_manient.scene.background import load_plate
 from blender_manient.scene.build import build_take
 from blender_manient.scene.preview import preview_rows, render_plate, render_preview, spread_frames
 from blender_manient.scene.timing import timing_in
 from blender_manient.session import source_info
 from handfit_core.geometry.picture_map import mapped, picture_to_region
+from handfit_core.media.exif import upright
 from handfit_core.media.source import Source
 from tests.bombs import clip, with_claimed_size
-from tests.child import peak_megabytes
 from tests.listener import listening
 from tests.playlists import names, playlists
 
@@ -40,27 +40,20 @@ def test_hands_of_another_program_have_no_picture_and_the_time_of_a_video(make_t
     assert timing_in(bpy.context.scene, take).scale == 2.0
 
 
-# How a camera stores an upright picture under some EXIF orientations; tests/core tries all.
-STORED = {
-    1: lambda a: a,
-    4: lambda a: a[::-1],
-    6: lambda a: np.rot90(a, 1),
-    7: lambda a: np.rot90(a, 2).transpose(1, 0, 2),
-}
-
-
-@pytest.mark.parametrize("orientation", sorted(STORED))
-def test_exif_orientation_is_undone(make_take, tmp_path, orientation):
-    upright = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH, 4)).astype(np.float32) / 255
-    upright[..., 3] = 1.0
-    stored = write_png(tmp_path / "turned.png", np.ascontiguousarray(STORED[orientation](upright)))
-    source = Source("photo", (str(stored),), orientation)
-    built = build_take(make_take(source=source).take)
-    image = background(built).image
-    assert built.warnings == ()
-    assert tuple(image.size) == (WIDTH, HEIGHT)
-    np.testing.assert_allclose(rows_of(image), upright, atol=1e-6)
-    assert bool(image.packed_file) == (orientation != 1)
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["photo", "sequence"])
+def test_exif_orientation_is_undone(make_take, tmp_path, orientation, kind):
+    """`upright` is what the capture undoes it with."""
+    stored = np.random.default_rng(3).integers(0, 256, (HEIGHT, WIDTH, 4)).astype(np.float32) / 255
+    stored[..., 3] = 1.0
+    path = write_png(tmp_path / "turned.0003.png", stored)
+    expected = upright(stored, orientation)
+    size = {"width": expected.shape[1], "height": expected.shape[0]}
+    source, numbers = Source(kind, (str(path),), orientation), np.array([3])
+    take = make_take(source=source, frame_numbers=numbers, **size).take
+    plate, warnings = load_plate(take)
+    assert not warnings
+    np.testing.assert_allclose(render_plate(plate, take, 3, 1.0), expected, atol=1.5 / 255)
 
 
 def grey(path, value: float):
@@ -228,25 +221,6 @@ def test_a_picture_that_claims_too_much_is_not_loaded(make_take, tmp_path):
     path.write_bytes(cv2.imencode(".jpg", np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8))[1].tobytes())
     assert build_take(take, max_megapixels=1.0).warnings == ()
     assert "no more than 0.01 are read" in build_take(take, max_megapixels=0.01).warnings[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "side", "kind"), [("a.jpg", 7900, np.uint8), ("a.png", 4600, np.uint16)])
-def test_a_large_turned_photo_stays_below_a_gigabyte(make_take, tmp_path, name, side, kind):
-    path, saved = tmp_path / name, tmp_path / "a.npz"
-    path.write_bytes(cv2.imencode(path.suffix, np.zeros((side, side, 3), dtype=kind))[1].tobytes())
-    make_take(source=Source("photo", (str(path),), 6), width=side, height=side).take.save(saved)
-    code = """
-        import sys
-        import bpy
-        from blender_manient.scene.build import build_take
-        from handfit_core.take import Take
-        built = build_take(Take.load(sys.argv[1]))
-        assert built.warnings == (), built.warnings
-        width, height = built.camera.data.background_images[0].image.size
-        assert 15.9e6 < width * height <= 16e6, (width, height)
-        """
-    assert peak_megabytes(code, saved, limit=64 << 30) < 1000
 
 
 def test_every_picture_that_blender_would_show_is_looked_at(make_take, tmp_path):

@@ -62,7 +62,7 @@ def test_clips_and_hands_of_another_program(tmp_path):
     [
         ("", "Choose a photo"),
         ("gone.png", "not there any more"),
-        ("notes.txt", "neither"),
+        ("notes.txt", "this is a text"),
         ("a.take.npz", "Import > Hand Take"),
         ("empty", "No pictures"),
         ("x" * 5000, "choose"),

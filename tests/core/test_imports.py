@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 BLENDER = ("bpy", "bmesh", "mathutils", "bpy_extras", "gpu")
-HEAVY = ("torch", "scipy", "cv2", "mediapipe")
+HEAVY = ("torch", "scipy", "cv2", "mediapipe", "av")
 THREADED = ("threading", "_thread", "concurrent", "asyncio", "multiprocessing")
 
 

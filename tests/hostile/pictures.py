@@ -6,11 +6,13 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator
 from functools import cache, partial
+from typing import Any
 
 import cv2
 import numpy as np
 
-from tests.hostile.engine import Case, table
+from tests import plates
+from tests.hostile.engine import Case, Place, table
 from tests.hostile.mutations import mutants
 from tests.hostile.npz import some
 
@@ -23,6 +25,12 @@ def encoded(suffix: str) -> bytes:
     pixels = np.add.outer(np.arange(48), np.arange(64) * 2)[..., None].repeat(3, 2).astype(np.uint8)
     if suffix == "gif":
         return gif(64, 48)
+    if suffix == "exr":
+        return plates.exr(pixels.astype(np.float16) / 255)
+    if suffix == "dpx":
+        return plates.dpx(pixels)
+    if suffix == "heic":
+        return grid(100, 90)
     if suffix == "hdr":
         return bytes(cv2.imencode(".hdr", pixels.astype(np.float32) / 255)[1])
     return bytes(cv2.imencode(f".{suffix}", pixels[..., 0] if suffix == "pgm" else pixels)[1])
@@ -68,6 +76,26 @@ def animated(width: int, height: int, across: int, down: int) -> bytes:
     at = whole.index(b"IDAT") - 4
     frame = _chunk(b"fcTL", struct.pack(">5I2H2B", 0, across, down, 0, 0, 1, 10, 0, 0))
     return whole[:at] + _chunk(b"acTL", struct.pack(">2I", 2, 0)) + frame + whole[at:]
+
+
+def grid(width: int, height: int, columns: int = 2, rows: int = 2, tiles: int = 4, side: int = 64) -> bytes:
+    """A phone's photo of tiles."""
+    tile = plates.tile((200, 90, 20))
+    return plates.heic([tile] * tiles, (width, height), grid=(columns, rows), tile_size=(side, side))
+
+
+def plate(channels: int, value: float = 1.0, size: int = 64) -> bytes:
+    names = [f"c{i:03}" for i in range(channels - 3)]
+    return plates.exr(np.full((size, size, channels), value, dtype=np.float32), ["B", "G", "R", *names])
+
+
+def crowd(place: Place) -> dict[str, Any]:
+    """A folder of 100 000 pictures."""
+    data = encoded("png")
+    (place.folder / "crowd").mkdir()
+    for number in range(100_000):
+        (place.folder / "crowd" / f"f_{number}.png").write_bytes(data)
+    return {"path": str(place.folder / "crowd")}
 
 
 def slim(width: int, height: int) -> bytes:
@@ -133,15 +161,44 @@ HEADERS: dict[str, Callable[[], bytes]] = {
     **{f"png-{name}-says-2-gb": lambda name=name: _claiming(name) for name in ("IDAT", "tEXt", "PLTE", "acTL")},
     "png-frame-beyond": lambda: animated(64, 48, 16000, 16000),
     "png-frames-far": lambda: animated(8000, 8000, 8000, 8000),
+    "exr-200-channels": lambda: plate(200),
+    "exr-200-large": lambda: _sized(plate(200), 64, 8000),
+    **{f"exr-{value}": lambda value=value: plate(3, float(value)) for value in ("nan", "inf", "-inf", "1e-40", "-5")},
+    **{f"exr-{w}": lambda w=w: _sized(plate(3), 64, w) for w in (0, 20_000, 2**31 - 1)},
+    "exr-attributes": lambda: plate(3)[:8] + b"a\0b\0\0\0\0\0" * 200_000,
+    "exr-attribute-of-4-gb": lambda: plate(3)[:8] + b"a\0b\0\xff\xff\xff\xff" + bytes(99),
+    **{f"dpx-{w}": lambda w=w: _sized(encoded("dpx"), 64, w, ">I") for w in (0, 20_000, 2**32 - 1)},
+    "heic-20000": lambda: grid(20_000, 20_000, side=10_000),
+    "heic-20000-of-small": lambda: grid(20_000, 20_000, 256, 256, 4),
+    "heic-missing-tiles": lambda: grid(100, 90, tiles=3),
+    "heic-damaged-tiles": lambda: grid(100, 90).replace(plates.tile((200, 90, 20))[1], bytes(40), 2),
+    "heic-65536-tiles": lambda: grid(65_000, 65_000, 255, 255, 65_025, 256),
+    "heic-larger-tiles": lambda: plates.heic([plates.tile((9, 9, 9), 2048, 2048)], (16, 16), tile_size=(16, 16)),
     "exif-loop": lambda: exif([(0x8769, 4, 1, 8)], following=8),
     "exif-huge-count": lambda: exif([(0x112, 3, 2**32 - 1, 6), (0x920A, 5, 2**31, 2**31), (0xA405, 3, 1, 0)]),
     "exif-far": lambda: exif([(0x8769, 4, 1, 2**32 - 8), (0xA404, 5, 1, 2**32 - 1)], order=b"MM"),
     "exif-orientation-99": lambda: exif([(0x112, 3, 1, 99)]),
     "exif-many": lambda: exif([(0x8769, 4, 1, 8)] * 5000),
 }  # fmt: skip
-_KNOWN = ("jpg-32000x32000", "png-true-zeros", "gif-30000x30000", "png-IDAT-says-2-gb", "png-frame-beyond")
+
+
+def _sized(data: bytes, old: int, new: int, order: str = "<I") -> bytes:
+    """A plate that claims another size: an OpenEXR window's last pixel lies before its end."""
+    less = order == "<I"
+    return data.replace(struct.pack(order, old - less), struct.pack(order, (new - less) % 2**32))
+
+
+_KNOWN = (
+    "jpg-32000x32000",
+    "png-true-zeros",
+    "gif-30000x30000",
+    "png-IDAT-says-2-gb",
+    "png-frame-beyond",
+    "heic-20000",
+    "exr-200-channels",
+)
 _SLIM = ((5000, 1), (1, 65500), (65535, 2), (3, 20000), (1, 1))
-SUFFIXES = ("jpg", "png", "webp", "bmp", "tif", "jp2", "ppm", "pgm", "hdr", "gif")
+SUFFIXES = ("jpg", "png", "webp", "bmp", "tif", "jp2", "ppm", "pgm", "hdr", "gif", "exr", "dpx", "heic")
 DISGUISES = ("png-as-mp4", "jpg-as-png", "gif-as-jpg", "webp-as-mov", "png-as-npz", "bmp-as-nothing")
 
 
@@ -163,6 +220,7 @@ def cases() -> Iterator[Case]:
     for verb in ("capture", "find"):
         refused = verb == "capture"
         yield from table(f"slim-{verb}", f"core.{verb}", "a.png", slims, refused=refused, known=["5000x1"])
+    yield Case("picture-crowd", DOOR, crowd)
     for disguise in DISGUISES:
         right, _, wrong = disguise.partition("-as-")
         file, content = f"x.{wrong.replace('nothing', '')}", {disguise: partial(encoded, right)}

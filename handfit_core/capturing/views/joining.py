@@ -11,7 +11,7 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.views.pairing import PairingAttempt, attempt_pairing
 from handfit_core.capturing.views.readings import Clip, readings
 from handfit_core.capturing.views.rig_file import Rig
-from handfit_core.capturing.views.two_view_fit import by_even_frames, fitted_to_both
+from handfit_core.capturing.views.two_view_fit import fitted_to_both
 from handfit_core.capturing.views.verdict import Evidence, degrees_apart, verdict_of
 from handfit_core.fit.settings import VIEWS
 from handfit_core.take import Take
@@ -29,6 +29,13 @@ def joined(
     """The first view's take with hands fitted to both views, their cameras and the verdict; where the views
     do not belong together, the better view's take with the verdict alone. `rig`: the cameras, with whose
     lenses both were captured. `on_step` is called before each step, and may raise to stop."""
+    longest = max(first.times[-1], second.times[-1])
+    if options.offset is None and longest > VIEWS.longest_view:
+        most = f"{VIEWS.longest_view / 60.0:.0f} minutes"
+        why = (
+            f"The views are longer than the {most} in which their offset is looked for: tell it, or cut them"
+        )
+        return _likelier_take(first, second, why)
     attempts: list[PairingAttempt] = []
     for other, mirrored in readings(first, second, options):
         attempt = attempt_pairing(first, other, options, rig, on_step, mirrored=mirrored)
@@ -53,7 +60,7 @@ def _verdict(attempt: PairingAttempt, first: Clip, options: CaptureOptions) -> V
     found = attempt.found
     return verdict_of(
         Evidence(
-            offset_frames=by_even_frames(first, attempt.second, found.offset)[0] * first.take.fps,
+            offset_frames=found.offset * first.take.fps,
             error=max(found.error),
             residual=found.residual,
             common=attempt.common,

@@ -23,19 +23,12 @@ class Clip:
 
     take: Take
     lens_known: bool = False
-    stamps: np.ndarray | None = None
-    """(T,) seconds after its first frame, as the file tells them; None: as its rate says"""
-
-    @property
-    def even_times(self) -> np.ndarray:
-        """(T,) seconds after its first frame, as its rate says."""
-        numbers = np.asarray(self.take.frame_numbers)
-        return (numbers - numbers[0]) / self.take.fps
 
     @property
     def times(self) -> np.ndarray:
         """(T,) seconds after its first frame."""
-        return self.even_times if self.stamps is None else self.stamps
+        numbers = np.asarray(self.take.frame_numbers)
+        return (numbers - numbers[0]) / self.take.fps
 
 
 def readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tuple[Clip, bool]]:

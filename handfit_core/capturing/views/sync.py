@@ -54,10 +54,12 @@ def _distances(points: np.ndarray) -> np.ndarray:
 
 def offset_scores(pairs: Sequence[HandPair]) -> list[OffsetScore]:
     """The likeliest offsets of hands seen in both views, the best first; empty where too little is common."""
+    from scipy.fft import next_fast_len  # slow to load
+
     rate = _STEPS * min(pairs[0].first.fps, pairs[0].second.fps)
     views = [pair.first for pair in pairs], [pair.second for pair in pairs]
     count = [1 + max(int(np.ceil(hand.times[-1] * rate)) for hand in view) for view in views]
-    size = sum(count)
+    size: int = next_fast_len(sum(count), real=True)  # type: ignore[assignment]
     total, channel_count, common = np.zeros(size), 0, np.zeros(size)
     least = 0.0
     for pair in pairs:

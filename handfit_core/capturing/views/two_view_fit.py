@@ -47,9 +47,8 @@ def fitted_to_both(
         track = track_of(take, hand, hand.side, _kept(hand, attempt.pairs[at].first.rows))
         whole = hand_track(attempt.pairs[at].fitter.model, track, fit, cameras[0])
         hands.append(replace(whole, seen_by=(_seen(other.hands[attempt.hands[at][1]], used),)))
-    offset, rate, times = by_even_frames(first, attempt.second, found.offset)
     numbers = np.asarray(other.frame_numbers)
-    view = View(other.source, rate, other.width, other.height, numbers, times, attempt.mirrored)
+    view = View(other.source, other.fps, other.width, other.height, numbers, None, attempt.mirrored)
     return replace(
         take,
         intrinsics=cameras[0],
@@ -58,7 +57,7 @@ def fitted_to_both(
             np.stack([np.eye(3), found.rotation]),
             np.stack([np.zeros(3), found.translation]),
             np.array([list(vars(camera).values()) for camera in cameras]),
-            np.array([0.0, offset]),
+            np.array([0.0, found.offset]),
             (view,),
         ),
         verdict=verdict,
@@ -97,20 +96,6 @@ def _fit(
     near = np.abs(second.times[:, None] - times).min(axis=1, initial=np.inf)
     # Pixels between its frames come from both neighbours.
     return fit, second.rows[near * min(first.fps, second.fps) < 1.0 - 1e-6]
-
-
-def by_even_frames(first: Clip, second: Clip, offset: float) -> tuple[float, float, np.ndarray | None]:
-    """Offset and frames per second of the second view, and the times (S,) of its frames where they stray from
-    that, by a clock by which the first view's frames are even, as a take has them."""
-    if first.stamps is None and second.stamps is None:
-        return offset, second.take.fps, None
-    moments = offset + second.times
-    inside = np.clip(moments, 0.0, first.times[-1])
-    moments = np.interp(inside, first.times, first.even_times) + moments - inside
-    times, even = moments - moments[0], second.even_times
-    rate = float((even @ even) / max(even @ times, 1e-9))
-    strays = np.abs(times - even / rate).max() * second.take.fps > VIEWS.stray_frames
-    return float(moments[0]), second.take.fps * rate, times if strays else None
 
 
 def _filled(fit: HandMotion, first: Clip, at: int, attempt: PairingAttempt) -> tuple[HandMotion, np.ndarray]:

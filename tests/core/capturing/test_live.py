@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import queue
 import resource
+import shutil
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,6 @@ from handfit_core.capturing.live.streaming import (
     OneEuro,
 )
 from handfit_core.capturing.options import CaptureOptions
-from handfit_core.capturing.retiming import evenly_timed
 from handfit_core.common.arrays import unpack
 from handfit_core.common.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.geometry.camera import Intrinsics
@@ -243,6 +244,11 @@ def test_addresses_of_others_want_permission(address):
             LiveSource.parse(address)
 
 
+def test_schemes_in_capitals_are_the_same():
+    """Or what comes over HTTP would be followed to other addresses."""
+    assert LiveSource.parse("HTTP://127.0.0.1/Video").address == "http://127.0.0.1/Video"
+
+
 @pytest.mark.parametrize(
     "text",
     ["", "no such camera", "-1", "ftp://127.0.0.1/x", "http://", "concat:a|b", "http://[::1", "\0"],
@@ -271,7 +277,7 @@ def test_cameras_by_name(tmp_path):
     [
         ("999", "camera 999"),
         ("file:/nowhere/clip.mp4", "no such file"),
-        (f"file:{ROOT / 'README.md'}", "neither"),
+        (f"file:{ROOT / 'README.md'}", "this is a text"),
     ],
 )
 def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
@@ -282,7 +288,7 @@ def test_what_cannot_be_opened_ends_in_a_sentence(source, said):
 class Station:
     """A camera on 127.0.0.1 that can be silent, and sends all pictures to whoever connects."""
 
-    def __init__(self, pictures: list[np.ndarray | bytes]) -> None:
+    def __init__(self, pictures: Iterable[np.ndarray | bytes]) -> None:
         self.server = socket.create_server(("127.0.0.1", 0))
         self.address = f"http://127.0.0.1:{self.server.getsockname()[1]}/x"
         self.pictures, self.silent = pictures, True
@@ -323,6 +329,13 @@ def test_address_that_stalls_is_told_of_and_tried_again(station, monkeypatch):
         waited(lambda: "sends no pictures any more" in reader.problem)
 
 
+def test_address_that_sends_no_pictures_is_told_of(station, monkeypatch):
+    monkeypatch.setattr(camera, "CAMERA", replace(camera.CAMERA, answer_seconds=1.0, retry_seconds=0.05))
+    station.pictures, station.silent = itertools.repeat(b"x" * 100), False
+    with LiveReader(LiveSource(address=station.address)) as reader:
+        waited(lambda: "or sends no pictures that can be read" in reader.problem)
+
+
 def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
     """They are neither followed nor recorded."""
     good = cv2.imencode(".jpg", frames[0].rgb)[1].tobytes()
@@ -332,8 +345,8 @@ def test_damaged_pictures_are_passed_over(station, frames, tmp_path):
         waited(lambda: (frame := reader.newest(0.1)) is not None and frame.rgb.any())
         waited(lambda: reader.recording.frames > 1)
         written = reader.stop_recording()
-    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames()]
-    assert len(read) == written.frames
+    read = [frame.rgb for frame in open_media(tmp_path / "a.mkv").frames() if frame.rgb is not None]
+    assert 0 < len(read) <= written.frames  # of two that come at once the later one counts
     assert all(np.abs(rgb.astype(int) - frames[0].rgb[..., ::-1]).mean() < 20.0 for rgb in read)
 
 
@@ -364,7 +377,7 @@ def test_source_that_behaves_badly_is_followed_and_what_was_recorded_captured(
             waited(lambda: "sends no pictures any more" in run.reader.problem)
         written = run.reader.stop_recording()
     found = capture(tmp_path / "a.mkv")
-    assert len(found.frame_numbers) == written.frames
+    assert len(found.frame_numbers) == pytest.approx(1.0 + written.seconds * written.fps, abs=1.0)
     assert found.hands
     assert (found.width, found.height) == (640, 480)
 
@@ -417,14 +430,18 @@ def written(path: Path, frames: list[Frame], times: list[float]) -> ClipWriter:
     return writer
 
 
-def test_recording_has_its_frames_and_times(tmp_path, frames):
-    times = np.cumsum(np.random.default_rng(1).uniform(0.01, 0.06, len(frames))).tolist()
-    writer = written(tmp_path / "a.mkv", frames, times)
+def test_a_recording_has_its_frames_at_a_constant_rate(tmp_path, frames):
+    """A camera's jitter goes, and a break of five seconds stays one, in which there are no pictures."""
+    times = np.arange(24) / 30.0 + np.random.default_rng(1).uniform(-0.004, 0.004, 24)
+    times[12:] += 5.0
+    writer = written(tmp_path / "a.mkv", frames, times.tolist())
     media = open_media(tmp_path / "a.mkv")
-    assert media.expected_frames == writer.frames == len(frames)
-    assert media.fps == pytest.approx((len(times) - 1) / (times[-1] - times[0]), rel=1e-6)
-    np.testing.assert_allclose(media.recorded_times(), np.array(times) - times[0], atol=1e-4)
-    pictures = [frame.rgb for frame in media.frames()]
+    assert media.fps == writer.fps == 30.0
+    assert media.expected_frames == 24 + 150
+    read = list(media.frames())
+    shown = [frame.number for frame in read if frame.rgb is not None]
+    assert shown == [*range(1, 13), *range(163, 175)]
+    pictures = [frame.rgb for frame in read if frame.rgb is not None]
     apart = [np.abs(a.astype(int) - b.rgb).mean() for a, b in zip(pictures, frames, strict=True)]
     assert max(apart) < 3.0
 
@@ -436,21 +453,35 @@ def test_recording_that_is_cut_off_can_be_read(tmp_path, frames):
     assert len([f for f in open_media(path).frames() if f.rgb is not None]) >= 7
 
 
-def test_recorded_take_is_even_in_time(tmp_path, frames, take):
-    """Frames that came at uneven times give a motion at even ones; even ones give the clip's own."""
-    even = evenly_timed(take, np.arange(24) / 24.0)
-    for track, before in zip(even.hands, take.hands, strict=True):
-        np.testing.assert_allclose(track.hand_pose, before.hand_pose, atol=1e-6)
-        np.testing.assert_allclose(track.transl, before.transl, atol=1e-6)
-    times = np.where(np.arange(24) < 12, np.arange(24), np.arange(24) + 6.0) / 24.0  # a stall in the middle
-    moved = evenly_timed(take, times)
-    (hand,), (before,) = moved.hands, take.hands
-    assert moved.fps == pytest.approx(23 / times[-1])
-    moments = np.arange(24) / moved.fps
-    for axis in range(3):
-        np.testing.assert_allclose(
-            hand.transl[:, axis], np.interp(moments, times, before.transl[:, axis]), atol=1e-9
-        )
+def test_pictures_that_turn_keep_their_shape(tmp_path, frames, caplog):
+    turned = [replace(frame, rgb=np.ascontiguousarray(frame.rgb.swapaxes(0, 1))) for frame in frames[:3]]
+    written(tmp_path / "a.mkv", [*frames[:3], *turned], [i / 24.0 for i in range(6)])
+    last = list(open_media(tmp_path / "a.mkv").frames())[5].rgb.astype(int)
+    assert last.shape == (480, 640, 3)
+    assert max(last[:, :138].max(), last[:, -138:].max()) < 12
+    inside = cv2.resize(turned[2].rgb, (360, 480), interpolation=cv2.INTER_AREA)
+    assert np.abs(last[:, 140:500] - inside).mean() < 3.0
+    assert caplog.text.count("pictures of 480x640 follow those of 640x480") == 1
+
+
+@pytest.mark.parametrize("what", ["deleted", "wide", "pause"])
+def test_recording_that_cannot_go_on_says_why(tmp_path, frames, what):
+    """It ends, and nobody waits for it."""
+    said: list[str] = []
+    (tmp_path / "takes").mkdir()
+    recorder = camera.Recorder(tmp_path / "takes" / "a.mkv", 30.0, said.append)
+    rgb = np.zeros((2, 70_000, 3), dtype=np.uint8) if what == "wide" else frames[0].rgb
+    for i in range(100):
+        if i == 4 and what == "deleted":
+            waited(lambda: recorder.writer.frames == 4)
+            shutil.rmtree(tmp_path / "takes")
+        time.sleep(0.001)
+        recorder.put(camera.LivePicture(i, i / 30.0 + 90.0 * (what == "pause" and i > 4), lambda: rgb))
+    writer = recorder.close()
+    words = {"deleted": "deleted or moved", "wide": "larger than a JPEG", "pause": "no picture came for 90"}
+    assert len(said) == 1
+    assert words[what] in said[0]
+    assert (writer.failed, writer.frames) == (True, 5 if what == "pause" else 0)
 
 
 def test_recorded_clip_is_captured_as_the_file(tmp_path):
@@ -466,8 +497,7 @@ def test_recorded_clip_is_captured_as_the_file(tmp_path):
     assert [hand.side for hand in found.hands] == [hand.side for hand in again.hands]
     for one, other in zip(found.hands, again.hands, strict=True):
         np.testing.assert_allclose(one.hand_pose, other.hand_pose, atol=1e-6)
-    times = open_media(path).recorded_times()
-    assert found.fps == pytest.approx(23 / times[-1], rel=1e-3)
+    assert found.fps == pytest.approx(24.0, abs=3.0)
 
 
 @pytest.mark.slow
@@ -482,7 +512,9 @@ def test_full_disk_keeps_what_was_written_and_captures_it(tmp_path):
     )
     assert "which are kept" in done.stdout
     media = open_media(path.with_suffix(".mkv"))
-    assert 0 < len(list(media.frames())) == media.expected_frames == len(Take.load(path).frame_numbers) < 24
+    count = len(Take.load(path).frame_numbers)
+    assert 0 < len(list(media.frames())) <= count < 24
+    assert media.expected_frames == pytest.approx(count, abs=1)
 
 
 def test_recordings_replace_nothing(tmp_path):
@@ -532,7 +564,8 @@ def test_worker_follows_records_and_answers_others_afterwards(worker, station, t
     done = worker.wait(request, timeout=PATIENCE)
     assert (recorded["output"], done["recording"]) == (path, None)
     assert done["frames"] >= done["shown"] > 0
-    assert worker.wait(worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"] == recorded["frames"]
+    probed = worker.wait(worker.submit("probe", input=[path]), timeout=PATIENCE)["frames"]
+    assert probed == pytest.approx(1.0 + recorded["seconds"] * recorded["fps"], abs=1.0)
 
 
 def test_newest_pose_alone_waits_to_be_taken(worker, station):

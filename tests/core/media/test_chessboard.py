@@ -135,10 +135,14 @@ def test_a_damaged_file_is_told_of_and_stays(data, content):
     assert lenses_path().read_text() == content
 
 
-def test_a_saved_lens_with_impossible_numbers(data):
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("distortion", [np.nan] * 5), ("boards", np.inf), ("error", np.nan), ("width", np.inf)],
+)
+def test_a_saved_lens_with_impossible_numbers(data, name, value):
     save_lens("mine", MEASURED)
     content = json.loads(lenses_path().read_text())
-    content["mine"]["distortion"] = [float("nan")] * 5
+    content["mine"][name] = value
     lenses_path().write_text(json.dumps(content))
-    with pytest.raises(InputError, match="five finite numbers"):
+    with pytest.raises(InputError, match=f"{name} must be a"):
         saved_lens("mine")

@@ -6,6 +6,7 @@ import pytest
 
 from handfit_core.common.errors import InputError
 from handfit_core.media.opening import open_media
+from handfit_core.media.size_limit import check_for_blender
 from tests.bombs import clip
 from tests.listener import listening
 from tests.playlists import names, playlists
@@ -31,7 +32,7 @@ def test_a_playlist_is_no_video(tmp_path, name):
         for address in (f"http://127.0.0.1:{port}/clip.mp4", str(hidden), hidden.name, f"file:{hidden}"):
             for kind, content in playlists(address).items():
                 (tmp_path / name).write_bytes(content)
-                with pytest.raises(InputError, match=r"not a video|neither a picture nor a video"):
+                with pytest.raises(InputError, match=r"not a video|this is "):
                     open_media(tmp_path / name)
                 assert connections() == 0, kind
 
@@ -41,7 +42,11 @@ def test_a_pattern_in_a_videos_name_reads_no_pictures(tmp_path):
         cv2.imwrite(str(tmp_path / f"secret{number}.png"), np.full((48, 64, 3), 99, dtype=np.uint8))
     for name in ("secret%d.mp4", "secret%01d.png.xyz", "secret%d.gif"):
         (tmp_path / name).write_bytes(clip(tmp_path / "clip.mp4", frames=5))
+        assert len(list(open_media(tmp_path / name).frames())) == 5
+        if name.endswith("mp4"):
+            check_for_blender(tmp_path / name)  # no picture has this ending, by which FFmpeg goes
+            continue
         with pytest.raises(InputError, match="rename them"):
-            open_media(tmp_path / name)
+            check_for_blender(tmp_path / name)
     # Without such a file it is meant as a pattern.
     assert open_media(tmp_path / "secret%d.png").source.kind == "sequence"

@@ -178,6 +178,7 @@ def with_tags(path: Path, tags: bytes, *, in_track: bool) -> None:
         (struct.pack(">f", 13.5), 23, 13.5, False),
         (b"wide", 1, None, True),
         (struct.pack(">f", math.nan), 23, None, False),
+        (bytes([255]) * 200, 0, None, False),
     ],
 )
 def test_the_camera_of_a_phones_clip(tmp_path, value, kind, told, in_track):

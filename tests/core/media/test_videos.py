@@ -1,92 +1,206 @@
-"""Single frames of a video, read and sought."""
+"""Clips as phones, cameras and studios write them: upright, with square pixels, by their time stamps."""
 
-from dataclasses import replace
+import logging
+from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
 
 from handfit_core.common.errors import InputError
-from handfit_core.media import videos
+from handfit_core.media.exif import upright
+from handfit_core.media.frame_range import FrameRange
+from handfit_core.media.opening import open_media
 from handfit_core.media.source import Wanted
 from handfit_core.media.videos import Video
+from tests.clips import written_clip
 
-COUNT = 60
-
-
-@pytest.fixture(params=["mp4v", "MJPG", "samples"])
-def video(request: pytest.FixtureRequest, tmp_path: Path) -> Video:
-    if request.param == "samples":  # with frames that are stored in another order than they are seen
-        return Video(request.getfixturevalue("samples") / "videos" / "gestures_long.mp4", Wanted())
-    path = tmp_path / ("clip.mp4" if request.param == "mp4v" else "clip.avi")
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*request.param), 25.0, (64, 48))
-    for number in range(COUNT):
-        picture = np.full((48, 64, 3), 20, dtype=np.uint8)
-        picture[:, number : number + 4] = 230
-        writer.write(picture)
-    writer.release()
-    return Video(path, Wanted())
+SIZE = 64, 48
 
 
-def test_frames_are_the_same_read_and_sought(video, monkeypatch):
-    true = {frame.number: frame.rgb for frame in video.frames(0, 90) if frame.rgb is not None}
-    count = sum(1 for _ in video.frames())
-    for min_frames in (10_000, 0):
-        monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=min_frames))
-        for numbers in ([1], [2, 3, 40], [57, 58], [1, count - 1, count]):
-            found = list(video.pictures(numbers, count))
-            assert len(found) == len(numbers)
-            for number, picture in zip(numbers, found, strict=True):
-                assert picture is not None
-                assert number not in true or np.array_equal(picture, true[number])
-    first, behind = video.pictures([count, count + 5], count)
-    assert first is not None
-    assert behind is None
+def grey(number: int) -> np.ndarray:
+    """A picture (48, 64, 3) of that frame, with a bright corner at the top left."""
+    picture = np.full((SIZE[1], SIZE[0], 3), 8 + 4 * number, dtype=np.uint8)
+    picture[:16, :16] = 255
+    return picture
 
 
-def test_where_packets_are_no_frames_it_is_read(video, monkeypatch):
-    """A take that ends before the video does, a video that has lost packets, times that are no frame's."""
-    monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=0))
-    true = [frame.rgb for frame in video.frames(0, 50)]
-    times = videos._times(video._name)
-    for told in (times, times[1:], times + 7.0, np.empty(0)):
-        monkeypatch.setattr(videos, "_times", lambda _, told=told: told)
-        for picture, number in zip(video.pictures([5, 31, 50], 59), (5, 31, 50), strict=True):
-            np.testing.assert_array_equal(picture, true[number - 1])
+def shown(media) -> list[int | None]:
+    """Of each frame the number of the picture that it has; None for one without its own."""
+    pictures = [frame.rgb for frame in media.frames()]
+    middle = (slice(24, 40), slice(24, 40))
+    return [None if rgb is None else round((float(rgb[middle].mean()) - 8) / 4) for rgb in pictures]
 
 
-def with_delays(data: bytes, delays: list[tuple[int, int]]) -> bytes:
-    """An MP4, its index behind its pictures, whose frames follow each other after other times: (frames,
-    factor of the first one's delay)."""
-    boxes, at, end = [], 0, len(data)
-    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stts"):
-        while data[at + 4 : at + 8] != name:
-            at += int.from_bytes(data[at : at + 4], "big")
-            assert at < end
-        boxes.append(at)
-        at += 8
-    (size, delay) = (int.from_bytes(data[a : a + 4], "big") for a in (boxes[-1], at + 12))
-    table = b"".join(n.to_bytes(4, "big") + (delay * by).to_bytes(4, "big") for n, by in delays)
-    new = bytearray(data[: at + 4] + len(delays).to_bytes(4, "big") + table + data[boxes[-1] + size :])
-    for box in boxes:
-        old = int.from_bytes(new[box : box + 4], "big")
-        new[box : box + 4] = (old + 16 + len(table) - size).to_bytes(4, "big")
-    return bytes(new)
+@pytest.mark.parametrize(
+    ("name", "codec"),
+    [
+        ("a.mp4", "libx264"),
+        ("a.mov", "prores_ks"),
+        ("a.mp4", "libsvtav1"),
+        ("a.avi", "mjpeg"),
+        ("a.mkv", "libx265"),
+    ],
+)
+def test_codecs(tmp_path, name, codec):
+    media = open_media(written_clip(tmp_path / name, [grey(4 * n) for n in range(12)], codec=codec))
+    assert (media.width, media.height, media.fps, media.expected_frames) == (*SIZE, 25.0, 12)
+    assert np.abs(np.array(shown(media)) - 4 * np.arange(12)).max() <= 1
 
 
-@pytest.mark.parametrize(("delays", "steady"), [([(40, 1)], True), ([(20, 1), (20, 2)], False)])
-def test_a_changing_rate_is_noticed(tmp_path, delays, steady):
-    path = tmp_path / "clip.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 30.0, (64, 48))
-    for number in range(40):
-        writer.write(np.full((48, 64, 3), 6 * number, dtype=np.uint8))
-    writer.release()
-    path.write_bytes(with_delays(path.read_bytes(), delays))
-    media = Video(path, Wanted())
-    if steady:
-        media.check_steady()
-        assert media.fps == pytest.approx(30.0)
-        return
-    with pytest.raises(InputError, match="frame rate changes"):
-        media.check_steady()
+@pytest.mark.parametrize("codec", ["gif"])
+def test_moving_pictures(tmp_path, codec):
+    media = open_media(written_clip(tmp_path / f"a.{codec}", [grey(n) for n in range(5)], codec=codec))
+    assert media.source.kind == "video"
+    assert [number for number in shown(media) if number is not None] == list(range(5))
+
+
+def test_an_animated_webp(tmp_path):
+    animation = cv2.Animation()
+    animation.frames = [np.full((48, 64, 3), 8 + 4 * n, dtype=np.uint8) for n in (1, 5, 9, 13)]
+    animation.durations = np.array([100, 100, 200, 100])
+    cv2.imwriteanimation(str(tmp_path / "a.webp"), animation)
+    media = Video(tmp_path / "a.webp", Wanted())
+    assert (media.fps, media.expected_frames) == (10.0, 5)
+    assert shown(media) == [1, 5, 9, None, 13]
+
+
+def test_frames_that_an_edit_list_hides_are_none(tmp_path):
+    path = written_clip(tmp_path / "a.mp4", [grey(n) for n in range(30)], trimmed=12)
+    media = open_media(path)
+    assert media.expected_frames == 18
+    assert shown(media) == list(range(12, 30))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_display_matrix_is_undone(tmp_path, orientation):
+    path = written_clip(tmp_path / "a.mp4", [grey(n) for n in range(3)], orientation=orientation)
+    media = open_media(path)
+    assert media.source.orientation == orientation
+    expected = upright(grey(1), orientation)
+    assert (media.height, media.width) == expected.shape[:2]
+    rgb = list(media.frames())[1].rgb
+    assert rgb is not None
+    assert np.abs(rgb.astype(int) - expected).mean() < 6
+
+
+@pytest.mark.parametrize(
+    ("aspect", "size"),
+    [((2, 1), (128, 48)), ((1, 2), (64, 96)), ((1, 1000), SIZE), ((1001, 1000), SIZE)],
+)
+def test_pixels_are_square(tmp_path, aspect, size):
+    path = written_clip(tmp_path / "a.mp4", [grey(0)] * 3, aspect=Fraction(*aspect))
+    media = open_media(path)
+    assert (media.width, media.height) == size
+    assert all(frame.rgb is not None and frame.rgb.shape[:2] == size[::-1] for frame in media.frames())
+
+
+STEADY = list(range(30))
+
+
+@pytest.mark.parametrize(
+    ("times", "expected"),
+    [
+        # A phone in bad light: half as many pictures in the second half
+        ([30, 32, 34, 36], [30, None, 31, None, 32, None, 33]),
+        # Of those that come too fast the last one is shown.
+        ([30, 30.5, 30.7, 31, 32], [30, 33, 34]),
+        ([30, 31.02, 32, 33], [30, None, 32, 33]),
+        ([30, 30, 30, 31], [32, 33]),
+        ([30, 2000, 2001], [30]),
+    ],
+)
+def test_pictures_lie_at_their_times(tmp_path, times, expected, caplog):
+    times = [*STEADY, *times]
+    media = open_media(written_clip(tmp_path / "a.mkv", [grey(n) for n in range(len(times))], times=times))
+    assert media.fps == pytest.approx(25.0)
+    assert shown(media) == [*STEADY, *expected]
+    assert caplog.text.count("no picture follows for") == (times[-1] > 1000)
+
+
+def test_parts_are_the_frames_of_the_whole(tmp_path):
+    path = written_clip(tmp_path / "a.mp4", [grey(n) for n in range(30)], times=[1.5 * n for n in range(30)])
+    whole = list(open_media(path).frames())
+    media = open_media(path)
+    parts = [*media.frames(0, 10), *media.frames(10, 10), *media.frames(20)]
+    assert [frame.number for frame in parts] == [frame.number for frame in whole]
+    for one, other in zip(parts, whole, strict=True):
+        assert np.array_equal(one.rgb, other.rgb)
+    again = list(media.frames(5, 10))  # from the beginning again
+    assert all(np.array_equal(one.rgb, other.rgb) for one, other in zip(again, whole[5:15], strict=True))
+    some = list(open_media(path, FrameRange.parse("4-20:3")).frames())
+    assert [frame.number for frame in some] == [4, 7, 10, 13, 16, 19]
+    assert all(np.array_equal(frame.rgb, whole[frame.number - 1].rgb) for frame in some)
+
+
+@pytest.mark.parametrize("sought", [False, True])
+def test_single_pictures_are_those_that_are_shown(tmp_path, monkeypatch, sought):
+    from dataclasses import replace
+
+    from handfit_core.media import videos
+
+    if sought:
+        monkeypatch.setattr(videos, "MEDIA", replace(videos.MEDIA, min_seek_frames=0))
+    path = written_clip(
+        tmp_path / "a.mp4", [grey(n) for n in range(60)], times=[n + n // 30 for n in range(60)]
+    )
+    media = open_media(path)
+    true = {frame.number: frame.rgb for frame in media.frames()}
+    numbers = [1, 2, 3, 31, 40, 61, 70]
+    for number, picture in zip(numbers, media.pictures(numbers), strict=True):
+        if number == 31:  # on which the one before is shown again
+            number = 30
+        if number == 70:
+            assert picture is None
+        else:
+            assert np.array_equal(picture, true[number])
+
+
+def test_frames_of_another_size(tmp_path, caplog):
+    """They are scaled where they have the same shape, and left empty where they have another."""
+    for number, (size, read) in enumerate({(32, 24): True, (48, 64): False}.items()):
+        path = tmp_path / f"{number}.mjpeg.avi"
+        joined_clip(path, SIZE, size)
+        found = [frame.rgb for frame in open_media(path).frames()]
+        assert all(rgb is not None and rgb.shape == (48, 64, 3) for rgb in found[:5])
+        assert [rgb is not None for rgb in found[5:]] == [read] * 5
+        assert ("are left empty" in caplog.text) != read
+
+
+def joined_clip(path: Path, *sizes: Sequence[int]) -> None:
+    """A clip of JPEGs, five of each size."""
+    with av.open(str(path), "w", format="matroska") as output:
+        stream = output.add_stream("mjpeg", rate=25)
+        stream.width, stream.height, stream.pix_fmt = *sizes[0], "yuvj420p"
+        for number in range(5 * len(sizes)):
+            width, height = sizes[number // 5]
+            data = cv2.imencode(".jpg", np.full((height, width, 3), 90, dtype=np.uint8))[1].tobytes()
+            packet = av.Packet(data)
+            packet.stream, packet.pts, packet.dts = stream, number, number
+            packet.time_base = Fraction(1, 25)
+            output.mux(packet)
+
+
+def test_a_clip_that_breaks_off(tmp_path, caplog):
+    path = written_clip(tmp_path / "a.mkv", [grey(n) for n in range(40)], codec="mjpeg")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with caplog.at_level(logging.WARNING):
+        found = shown(open_media(path))
+    assert found == list(range(len(found)))
+    assert 10 < len(found) < 30
+    assert "breaks off after frame" in caplog.text
+
+
+def test_what_has_no_pictures(tmp_path):
+    with av.open(str(tmp_path / "a.mp4"), "w") as output:
+        stream = output.add_stream("aac", rate=44100)
+        frame = av.AudioFrame.from_ndarray(
+            np.zeros((2, 1024), dtype=np.float32), format="fltp", layout="stereo"
+        )
+        frame.sample_rate = 44100
+        output.mux([*stream.encode(frame), *stream.encode(None)])
+    with pytest.raises(InputError, match="no pictures in it, as in a sound"):
+        open_media(tmp_path / "a.mp4")

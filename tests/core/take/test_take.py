@@ -152,6 +152,7 @@ def test_arms_come_back():
     some = at_rows(loaded.hands[1], np.array([3, 0])).arm
     assert some is not None
     np.testing.assert_array_equal(some.elbow, expected["elbow"][[3, 0]])
+    assert at_rows(loaded.hands[1], np.array([1, 2])).arm is None
 
 
 @pytest.mark.parametrize(

@@ -302,4 +302,4 @@ def test_processes_of_a_python_that_has_handfit_core_from_the_launcher(tmp_path:
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 1, done.stderr
     errors = [entry["error"] for entry in shop.report.values()]
-    assert all("not a picture" in error for error in errors), errors
+    assert all("this is a text" in error for error in errors), errors

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import mediapipe
 import numpy as np
@@ -211,7 +212,9 @@ def test_check_and_warm(warm: Worker) -> None:
     lines = ask(warm, "check")["versions"].splitlines()
     assert lines[0] == f"handfit_core {__version__}"
     assert lines[1].endswith(sys.executable)
-    assert lines[2:] == [f"{module.__name__} {module.__version__}" for module in (np, scipy, cv2, mediapipe)]
+    assert lines[2:] == [
+        f"{module.__name__} {module.__version__}" for module in (np, scipy, cv2, mediapipe, av)
+    ]
 
 
 def test_a_package_that_is_missing_is_a_sentence(start: Any, tmp_path: Path) -> None:

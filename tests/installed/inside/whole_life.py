@@ -24,7 +24,7 @@ from traces import traces
 REPOSITORY = "user_default"
 NAME = f"bl_ext.{REPOSITORY}.manient"
 PROFILE = Path(os.environ["BLENDER_USER_RESOURCES"]) / "extensions"
-HEAVY = ("scipy", "cv2", "mediapipe")
+HEAVY = ("scipy", "cv2", "mediapipe", "av")
 """What captures, and must never be loaded by Blender's own process"""
 OPEN_HAND_VERTICES = 1810
 LAST = 40

@@ -45,3 +45,55 @@ def test_calibrations(tmp_path):
         read_rig(path, ["x", "y"], [(640, 480)] * 2)
     with pytest.raises(OptionError, match="the take has one view"):
         write_rig(path, first.take)
+
+
+CAMERA = """[cam_{0}]
+name = "{0}"
+size = [640, 480]
+matrix = [[600.0, 0.0, 320.0], [0.0, 600.0, 240.0], [0.0, 0.0, 1.0]]
+distortions = [0.0, 0.0, 0.0, 0.0, 0.0]
+rotation = [0.0, 0.0, 0.0]
+translation = [{0}.0, 0.0, 0.0]
+"""
+RIG = CAMERA.format(0) + CAMERA.format(1)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes"),
+    [
+        ("[cam_0]", "\ufeff[cam_0]"),
+        ("rotation", "fisheye = false\nrotation"),
+        ("distortions = [", "distortions = [0.0, 0.0, 0.0, "),
+    ],
+    ids=["byte-order mark", "no fisheye", "rational without effect"],
+)
+def test_calibrations_that_are_right(tmp_path, was, becomes):
+    (tmp_path / "rig.toml").write_text(RIG.replace(was, becomes, 1), encoding="utf-8")
+    rig = read_rig(tmp_path / "rig.toml", ["0", "1"], [(640, 480)] * 2)
+    assert [lens.intrinsics.fx for lens in rig.lenses] == [600.0, 600.0]
+    close(rig.translation, [1.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "said"),
+    [
+        ("rotation", "fisheye = true\nrotation", "camera '0' is a fisheye"),
+        ("[[600.0, 0.0", "[[600.0, 5.0", r"not \[\[fx, 0, cx\]"),
+        ("[0.0, 600.0", "[0.0, 6.0", "fx 600 and fy 6"),
+        ("[[600.0", "[[nan", "matrix must be a finite number"),
+        ("[640", "[inf", "size must be a finite number"),
+        ("[640", "[1" + "0" * 400, "size must be a finite number"),
+        ("[640", "[0", "needs the size of its pictures"),
+        ("rotation = [", "rotation = [0.0, ", "rotation has 4 numbers"),
+        ("0.0, 0.0, 0.0, 0.0, 0.0]", "0.1, 0.1, 0.0, 0.0, 0.1, 0.2, 0.1, 0.1]", "has 8 distortions"),
+        ("distortions = [", "distortions = [" + "0, " * 100_000, "has 100005 distortions"),
+        ("distortions = [", "distortions = [" + "0.1, " * 100_000, "longer lines of numbers"),
+        ("[cam_0]", "a = " + 2000 * "[" + 2000 * "]" + "\n[cam_0]", "nested deeper"),
+        ("[cam_0]", "a" + 50_000 * ".a" + " = 1\n[cam_0]", "nested deeper"),
+    ],
+)  # fmt: skip
+def test_other_cameras_are_refused_in_a_sentence(tmp_path, was, becomes, said):
+    (tmp_path / "rig.toml").write_text(RIG.replace(was, becomes, 1))
+    with pytest.raises(InputError, match=said) as raised:
+        read_rig(tmp_path / "rig.toml", ["0", "1"], [(640, 480)] * 2)
+    assert len(str(raised.value)) < 600
