@@ -178,9 +178,10 @@ def sequence_numbers(files: Sequence[Path]) -> list[int] | None:
 
 
 def numbered_like(file: Path) -> list[tuple[int, Path]]:
-    """The files beside `file`, itself included, that differ from it in the last number of their names only,
+    """Everything beside `file`, itself included, that differs from it in the last number of its name only,
     with that number; none where its name has no number."""
-    beside = [each for each in _files_in(file.parent) if each.name.endswith(file.suffix)]
+    there = file.parent.iterdir() if file.parent.is_dir() else ()
+    beside = [each for each in there if each.name.endswith(file.suffix)]
     for name, each in _series(beside).items():
         if len(name) > 1 and file in (found for _, found in each):
             return sorted(each)
