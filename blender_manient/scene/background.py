@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from math import floor
@@ -15,7 +14,7 @@ from handfit_core.common.errors import InputError
 from handfit_core.common.files import is_file
 from handfit_core.common.slices import run_to_completion
 from handfit_core.media.copies import copy_path
-from handfit_core.media.opening import sequence_numbers
+from handfit_core.media.opening import numbered_like, sequence_numbers
 from handfit_core.media.size_limit import check_for_blender, common_limit, is_picture, is_video
 from handfit_core.take import Take
 
@@ -178,14 +177,9 @@ def _checking(path: Path, take: Take, max_megapixels: float | None) -> Generator
     opened, or nothing. A take may name any file, and Blender opens pictures of a sequence that no take
     names."""
     files = [path]
-    number = re.search(r"\d+(?=\D*$)", path.stem)
-    if take.source.kind == "sequence" and number is not None:
-        # All that has such a name counts: Blender would wait for a pipe.
+    if take.source.kind == "sequence":
         first, last = int(take.frame_numbers[0]), int(take.frame_numbers[-1])
-        like = re.escape(path.name[: number.start()]), re.escape(path.name[number.end() :])
-        found = ((re.fullmatch(r"(\d+)".join(like), file.name), file) for file in path.parent.iterdir())
-        numbered = sorted((int(match[1]), file) for match, file in found if match)
-        files += [file for n, file in numbered if first <= n <= last or first <= -n <= last]
+        files += [file for number, file in numbered_like(path) if first <= number <= last]
     limit = common_limit(files, max_megapixels)
     for file in files:
         yield
