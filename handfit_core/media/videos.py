@@ -55,11 +55,9 @@ y' = b x + d y"""
 class _Form:
     """How the pictures of a clip become those of a take."""
 
-    decoded: tuple[int, int]
-    """Width and height of the first picture as it is decoded"""
     width: int
     height: int
-    """Those with square pixels, before it is turned"""
+    """Of the picture with square pixels, before it is turned"""
     orientation: int
     """EXIF orientation that is undone"""
 
@@ -75,19 +73,12 @@ class _Form:
             values = np.frombuffer(matrix, dtype=np.int32)[[0, 1, 3, 4]].astype(np.float64)
             signs = np.round(values / max(np.abs(values).max(), 1.0)).astype(int)
             orientation = _ORIENTATIONS.get(tuple(signs.tolist()), 1)
-        return cls((picture.width, picture.height), width, height, orientation)
+        return cls(width, height, orientation)
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the upright picture."""
         return (self.height, self.width) if self.orientation >= 5 else (self.width, self.height)
-
-    def fits(self, picture: VideoFrame) -> bool:
-        """True if a picture is as wide for its height as the first."""
-        width, height = self.decoded
-        return abs(picture.width * height - picture.height * width) <= max(
-            picture.width, picture.height, *self.decoded
-        )
 
     def applied(self, picture: VideoFrame, scaler: Any) -> np.ndarray:
         """(H, W, 3) uint8 RGB of a picture. `scaler`: PyAV's reformatter, which one thread uses."""
@@ -133,6 +124,10 @@ class _Reading:
         self.seconds = (stream.duration or 0) * unit or (self._container.duration or 0) / 1e6
         """Its length, as the container claims; 0 where it does not"""
         self._per_frame = 1.0 / ((self.fps or DEFAULT_FPS) * unit)
+        self._size: tuple[int, int] | None = None
+        """Width and height of its first picture"""
+        self.ended = ""
+        """Why reading ended before its end"""
         self.out_of_order = 0
         """Pictures that were left out, as their time is before that of one that came before"""
         self.broken = 0.0
@@ -182,8 +177,8 @@ class _Reading:
             yield heapq.heappop(waiting)
 
     def pictures(self, first: int = 1) -> Iterator[tuple[int, VideoFrame]]:
-        """Frame numbers, increasing, and the pictures that are first shown on them. Ends, with a warning,
-        where none follows for long; frame `first` is reached however long that takes."""
+        """Frame numbers, increasing, and the pictures that are first shown on them. Ends where none follows
+        for long, frame `first` excepted, and where their size changes, as Blender shows nothing more."""
         shown: tuple[int, VideoFrame] | None = None
         for stamp, _, picture in self._ordered():
             number = self._number(stamp)
@@ -192,17 +187,18 @@ class _Reading:
                 continue
             if shown is not None and number > shown[0]:
                 yield shown
-            gap = (number - max(first, shown[0] if shown else 0)) / (self.fps or DEFAULT_FPS)
-            if gap > MEDIA.break_seconds:
-                self.broken += gap
+            last, size = shown[0] if shown else 0, (picture.width, picture.height)
+            gap = (number - max(first, last)) / (self.fps or DEFAULT_FPS)
+            self._size = self._size or size
             if gap > MEDIA.max_gap_seconds:
-                log.warning(
-                    "%s: no picture follows for %.0f seconds after frame %d; the clip is read up to there",
-                    self._path,
-                    gap,
-                    shown[0] if shown else 0,
+                self.ended = f"no picture follows for {gap:.0f} seconds after frame {last}"
+            elif size != self._size:
+                self.ended = "its pictures change from {}x{} to {}x{} pixels after frame {}".format(
+                    *self._size, *size, last
                 )
+            if self.ended:
                 return
+            self.broken += gap if gap > MEDIA.break_seconds else 0.0
             shown = number, picture
         if shown is not None:
             yield shown
@@ -244,6 +240,7 @@ class _Animation(_Reading):
         self._frames = animation.frames
         self._times = np.concatenate([[0], np.cumsum(np.maximum(animation.durations, 1))]).tolist()
         self.size, self.aspect, self.start = (width, height), 1.0, 0
+        self._size, self.ended = None, ""
         self.out_of_order, self.broken = 0, 0.0
         self.seconds = self._times[-1] / 1000.0
         self.fps = min(1000.0 / float(np.median(np.diff(self._times))), MEDIA.max_fps)
@@ -287,8 +284,6 @@ class Video(Media):
         self._max_megapixels = wanted.max_megapixels
         self._reading: tuple[_Reading, Iterator[tuple[int, VideoFrame]], int] | None = None
         """Where a part was read: the decoder, its pictures, and the number of the one that it gave last"""
-        self._warned = False
-        """True once it was said that pictures change their size"""
         reading = _opened(path, wanted.max_megapixels)
         try:
             check_frame_size(path, *reading.size, wanted.max_megapixels)
@@ -350,7 +345,7 @@ class Video(Media):
                     yield Frame(wanted[at], (wanted[at] - 1) / self.fps, None)
                     at += 1
                 if at < len(wanted) and wanted[at] == number:
-                    yield Frame(number, (number - 1) / self.fps, self._rgb(reading, number, picture))
+                    yield Frame(number, (number - 1) / self.fps, self._form.applied(picture, reading.scaler))
                     at += 1
                 if at == len(wanted):
                     ended = False
@@ -363,22 +358,11 @@ class Video(Media):
         if ended:
             self._warn(reading, number, within=not first or at > 0)
 
-    def _rgb(self, reading: _Reading, number: int, picture: VideoFrame) -> np.ndarray | None:
-        """A picture as the take has it, scaled to the size of the first; None for one of another shape."""
-        if not self._form.fits(picture):
-            if not self._warned:
-                log.warning(
-                    "%s: its pictures change from %dx%d to %dx%d pixels; frame %d and those like it are left "
-                    "empty",
-                    *(self._path, *self._form.decoded, picture.width, picture.height, number),
-                )
-            self._warned = True
-            return None
-        return self._form.applied(picture, reading.scaler)
-
     def _warn(self, reading: _Reading, last: int, *, within: bool) -> None:
         """Say what was missing in a video that was read to its end."""
-        if within and last + MEDIA.missing_frames < self._count:
+        if reading.ended:
+            log.warning("%s: %s; the clip is read up to there", self._path, reading.ended)
+        elif within and last + MEDIA.missing_frames < self._count:
             log.warning(
                 "%s: the video breaks off after frame %d of %d; the rest is missing",
                 self._path,
@@ -410,7 +394,7 @@ class Video(Media):
                 while ahead is not None and ahead[0] <= wanted:
                     shown, ahead = ahead, next(following, None)
                 is_shown = shown is not None and (ahead is not None or wanted == shown[0])
-                yield self._rgb(reading, *shown) if shown is not None and is_shown else None
+                yield self._form.applied(shown[1], reading.scaler) if shown is not None and is_shown else None
         finally:
             reading.close()
 
