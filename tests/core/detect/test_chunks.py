@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,13 +14,14 @@ import pytest
 from handfit_core.capturing.detection import detect_frames
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.arrays import arrays_of
-from handfit_core.common.errors import InputError
 from handfit_core.detect import chunks, sharing
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, Detected
 from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.media import pictures
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import open_media
+from handfit_core.media.pictures import read_picture
 from tests.core.detect.clips import SAMPLE, picture, write_two_hands
 
 pytestmark = pytest.mark.usefixtures("landmark_model")
@@ -84,10 +86,16 @@ def test_any_number_of_threads_finds_the_same(clip, alone):
     assert_same(*parts)
 
 
-def test_an_error_in_another_thread_is_raised_here(tmp_path):
+def test_an_error_in_another_thread_is_raised_here(tmp_path, monkeypatch):
+    def read(path: Path, **options: Any) -> tuple[np.ndarray, int]:
+        if path.name == "a.0040.png":
+            raise MemoryError(path.name)
+        return read_picture(path, **options)
+
     for i in range(50):
-        cv2.imwrite(str(tmp_path / f"a.{i:04}.png"), np.zeros((64, 48 if i == 40 else 64, 3), dtype=np.uint8))
-    with pytest.raises(InputError, match=r"a\.0040\.png: is 48x64 pixels"):
+        cv2.imwrite(str(tmp_path / f"a.{i:04}.png"), np.zeros((64, 64, 3), dtype=np.uint8))
+    monkeypatch.setattr(pictures, "read_picture", read)
+    with pytest.raises(MemoryError, match=r"a\.0040\.png"):
         detect_frames(open_media(tmp_path), CaptureOptions(processes=3))
 
 

@@ -285,7 +285,7 @@ def test_ends_in_the_middle_of_a_capture_when_blender_dies(tmp_path: Path) -> No
         "import os, sys\n"
         "from handfit_core.worker.client import Worker\n"
         "worker = Worker()\n"
-        f"worker.submit('capture', **{capture_of(tmp_path)!r})\n"
+        f"worker.submit('capture', **{capture_of(tmp_path, quality='best')!r})\n"
         "while not any(e['event'] == 'progress' for e in worker.events(wait=0.1)): pass\n"
         "print(worker.pid, flush=True); os._exit(1)\n"
     )
@@ -305,7 +305,7 @@ def test_ends_in_the_middle_of_a_capture_when_blender_dies(tmp_path: Path) -> No
 
 def test_stop_is_heard_in_the_middle_of_a_capture(tmp_path: Path) -> None:
     with Worker() as worker:
-        request = worker.submit("capture", **capture_of(tmp_path))
+        request = worker.submit("capture", **capture_of(tmp_path, quality="best"))
         while not any(event["event"] == "progress" for event in worker.events(wait=0.1)):
             pass
         worker.stop(5.0)
