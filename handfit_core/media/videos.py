@@ -101,7 +101,10 @@ class _Reading:
         self._file = open(path, "rb")  # noqa: SIM115 (until it is closed)
         try:
             self._container = av.open(
-                self._file, "r", options={"format_whitelist": _CONTAINERS, "protocol_whitelist": "none"}
+                self._file,
+                "r",
+                options={"format_whitelist": _CONTAINERS, "protocol_whitelist": "none"},
+                metadata_errors="replace",
             )
         except FFmpegError as error:
             self._file.close()
@@ -110,6 +113,9 @@ class _Reading:
         if not isinstance(stream, VideoStream):
             self.close()
             raise InputError(f"{path}: there are no pictures in it, as in a sound; choose a video")
+        if stream.codec_context is None:  # FFmpeg does not know how they are stored
+            self.close()
+            raise InputError(not_a_video(path))
         self._stream, context = stream, stream.codec_context
         context.options = {"max_pixels": str(max_pixels)}
         context.thread_type = "AUTO"

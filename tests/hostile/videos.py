@@ -36,6 +36,7 @@ FIELDS = {
     "stts-entries": (b"stts", 4), "stts-frames": (b"stts", 8), "stts-length": (b"stts", 12),
     "stsc-entries": (b"stsc", 4), "stsc-samples": (b"stsc", 12), "stsz-size": (b"stsz", 4),
     "stsz-frames": (b"stsz", 8), "stco-entries": (b"stco", 4), "stco-first": (b"stco", 8), "elst": (b"elst", 8),
+    "elst-time": (b"elst", 12), "tkhd-matrix-a": (b"tkhd", 40), "tkhd-matrix-b": (b"tkhd", 44),
     "mdat-size": (b"mdat", -4), "moov-size": (b"moov", -4), "trak-size": (b"trak", -4), "moov-name": (b"moov", 0),
 }  # fmt: skip
 """Fields of four bytes in an mp4: atom, and how far behind its name."""
