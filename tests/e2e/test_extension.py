@@ -37,7 +37,7 @@ from scripts.extension.wheels import (
 
 ROOT = Path(__file__).resolve().parents[2]
 
-MOST = 160_000_000
+MOST = 200_000_000
 """bytes that an artist downloads"""
 
 pytestmark = [
