@@ -99,7 +99,7 @@ def test_the_same_line_again_makes_what_is_missing(wheel, take_file, tmp_path):
     before = times(out / "wave")
     (out / "wave" / "wave.bvh").unlink()
     dry = wheel(*line, "glb,bvh", "--dry-run").stdout.splitlines()
-    assert dry == [
+    assert dry[-3:] == [  # before which Blender 5.2 may tell of its colours
         f"to do    {takes[0]} -> {out / 'wave'}",
         f"done     {takes[1]} -> {out / 'nod'}",
         "1 of 2 to do",
