@@ -82,7 +82,7 @@ class _Form:
 
     def applied(self, picture: VideoFrame, scaler: Any) -> np.ndarray:
         """(H, W, 3) uint8 RGB of a picture. `scaler`: PyAV's reformatter, which one thread uses."""
-        rgb = scaler.reformat(picture, self.width, self.height, "rgb24").to_ndarray()
+        rgb = scaler.reformat(picture, self.width, self.height, "rgb24", threads=1).to_ndarray()
         return rgb if self.orientation == 1 else np.ascontiguousarray(upright(rgb, self.orientation))
 
 
