@@ -76,7 +76,7 @@ def test_scenario(blender: BlenderWindow, inputs: Inputs, scenario: str):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("blank_from", "word"), [(0, "hand"), (None, "picture")])
+@pytest.mark.parametrize(("blank_from", "word"), [(0, "hand"), (None, "text")])
 def test_a_failure_is_a_sentence(blender: BlenderWindow, inputs: Inputs, blank_from: int | None, word: str):
     source = inputs.words if blank_from is None else inputs.clip(CLIP, blank_from)
     blender.play("capture.fails", source=source, word=word)
