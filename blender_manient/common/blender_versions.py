@@ -17,7 +17,7 @@ import bpy
 
 
 def turns_movies() -> bool:
-    """Whether Blender turns a movie as its display matrix says. Nothing but the version tells."""
+    """True if Blender turns a movie as its display matrix says, as it does from 4.4 on."""
     return bpy.app.version >= (4, 4)
 
 
