@@ -11,7 +11,8 @@ import numpy as np
 
 from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.common.skeleton import SIDES, Side
-from handfit_core.retarget.hand_map import Found, HandMap, empty_map
+from handfit_core.retarget.hand_map import HandMap, empty_map
+from handfit_core.retarget.recognition import Found
 
 from ..rigs import found_hand, troubles
 from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture

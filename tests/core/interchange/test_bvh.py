@@ -19,11 +19,10 @@ from handfit_core.interchange.formats.bvh import WRITER
 from handfit_core.interchange.opening import read_recording
 from handfit_core.interchange.recording import Recording
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.names import RIGS
 from handfit_core.retarget.transfer import palm_frame
 from handfit_core.take import Take
 from tests.core.interchange.known_hands import HANDS
-from tests.core.retarget.rigs import Built, add_hand, body, names_of
+from tests.core.retarget.rigs import RIGS, Built, add_hand, body, names_of
 from tests.takes import take_of, track_of
 
 CAMERA = Intrinsics(1000.0, 1000.0, 640.0, 360.0)
