@@ -439,7 +439,7 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
     called = [FINGERS.index(finger) for i in others if (finger := told[i])]
     in_row = all(np.diff(called) > 0) or np.diff(places).max() > -1e-3
     if distinct and all(told) and told[thumb] == "thumb" and len(others) < 5 and in_row:
-        fingers = [(told[i],) for i in others]
+        fingers = [(str(told[i]),) for i in others]
     agreed = sum(told[i] in own for i, own in zip(others, fingers, strict=True)) + (told[thumb] == "thumb")
     if agreed < sum(map(bool, told)):
         but = "its fingers are called otherwise than they lie: by their places they are taken"
@@ -508,7 +508,9 @@ def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
             continue
         if name in hand_map.palm or any(bone in bones.ancestors(one) for one in keyed):
             why = "between hand and fingers"
-        elif any(above in keyed for above in line) and not bones.children[bone]:
+        elif bones.parents[bone] in keyed and not any(
+            bones.parents[bone] in bones.ancestors(k) for k in keyed
+        ):
             why = "at the tips"
         else:
             why = "not known as a finger's"

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class Rig:
     @cached_property
     def slots(self) -> dict[int, str]:
         """The names without prefix: by MANO's joints, from 16 on metacarpals, and from 20 on tips."""
-        words = dict(zip(FINGERS, self.fingers.split(), strict=True))
+        words: dict[str, str] = dict(zip(FINGERS, self.fingers.split(), strict=True))
         named = {0: self.hand}
         bones = (self.bones.split("|") * 3)[:3]
         for number, (finger, joints) in enumerate(FINGER_JOINTS.items()):
@@ -234,7 +235,7 @@ def body(built: Built, side: Side, name: str = "bone") -> tuple[int, np.ndarray]
     return fore, np.array([sign * 0.65, 0.0, 1.4])
 
 
-def character(rig: Rig, prefix: str | None = None, seed: int = 1, **bent: float) -> Bones:
+def character(rig: Rig, prefix: str | None = None, seed: int = 1, **bent: Any) -> Bones:
     """A body with two hands, named by a table."""
     built, rng = Built(), np.random.default_rng(seed)
     for side in SIDES:

@@ -281,11 +281,11 @@ def test_names_without_side(side):
 def test_places_stand_above_names(side):
     """A thumb that is called a ring finger is a thumb, and that is said."""
     names = names_of(rig_of("Mixamo"), side)
-    called = dict(zip(FINGERS, ("Ring", "Middle", "Thumb", "Pinky", "Index"), strict=True))
-    usual = dict(zip(FINGERS, ("Thumb", "Index", "Middle", "Ring", "Pinky"), strict=True))
-    for finger, joints in FINGER_JOINTS.items():
+    called = ("Ring", "Middle", "Thumb", "Pinky", "Index")
+    usual = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+    for joints, own, wrong in zip(FINGER_JOINTS.values(), usual, called, strict=True):
         for joint in joints:
-            names[joint] = names[joint].replace(usual[finger], called[finger])
+            names[joint] = names[joint].replace(own, wrong)
     built = Built()
     fore, place = body(built, side)
     add_hand(built, side, names, np.random.default_rng(1), parent=fore, place=place)
