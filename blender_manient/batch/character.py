@@ -19,7 +19,7 @@ from handfit_core.retarget.hand_map import HandMap, read_preset
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions
-from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
+from ..scene.characters import CharacterObjects, characters_in, sure_map_of, why_not_reachable, without_keys
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
 
@@ -183,6 +183,8 @@ class Character:
                 continue
             hands.append((hand_map, motion_of(take, track, model)))
             told.append({"side": side, "captured": take.hands.index(track) + 1, "rig": hand_map.rig})
+            if left_out := without_keys(armature, hand_map):
+                told[-1]["without_keys"] = left_out
         if not hands:
             raise OptionError("; ".join(alone))
         reference = self.reference
@@ -225,7 +227,7 @@ class Character:
 
     def _bones_of(self, armature: bpy.types.Object, side: Side) -> HandMap:
         """Raises HandModelError."""
-        hand_map = self.bones.get(side) or hand_map_of(armature, side)
+        hand_map = self.bones.get(side) or sure_map_of(armature, side)
         hand_map.check(armature.data.bones)
         return hand_map
 

@@ -9,6 +9,7 @@ import bpy
 from handfit_core.common.errors import HandfitError, HandModelError
 from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
 from handfit_core.retarget.hand_map import PALM_FINGERS
+from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised, counted
@@ -20,10 +21,12 @@ from ..scene.characters import (
     is_damaged,
     kept_map,
     recognised,
+    said_without_keys,
     source_of,
     sources_of,
     table_of,
     why_not_reachable,
+    without_keys,
 )
 from ..scene.onto_character import why_not_turned
 from ..scene.store import CapturedHand
@@ -165,6 +168,9 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
             text = "Metacarpals" if finger == PALM_FINGERS[0] else finger.capitalize()
             block.prop_search(table, f"{finger}_palm", armature.data, "bones", text=text)
         block.prop(table, "fold", slider=True)
+        keyless = said_without_keys(without_keys(armature, table_of(armature, table.side)))
+        if keyless:
+            sentence(layout, context, capitalised(keyless), "INFO")
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
@@ -199,10 +205,16 @@ def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list
             told.append((f"{rig}, with your own table", "CHECKMARK"))
         elif (sure := recognised(armature, side).sure) >= _SURE:
             told.append((f"{rig}, for sure", "CHECKMARK"))
+        elif sure < DOUBTFUL:
+            told.append(("This may be no hand: look at Bones below", "ERROR"))
         else:
             doubt = "likely" if sure >= _LIKELY else "perhaps"
             told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
         hand_map.check(armature.data.bones)
+        if keyless := without_keys(armature, hand_map).get(UNKNOWN):
+            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
+        if kept_map(armature, side) is None and (but := recognised(armature, side).but):
+            told.append((capitalised(but), "INFO"))
     except HandModelError as error:
         return [*told, (capitalised(str(error)), "ERROR")]
     if armature.manient.character.wrist == "FINGERS":

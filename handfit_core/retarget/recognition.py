@@ -32,6 +32,8 @@ LABEL: Final = "By its structure"
 """`HandMap.rig` of a hand whose names say nothing"""
 DOUBTFUL: Final = 0.35
 """Sureness below which a hand may be none"""
+UNKNOWN: Final = "not known as a finger's"
+"""Why `left_out` names bones that are neither metacarpals nor tips"""
 _LEAST: Final = 0.2
 """Sureness below which feet, jaws and hair stay"""
 
@@ -501,19 +503,16 @@ def _rig(reading: _Reading, thumb: int, others: list[int]) -> str:
 def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
     """The bones below a hand's that its motion is not keyed on, by why not."""
     hand, keyed = bones.index[hand_map.bones[0]], {bones.index[name] for name in hand_map.keyed}
+    before = {above for bone in keyed for above in bones.ancestors(bone)}
     found: dict[str, list[str]] = {}
     for bone, name in enumerate(bones.names):
-        line = [*bones.ancestors(bone)]
-        if bone in keyed or hand not in line:
+        if bone in keyed or hand not in bones.ancestors(bone):
             continue
-        if name in hand_map.palm or any(bone in bones.ancestors(one) for one in keyed):
+        why = UNKNOWN
+        if bone in before or name in hand_map.palm:
             why = "between hand and fingers"
-        elif bones.parents[bone] in keyed and not any(
-            bones.parents[bone] in bones.ancestors(k) for k in keyed
-        ):
+        elif bones.parents[bone] in keyed - before:
             why = "at the tips"
-        else:
-            why = "not known as a finger's"
         found.setdefault(why, []).append(name)
     return found
 
