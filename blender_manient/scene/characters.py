@@ -152,8 +152,8 @@ def sure_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
     hand_map = hand_map_of(armature, side)
     if kept_map(armature, side) is None and recognised(armature, side).sure < DOUBTFUL:
         raise HandModelError(
-            f"the bones below {hand_map.bones[0]!r} may be no {side} hand: name its bones with --bones, or in "
-            "the panel of the character's file"
+            f"the bones below {hand_map.bones[0]!r} may be no {side} hand: name its bones with --bones, or "
+            "choose them in the panel and save the character's file"
         )
     return hand_map
 
