@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import heapq
+import itertools
 import logging
 import math
 import shutil
@@ -283,30 +284,38 @@ def _opened(path: Path, max_megapixels: float | None) -> _Reading:
 class Video(Media):
     """A video file, read through FFmpeg."""
 
+    _reading: tuple[_Reading, Iterator[tuple[int, VideoFrame]], int] | None = None
+    """What was read in part: the decoder, its pictures, and the number of the one that it gave last"""
+
     def __init__(self, path: Path, wanted: Wanted) -> None:
         self._path, self._range, frames = path, wanted.frames, wanted.frames
         if not is_picture(path):  # an animation
             check_video(path, wanted.max_megapixels)
         self._max_megapixels = wanted.max_megapixels
-        self._reading: tuple[_Reading, Iterator[tuple[int, VideoFrame]], int] | None = None
-        """Where a part was read: the decoder, its pictures, and the number of the one that it gave last"""
+        # Until it has seen a large piece freed, glibc gives the memory of each picture back to the system; to
+        # get it again page by page for the next one takes as long as to decode that.
+        np.empty(MEDIA.kept_bytes, dtype=np.uint8)
         reading = _opened(path, wanted.max_megapixels)
+        pictures = reading.pictures()
+        self._reading = reading, pictures, 0
         try:
             check_frame_size(path, *reading.size, wanted.max_megapixels)
-            _, first = next(reading.pictures(), (0, None))
+            first = next(pictures, None)
             if first is None:
                 raise InputError(not_a_video(path))
-            self._form = _Form.of(first, reading.aspect)
+            self._reading = reading, itertools.chain([first], pictures), 0
+            self._form = _Form.of(first[1], reading.aspect)
             self.width, self.height = self._form.size
             check_frame_size(path, self.width, self.height, wanted.max_megapixels)
             if not reading.fps:
                 log.warning("%s: names no frame rate; %g frames per second are assumed", path, DEFAULT_FPS)
             self.fps = reading.fps or DEFAULT_FPS
             count = self._frame_count(reading)
-        finally:
-            reading.close()
-        if frames.first is not None and count > 0 and frames.first > count:
-            raise InputError(f"{path}: frames {frames} lie behind its end; it has frames 1-{count}")
+            if frames.first is not None and count > 0 and frames.first > count:
+                raise InputError(f"{path}: frames {frames} lie behind its end; it has frames 1-{count}")
+        except InputError:
+            self.close()
+            raise
         used = frames.within(1, count)
         self.expected_frames = len(used)
         self.first_and_last = (used[0], used[-1]) if used else (1, 1)
@@ -409,3 +418,6 @@ class Video(Media):
         if self._reading is not None:
             self._reading[0].close()
             self._reading = None
+
+    def __del__(self) -> None:
+        self.close()

@@ -136,6 +136,17 @@ def test_parts_are_the_frames_of_the_whole(tmp_path):
     assert all(np.array_equal(frame.rgb, whole[frame.number - 1].rgb) for frame in some)
 
 
+def test_a_clip_is_opened_once(tmp_path, monkeypatch):
+    path = written_clip(tmp_path / "a.mp4", [grey(n) for n in range(8)])
+    opened, opening = [], av.open
+    monkeypatch.setattr(av, "open", lambda *args, **options: opened.append(1) or opening(*args, **options))
+    media = open_media(path)
+    assert shown(media) == list(range(8))
+    assert len(opened) == 1
+    assert shown(media) == list(range(8))
+    assert len(opened) == 2
+
+
 @pytest.mark.parametrize("sought", [False, True])
 def test_single_pictures_are_those_that_are_shown(tmp_path, monkeypatch, sought):
     from dataclasses import replace
