@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
-import re
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.common.errors import HandfitError, InputError
-from handfit_core.common.files import cache_dir, is_file, written_whole
+from handfit_core.common.files import cache_dir, written_whole
+from handfit_core.media.headers import begins
 from handfit_core.media.heif import HEIF
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Media, Source
@@ -28,21 +28,20 @@ _KEPT: Final = 100
 """copies"""
 
 
+def copies_folder() -> Path:
+    """Where all copies lie."""
+    return cache_dir() / "plates"
+
+
 def copy_path(source: Source) -> Path | None:
     """Where the copy of a photo or clip lies, whether or not there is one; None where none is needed."""
     path = Path(source.files[0])
-    if source.kind not in _UNREAD or not is_file(path):
+    if source.kind not in _UNREAD or not begins(path, _UNREAD[source.kind]):
         return None
-    try:
-        with open(path, "rb") as stream:
-            if not re.match(_UNREAD[source.kind], stream.read(12), re.DOTALL):
-                return None
-        state = path.stat()
-    except OSError:
-        return None
+    state = path.stat()
     key = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
     name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()[:24]
-    return cache_dir() / "plates" / (name + _SUFFIXES[source.kind])
+    return copies_folder() / (name + _SUFFIXES[source.kind])
 
 
 def write_copy(source: Source, max_megapixels: float | None = None) -> None:

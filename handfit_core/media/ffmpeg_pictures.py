@@ -15,7 +15,7 @@ import numpy as np
 from handfit_core.common.errors import InputError
 from handfit_core.media.headers import EXR, exr_channels, read_exr_attributes
 from handfit_core.media.heif import HEIF, read_heif
-from handfit_core.media.kinds import what_is
+from handfit_core.media.kinds import unreadable
 
 if TYPE_CHECKING:
     import av
@@ -36,7 +36,7 @@ def decoded_by_ffmpeg(path: Path, data: bytes) -> tuple[np.ndarray, int] | None:
             # Logarithmic film densities, too, are taken as they would be shown.
             return _one("dpx", data).to_ndarray(format="bgr24"), 1
     except (ValueError, LookupError, struct.error) as error:
-        raise InputError(f"{path}: {what_is(path)}") from error
+        raise unreadable(path) from error
     return None
 
 

@@ -14,7 +14,7 @@ from handfit_core.common.errors import InputError
 from handfit_core.common.files import path_of, printable, shown, why
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.headers import is_animated
-from handfit_core.media.kinds import what_is
+from handfit_core.media.kinds import unreadable
 from handfit_core.media.pictures import Pictures
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import is_picture, is_video
@@ -80,14 +80,12 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
             raise InputError(f"{path}: no pictures in it{there}; give photos, a folder of photos or a video")
         return _open_pictures(*to_read(path, files, others), wanted, str(path))
     if path.is_file():
-        if path.stat().st_size == 0:
-            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
         still = is_picture(path)
         if still and not is_animated(path):
             return Pictures([path], [1], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
         if still or path.suffix.lower() in VIDEO_SUFFIXES or is_video(path):
             return Video(path, wanted)
-        raise InputError(f"{path}: {what_is(path)}")
+        raise unreadable(path)
     if is_pattern(str(path)):
         found, numbers = matching(path)
         if not found:

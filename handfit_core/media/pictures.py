@@ -13,7 +13,7 @@ import numpy as np
 from handfit_core.common.errors import InputError
 from handfit_core.media.exif import is_tiff, read_orientation, upright
 from handfit_core.media.ffmpeg_pictures import decoded_by_ffmpeg
-from handfit_core.media.kinds import what_is
+from handfit_core.media.kinds import unreadable
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import Limit, check_picture, common_limit
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, SourceKind, Wanted
@@ -70,7 +70,7 @@ def _decoded(path: Path, data: bytes) -> tuple[np.ndarray, int]:
         # OpenCV refuses more than 2^30 pixels.
         raise InputError(f"{path}: the picture is too large or damaged; save it again, smaller") from error
     if pixels is None:
-        raise InputError(f"{path}: {what_is(path)}")
+        raise unreadable(path)
     return pixels, read_orientation(data)
 
 

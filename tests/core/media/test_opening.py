@@ -220,7 +220,7 @@ def test_unreadable_picture_in_a_sequence_is_an_empty_frame(tmp_path, caplog):
 BAD: dict[str, tuple[list[str], str]] = {
     "missing": (["missing.jpg"], "no such file"),
     "zero bytes": (["empty.jpg"], "empty"),
-    "not a video": (["text.mp4"], "not a video"),
+    "not a video": (["text.mp4"], "text.mp4: this is a text"),
     "unknown kind": (["text.xyz"], "text.xyz: this is a text"),
     "no pictures": (["nothing"], "no pictures"),
     "damaged": (["cut.png"], "a PNG picture that is cut off"),
