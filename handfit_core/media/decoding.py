@@ -15,6 +15,7 @@ import math
 import shutil
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -43,36 +44,34 @@ def opened(path: Path, max_pixels: int) -> Reading:
     return _Animation(path) if begins(path, rb"RIFF....WEBP") else _File(path, max_pixels)
 
 
+@dataclass(eq=False)
 class Reading:
     """A video that is decoded from its beginning, or from a place in it."""
 
-    def __init__(
-        self,
-        size: tuple[int, int],
-        fps: float,
-        seconds: float,
-        *,
-        unit: float,
-        start: int = 0,
-        aspect: float = 1.0,
-    ) -> None:
-        """`unit`: seconds of a time stamp's step. `start`: the first time stamp."""
+    size: tuple[int, int]
+    """Width and height that the container claims, in pixels"""
+    fps: float
+    """The rate that the file tells; 0 where it tells none"""
+    seconds: float
+    """Its length, as the container claims; 0 where it does not"""
+    unit: float
+    """Seconds of a step of time stamps"""
+    start: int = 0
+    """The first time stamp"""
+    aspect: float = 1.0
+    """The width of a pixel by its height"""
+    ended: str = ""
+    """Why reading ended before its end"""
+    out_of_order: int = 0
+    """Pictures that were left out, as their time is before that of one that came before"""
+    broken: float = 0.0
+    """Seconds of breaks between pictures"""
+
+    def __post_init__(self) -> None:
         self.scaler = VideoReformatter()
-        self.size = size
-        """Width and height that the container claims, in pixels"""
-        self.fps = fps if 0.0 < fps <= MEDIA.max_fps else 0.0
-        """The rate that the file tells; 0 where it tells none"""
-        self.seconds = seconds
-        """Its length, as the container claims; 0 where it does not"""
-        self.aspect = aspect
-        """The width of a pixel by its height"""
-        self.ended = ""
-        """Why reading ended before its end"""
-        self.out_of_order = 0
-        """Pictures that were left out, as their time is before that of one that came before"""
-        self.broken = 0.0
-        """Seconds of breaks between pictures"""
-        self._start, self._per_frame = start, 1.0 / ((self.fps or DEFAULT_FPS) * unit)
+        """Converts its pictures; one thread uses it"""
+        self.fps = self.fps if 0.0 < self.fps <= MEDIA.max_fps else 0.0
+        self._per_frame = 1.0 / ((self.fps or DEFAULT_FPS) * self.unit)
         self._size: tuple[int, int] | None = None
         """Width and height of its first picture"""
 
@@ -94,15 +93,15 @@ class Reading:
 
     def _number(self, stamp: int) -> int:
         """The first frame on which a picture is shown."""
-        number = max(1, math.floor((stamp - self._start - 0.5) / self._per_frame))
-        while self._stamp(number) < stamp - self._start:
+        number = max(1, math.floor((stamp - self.start - 0.5) / self._per_frame))
+        while self._stamp(number) < stamp - self.start:
             number += 1
         return number
 
     def _ordered(self) -> Iterator[tuple[int, int, VideoFrame]]:
         """(time stamp, count, picture) by time: decoders that begin in the middle give some too early."""
         waiting: list[tuple[int, int, VideoFrame]] = []
-        last = self._start - 1
+        last = self.start - 1
         for count, picture in enumerate(self._decoded()):
             last = picture.pts if picture.pts is not None else last + max(1, round(self._per_frame))
             heapq.heappush(waiting, (last, count, picture))
@@ -141,7 +140,7 @@ class Reading:
     def sought(self, number: int) -> Iterator[tuple[int, VideoFrame]]:
         """`pictures` from one on that is shown on a frame or before it, as the container's index has it."""
         for stamp in (self._stamp(number), 0):
-            if self._seek(self._start + stamp):
+            if self._seek(self.start + stamp):
                 following = self.pictures(first=number)
                 if (begun := next(following, None)) is not None and begun[0] <= number:
                     yield begun

@@ -82,7 +82,7 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
     if path.is_file():
         still = is_picture(path)
         if still and not is_animated(path):
-            return Pictures([path], [1], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
+            return Pictures([(1, path)], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
         if still or path.suffix.lower() in VIDEO_SUFFIXES or is_video(path):
             return Video(path, wanted)
         raise unreadable(path)
@@ -252,7 +252,7 @@ def _open_pictures(
     """Open a sequence of pictures; `numbers` are their frame numbers where their names tell them, and `said`
     is a warning."""
     if not files:
-        raise InputError(f"{what}: no pictures in it; give photos ({_suffixes(PHOTO_SUFFIXES)}) or a video")
+        raise InputError(f"{what}: no pictures in it; give photos, a folder of photos or a video")
     if said:
         log.warning("%s", said)
     if len(files) == 1 and numbers is None:
@@ -267,14 +267,4 @@ def _open_pictures(
             f"{what}: no picture lies in frames {wanted.frames}; its frames are "
             f"{ordered[0][0]}-{ordered[-1][0]}"
         )
-    return Pictures(
-        [f for _, f in chosen],
-        [n for n, _ in chosen],
-        wanted,
-        kind="sequence",
-        all_numbers=[n for n, _ in ordered],
-    )
-
-
-def _suffixes(suffixes: frozenset[str]) -> str:
-    return " ".join(sorted(suffixes))
+    return Pictures(chosen, wanted, kind="sequence", all_numbers=[n for n, _ in ordered])

@@ -155,16 +155,14 @@ class Pictures(Media):
 
     def __init__(
         self,
-        files: list[Path],
-        numbers: list[int],
+        numbered: list[tuple[int, Path]],
         wanted: Wanted,
         *,
         kind: SourceKind,
-        all_numbers: list[int] | None = None,
+        all_numbers: Sequence[int] = (),
     ) -> None:
-        """`all_numbers`: frame numbers of all pictures, including those that are not wanted; None:
-        `numbers`."""
-        self._files, self._numbers = files, numbers
+        """`all_numbers`: those of all pictures, if others than the `numbered` ones are there."""
+        self._files, self._numbers = files, numbers = [f for _, f in numbered], [n for n, _ in numbered]
         self._all_numbers = all_numbers or numbers
         self._max_megapixels = common_limit(files, wanted.max_megapixels)
         self._whites: dict[str, float] = {}

@@ -34,6 +34,10 @@ class Limit:
     small_file: float
     large_file: float
 
+    def of(self, path: Path) -> float:
+        """That of a picture or frame in this file."""
+        return self.small_file if path.stat().st_size < SMALL_FILE else self.large_file
+
     def __str__(self) -> str:
         return f"{self.large_file:g}, in inputs under {SMALL_FILE / 1e6:g} MB {self.small_file:g}"
 
@@ -85,8 +89,7 @@ def check_frame_size(
 
 def pixel_limit(path: Path, max_megapixels: float | None) -> int:
     """How many pixels a frame of a video may have."""
-    small = path.stat().st_size < SMALL_FILE
-    return int(1e6 * (max_megapixels or (VIDEO.small_file if small else VIDEO.large_file)))
+    return int(1e6 * (max_megapixels or VIDEO.of(path)))
 
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
@@ -134,7 +137,7 @@ def _check(path: Path, header: Header | None, limit: Limit | float) -> None:
         small = size < SMALL_FILE
         cost = header.cost if small or size < pixels else 1
         where = f"in a file under {SMALL_FILE / 1e6:g} MB " if small else ""
-        limit = limit.small_file if small else limit.large_file
+        limit = limit.of(path)
     claims = f"{path}: claims {header.width} x {header.height} pixels"
     if max(header.width, header.height) > LONGEST_SIDE:
         raise InputError(f"{claims}, and no side of more than {LONGEST_SIDE} is read; save it smaller")

@@ -26,18 +26,12 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("handfit")
 
-_ORIENTATIONS: Final = {
-    (1, 0, 0, 1): 1,
-    (-1, 0, 0, 1): 2,
-    (-1, 0, 0, -1): 3,
-    (1, 0, 0, -1): 4,
-    (0, 1, 1, 0): 5,
-    (0, 1, -1, 0): 6,
-    (0, -1, -1, 0): 7,
-    (0, -1, 1, 0): 8,
-}
-"""EXIF's orientation by the signs of a display matrix, as ISO 14496-12 6.2.2 has it: x' = a x + c y and
-y' = b x + d y"""
+_ORIENTATIONS: Final = (
+    *((1, 0, 0, 1), (-1, 0, 0, 1), (-1, 0, 0, -1), (1, 0, 0, -1)),
+    *((0, 1, 1, 0), (0, 1, -1, 0), (0, -1, -1, 0), (0, -1, 1, 0)),
+)
+"""The signs of a display matrix for each of EXIF's orientations, as ISO 14496-12 6.2.2 has it: x' = a x + c y
+and y' = b x + d y"""
 
 
 @dataclass(frozen=True)
@@ -61,7 +55,7 @@ class _Form:
         if matrix is not None:
             values = np.frombuffer(matrix, dtype=np.int32)[[0, 1, 3, 4]].astype(np.float64)
             signs = np.round(values / max(np.abs(values).max(), 1.0)).astype(int)
-            orientation = _ORIENTATIONS.get(tuple(signs.tolist()), 1)
+            orientation = 1 + (_ORIENTATIONS.index(found) if (found := tuple(signs)) in _ORIENTATIONS else 0)
         return cls(width, height, orientation)
 
     @property
@@ -177,22 +171,14 @@ class Video(Media):
         if reading.ended:
             log.warning("%s: %s; the clip is read up to there", self._path, reading.ended)
         elif within and last + MEDIA.missing_frames < self._count:
-            log.warning(
-                "%s: the video breaks off after frame %d of %d; the rest is missing",
-                self._path,
-                last,
-                self._count,
-            )
+            said = "%s: the video breaks off after frame %d of %d; the rest is missing"
+            log.warning(said, self._path, last, self._count)
         if reading.broken:
-            log.warning(
-                "%s: no pictures came for %.1f seconds; no hand is there meanwhile",
-                self._path,
-                reading.broken,
-            )
+            said = "%s: no pictures came for %.1f seconds; no hand is there meanwhile"
+            log.warning(said, self._path, reading.broken)
         if reading.out_of_order:
-            log.warning(
-                "%s: the times of %d pictures run back; they are left out", self._path, reading.out_of_order
-            )
+            said = "%s: the times of %d pictures run back; they are left out"
+            log.warning(said, self._path, reading.out_of_order)
 
     def pictures(self, numbers: Sequence[int]) -> Iterator[np.ndarray | None]:
         """The pictures (H, W, 3) uint8 RGB that are shown on single frames, by increasing number; None for
