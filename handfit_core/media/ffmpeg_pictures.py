@@ -50,8 +50,11 @@ def _frames(decoder: str, packets: Sequence[bytes], **options: object) -> Iterat
     context.extradata = options.pop("extradata", None)
     context.options = {name: str(value) for name, value in options.items()}
     for index, data in enumerate((*packets, None)):
-        packet = None if data is None else av.Packet(data)
-        if packet is not None:
+        packet = None
+        if data is not None:
+            # Its memory is FFmpeg's own: threads that free Python's wait for the lock that closing them holds.
+            packet = av.Packet(len(data))
+            packet.update(data)
             packet.pts = index
         with contextlib.suppress(FFmpegError):
             for frame in context.decode(packet):
