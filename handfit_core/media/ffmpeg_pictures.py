@@ -52,7 +52,7 @@ def _frames(decoder: str, packets: Sequence[bytes], **options: object) -> Iterat
     for index, data in enumerate((*packets, None)):
         packet = None
         if data is not None:
-            # Its memory is FFmpeg's own: threads that free Python's wait for the lock that closing them holds.
+            # Its memory is FFmpeg's own: to free Python's, a thread waits for the lock that closing it holds.
             packet = av.Packet(len(data))
             packet.update(data)
             packet.pts = index

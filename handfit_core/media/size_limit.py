@@ -73,23 +73,13 @@ def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> No
     _check(path, _header(path, read_picture_header), max_megapixels or PICTURE)
 
 
-def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None:
-    """Raise InputError for a file that is no video which holds its frames itself: a playlist would make
-    FFmpeg open other files and addresses. Of a GIF, whose header says it, the size is checked, too;
-    `max_megapixels` is the limit for each frame."""
-    _check(path, _header(path, read_video_header), max_megapixels or VIDEO)
-
-
-def check_frame_size(
-    path: Path, width: int, height: int, max_megapixels: float | Limit | None = None
+def check_video(
+    path: Path, max_megapixels: float | Limit | None = None, size: tuple[int, int] | None = None
 ) -> None:
-    """Raise InputError for a video whose frames are too large."""
-    _check(path, Header(width, height), max_megapixels or VIDEO)
-
-
-def pixel_limit(path: Path, max_megapixels: float | None) -> int:
-    """How many pixels a frame of a video may have."""
-    return int(1e6 * (max_megapixels or VIDEO.of(path)))
+    """Raise InputError for a file that is no video which holds its frames itself: a playlist would make
+    FFmpeg open other files and addresses. `max_megapixels` is the limit for each frame, of which `size` is
+    width and height; None: as far as the header says it, as a GIF's does."""
+    _check(path, Header(*size) if size else _header(path, read_video_header), max_megapixels or VIDEO)
 
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:

@@ -16,7 +16,7 @@ from handfit_core.common.errors import InputError
 from handfit_core.media.exif import upright
 from handfit_core.media.kinds import unreadable
 from handfit_core.media.settings import MEDIA
-from handfit_core.media.size_limit import check_frame_size, check_video, is_picture, pixel_limit
+from handfit_core.media.size_limit import VIDEO, check_video, is_picture
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, Wanted
 
 if TYPE_CHECKING:
@@ -87,14 +87,14 @@ class Video(Media):
         pictures = reading.pictures()
         self._reading = reading, pictures, 0
         try:
-            check_frame_size(path, *reading.size, wanted.max_megapixels)
+            check_video(path, wanted.max_megapixels, reading.size)
             first = next(pictures, None)
             if first is None:
                 raise unreadable(path)
             self._reading = reading, itertools.chain([first], pictures), 0
             self._form = _Form.of(first[1], reading.aspect)
             self.width, self.height = self._form.size
-            check_frame_size(path, self.width, self.height, wanted.max_megapixels)
+            check_video(path, wanted.max_megapixels, self._form.size)
             if not reading.fps:
                 log.warning("%s: names no frame rate; %g frames per second are assumed", path, DEFAULT_FPS)
             self.fps = reading.fps or DEFAULT_FPS
@@ -113,7 +113,7 @@ class Video(Media):
     def _opened(self) -> Reading:
         from handfit_core.media.decoding import opened
 
-        return opened(self._path, pixel_limit(self._path, self._max_megapixels))
+        return opened(self._path, int(1e6 * (self._max_megapixels or VIDEO.of(self._path))))
 
     def _frame_count(self, reading: Reading) -> int:
         """How many frames the clip has by its header; 0 where it tells no length, or more frames than the
