@@ -13,15 +13,14 @@ import numpy as np
 
 from handfit_core.common.errors import HandfitError, InputError
 from handfit_core.common.files import cache_dir, written_whole
-from handfit_core.media.headers import begins
-from handfit_core.media.heif import HEIF
+from handfit_core.media.headers import PICTURES, begins
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Media, Source
 
 log = logging.getLogger("handfit")
 
 _SUFFIXES: Final = {"photo": ".jpg", "video": ".mp4"}
-_UNREAD: Final = {"photo": HEIF, "video": rb"\x89PNG|RIFF....WEBP"}
+_UNREAD: Final = {"photo": PICTURES["HEIC"], "video": PICTURES["PNG"] + b"|" + PICTURES["WebP"]}
 """First bytes, by kind, of what Blender does not read, or not in every version: HEIC and AVIF; of pictures
 that move it shows the first frame alone"""
 _KEPT: Final = 100

@@ -28,7 +28,7 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
 from handfit_core.common.errors import InputError
-from handfit_core.media.headers import Header, begins, read_picture_header
+from handfit_core.media.headers import PICTURES, Header, begins, read_picture_header
 from handfit_core.media.kinds import unreadable
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS
@@ -41,7 +41,7 @@ and addresses that it would open."""
 def opened(path: Path, max_pixels: int) -> Reading:
     """A video, to be read from its beginning; its frames have at most so many pixels. Raises InputError where
     it cannot be read, and OSError."""
-    return _Animation(path) if begins(path, rb"RIFF....WEBP") else _File(path, max_pixels)
+    return _Animation(path) if begins(path, PICTURES["WebP"]) else _File(path, max_pixels)
 
 
 @dataclass(eq=False)

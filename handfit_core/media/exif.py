@@ -17,8 +17,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.headers import read_tiff_tags, read_video_focal_35mm
-from handfit_core.media.heif import HEIF
+from handfit_core.media.headers import PICTURES, read_tiff_tags, read_video_focal_35mm
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
@@ -27,11 +26,11 @@ SHORTEST, LONGEST = 4.0, 2000.0
 """mm as on 35 mm film, between which a focal length is believed"""
 _TIFF: Final = rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)"
 _MARKERS: Final = {
-    rb"\xff\xd8": re.compile(rb"\xff\xe1..Exif\0\0" + _TIFF, re.DOTALL),
-    rb"\x89PNG\r\n\x1a\n": re.compile(rb"eXIf" + _TIFF),
-    rb"RIFF.{4}WEBP": re.compile(rb"EXIF.{4}" + _TIFF, re.DOTALL),
+    PICTURES["JPEG"]: re.compile(rb"\xff\xe1..Exif\0\0" + _TIFF, re.DOTALL),
+    PICTURES["PNG"]: re.compile(rb"eXIf" + _TIFF),
+    PICTURES["WebP"]: re.compile(rb"EXIF.{4}" + _TIFF, re.DOTALL),
     _TIFF: re.compile(_TIFF),
-    HEIF: re.compile(rb"\0\0\0[\0\x06]" + _TIFF),
+    PICTURES["HEIC"]: re.compile(rb"\0\0\0[\0\x06]" + _TIFF),
 }
 """What stands before the tags, by a picture's first bytes; the chance that it is something else is 2^-64"""
 
@@ -77,11 +76,6 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     if orientation in (3, 4, 7, 8):
         pixels = pixels[::-1]
     return pixels
-
-
-def is_tiff(data: bytes) -> bool:
-    """Whether an encoded picture is a TIFF, which OpenCV turns upright by itself."""
-    return data[:4] in (b"II*\0", b"MM\0*")
 
 
 def known_intrinsics(media: Media) -> Intrinsics | None:

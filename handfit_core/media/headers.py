@@ -21,6 +21,16 @@ from typing import BinaryIO, Final
 from handfit_core.common.files import is_file
 from handfit_core.media.heif import HEIF, boxes_of, read_at, read_heif
 
+PICTURES: Final = {
+    "JPEG": rb"\xff\xd8\xff",
+    "PNG": rb"\x89PNG",
+    "TIFF": rb"II\*\0|MM\0\*",
+    "WebP": rb"RIFF....WEBP",
+    "OpenEXR": rb"v/1\x01",
+    "DPX": rb"SDPX|XPDS",
+    "HEIC": HEIF,
+}
+"""What pictures of a kind begin with"""
 _MAX_STEPS: Final = 100_000
 """Markers, chunks or boxes that are read; no camera and no program writes as many"""
 _SCAN_BYTES: Final = 1 << 20
@@ -48,8 +58,8 @@ def read_picture_header(stream: BinaryIO) -> Header | None:
     start = read_at(stream, 0, 65536)
     header = None
     try:
-        for signature, read in _WALKED.items():
-            header = read(stream) if re.match(signature, start, re.DOTALL) else header
+        for kind, read in _WALKED.items():
+            header = read(stream) if re.match(PICTURES[kind], start, re.DOTALL) else header
     except (struct.error, ValueError, LookupError):
         return None
     for pattern, read in _FIXED.items():
@@ -179,8 +189,6 @@ def _tiff(stream: BinaryIO) -> Header | None:
 
 _LONGEST_ATTRIBUTE: Final = 1 << 20
 """Bytes of one of an OpenEXR picture's attributes that are read"""
-EXR: Final = b"v/1\x01"
-"""What an OpenEXR picture begins with"""
 
 
 def read_exr_attributes(stream: BinaryIO) -> dict[bytes, tuple[int, bytes]]:
@@ -220,14 +228,8 @@ def _heif(stream: BinaryIO) -> Header | None:
     return Header(max(found.width, found.tile_width), max(found.height, found.tile_height), _cost(found.bits))
 
 
-_WALKED: Final = {
-    rb"\xff\xd8\xff": _jpeg,
-    rb"\x89PNG\r\n\x1a\n": _png,
-    rb"II\*\0|MM\0\*": _tiff,
-    EXR: _exr,
-    HEIF: _heif,
-}
-"""Readers by a picture's first bytes"""
+_WALKED: Final = {"JPEG": _jpeg, "PNG": _png, "TIFF": _tiff, "OpenEXR": _exr, "HEIC": _heif}
+"""Readers of pictures whose size may stand anywhere"""
 
 
 def _little(data: bytes) -> int:

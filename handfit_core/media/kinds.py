@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from handfit_core.common.errors import InputError
-from handfit_core.media.headers import CONTAINERS, EXR
+from handfit_core.media.headers import CONTAINERS, PICTURES
 from handfit_core.media.heif import HEIF
 
 _PICTURE: Final = "picture that is cut off or damaged; open it in a viewer and save it again"
@@ -19,13 +19,9 @@ _KINDS: Final = {
     rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "a JPEG 2000 picture; export it as PNG or JPEG",
     HEIF: "a HEIC or AVIF photo that is damaged or of an unusual layout; export it as JPEG",
     rb"....ftypcrx |FUJIFILM|II(?:U\0|RO)|FOVb": "a camera's raw picture; develop it and export it as JPEG",
-    rb"\xff\xd8\xff": f"a JPEG {_PICTURE}",
-    rb"\x89PNG": f"a PNG {_PICTURE}",
-    rb"II\*\0|MM\0\*": f"a TIFF {_PICTURE}",
-    rb"RIFF....WEBP": f"a WebP {_PICTURE}",
+    PICTURES["OpenEXR"]: f"an OpenEXR {_PICTURE}, as RGB with ZIP",
+    **{PICTURES[kind]: f"a {kind} {_PICTURE}" for kind in ("JPEG", "PNG", "TIFF", "WebP", "DPX")},
     rb"GIF8": f"a GIF {_PICTURE}",
-    rb"SDPX|XPDS": f"a DPX {_PICTURE}",
-    EXR: f"an OpenEXR {_PICTURE}, as RGB with ZIP",
     rb"BM.{4}\0\0\0\0|P[1-6]\s|#\?R": f"a {_PICTURE}",
     CONTAINERS: "a clip that is cut off, damaged or of an unusual kind; if it plays in a viewer, convert it "
     "to .mp4 (H.264)",

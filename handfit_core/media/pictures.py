@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -11,8 +12,9 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.errors import InputError
-from handfit_core.media.exif import is_tiff, read_orientation, upright
+from handfit_core.media.exif import read_orientation, upright
 from handfit_core.media.ffmpeg_pictures import decoded_by_ffmpeg
+from handfit_core.media.headers import PICTURES
 from handfit_core.media.kinds import unreadable
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import Limit, check_picture, common_limit
@@ -52,7 +54,7 @@ def read_picture(
     if as_stored:
         orientation = 1
     rgb = _rgb8(pixels, white)
-    if not is_tiff(data):  # OpenCV turns a TIFF upright itself
+    if not re.match(PICTURES["TIFF"], data):  # OpenCV turns a TIFF upright itself
         rgb = upright(rgb, orientation)
     return np.ascontiguousarray(rgb), orientation
 

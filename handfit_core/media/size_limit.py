@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from handfit_core.common.errors import InputError
-from handfit_core.media.headers import Header, begins, read_picture_header, read_video_header
-from handfit_core.media.heif import HEIF
+from handfit_core.media.headers import PICTURES, Header, begins, read_picture_header, read_video_header
 from handfit_core.media.kinds import unreadable
 
 SMALL_FILE: Final = 10_000_000
@@ -86,7 +85,7 @@ def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
     one that it cannot read, one that is too large, and a video with %d in its name whose ending does not keep
     its FFmpeg from taking that for the numbers of pictures."""
-    if begins(path, HEIF):
+    if begins(path, PICTURES["HEIC"]):
         raise InputError(f"{path}: this is a HEIC or AVIF photo, which few Blenders read; export it as JPEG")
     if is_picture(path):
         check_picture(path, max_megapixels)

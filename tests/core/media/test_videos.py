@@ -134,15 +134,20 @@ def test_parts_are_the_frames_of_the_whole(tmp_path):
     assert all(np.array_equal(frame.rgb, whole[frame.number - 1].rgb) for frame in some)
 
 
-def test_a_clip_is_opened_once(tmp_path, monkeypatch):
+def test_a_clip_is_opened_once_and_released(tmp_path, monkeypatch):
     path = written_clip(tmp_path / "a.mp4", [grey(n) for n in range(8)])
-    opened, opening = [], av.open
-    monkeypatch.setattr(av, "open", lambda *args, **options: opened.append(1) or opening(*args, **options))
+    files, opening = [], av.open
+    monkeypatch.setattr(
+        av, "open", lambda file, *rest, **more: files.append(file) or opening(file, *rest, **more)
+    )
     media = open_media(path)
-    assert shown(media) == list(range(8))
-    assert len(opened) == 1
-    assert shown(media) == list(range(8))
-    assert len(opened) == 2
+    for times in (1, 2):
+        assert shown(media) == list(range(8))
+        assert len(files) == times
+    media = open_media(path)
+    assert not files[-1].closed
+    del media  # whoever only asks for the size reads no frames
+    assert all(file.closed for file in files)
 
 
 @pytest.mark.parametrize("sought", [False, True])
