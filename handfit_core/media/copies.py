@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
-import re
 import time
 from fractions import Fraction
 from pathlib import Path
@@ -14,15 +13,15 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.common.errors import HandfitError, InputError
-from handfit_core.common.files import cache_dir, is_file, written_whole
-from handfit_core.media.heif import HEIF
+from handfit_core.common.files import cache_dir, written_whole
+from handfit_core.media.headers import PICTURES, begins
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Media, Source
 
 log = logging.getLogger("handfit")
 
 _SUFFIXES: Final = {"photo": ".jpg", "video": ".mp4"}
-_UNREAD: Final = {"photo": HEIF, "video": rb"\x89PNG|RIFF....WEBP"}
+_UNREAD: Final = {"photo": PICTURES["HEIC"], "video": PICTURES["PNG"] + b"|" + PICTURES["WebP"]}
 """First bytes, by kind, of what Blender does not read, or not in every version: HEIC and AVIF; of pictures
 that move it shows the first frame alone"""
 _KEPT: Final = 100
@@ -31,21 +30,20 @@ _NEEDED: Final = 24 * 3600.0
 """seconds; a batch shows copies when all of its inputs are captured"""
 
 
+def copies_folder() -> Path:
+    """Where all copies lie."""
+    return cache_dir() / "plates"
+
+
 def copy_path(source: Source) -> Path | None:
     """Where the copy of a photo or clip lies, whether or not there is one; None where none is needed."""
     path = Path(source.files[0])
-    if source.kind not in _UNREAD or not is_file(path):
+    if source.kind not in _UNREAD or not begins(path, _UNREAD[source.kind]):
         return None
-    try:
-        with open(path, "rb") as stream:
-            if not re.match(_UNREAD[source.kind], stream.read(12), re.DOTALL):
-                return None
-        state = path.stat()
-    except OSError:
-        return None
+    state = path.stat()
     key = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
     name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()[:24]
-    return cache_dir() / "plates" / (name + _SUFFIXES[source.kind])
+    return copies_folder() / (name + _SUFFIXES[source.kind])
 
 
 def write_copy(source: Source, max_megapixels: float | None = None) -> None:
