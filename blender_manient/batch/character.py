@@ -15,11 +15,12 @@ from handfit_core.common.errors import HandfitError, HandModelError, InputError,
 from handfit_core.common.files import is_file, shown
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.common.slices import run_to_completion
-from handfit_core.retarget.hand_map import HandMap, read_preset
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.saved_rigs import SavedRig, read_rig, saved_rigs
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions
-from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
+from ..scene.characters import CharacterObjects, characters_in, hand_map_of, rig_used, why_not_reachable
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import set_timing
 
@@ -47,8 +48,9 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
     )
     group.add_argument(
         "--bones",
-        metavar="PRESET.json",
-        help="which bones are its hands, as the panel saves it (default: those that are recognised)",
+        metavar="RIG.json",
+        help="which bones are its hands, as the panel's Export Rig writes it (default: those of your saved "
+        "rig that fits, else those that are recognised)",
     )
     group.add_argument(
         "--wrist",
@@ -87,8 +89,8 @@ class Character:
     """Its name; empty for the file's only one"""
     hands: Mapping[Side, str]
     """By its own hands, which captured one they get: left, right, or a number from 1"""
-    bones: Mapping[Side, HandMap]
-    """The bones that a preset names"""
+    rig: SavedRig
+    """The bones that a file names; of no hand where none is given"""
     onto: TransferOptions
     reference: float | None
 
@@ -112,7 +114,8 @@ class Character:
                     f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
                 )
         path, armature = file_and_armature(args.apply_to)
-        tables = read_preset(args.bones) if args.bones else []
+        file = Path(args.bones or "")
+        rig = SavedRig(file.stem, tuple(read_rig(file)) if args.bones else ())
         onto = TransferOptions(
             into=cast(Into, (args.into or "new").upper()),
             wrist=cast(Wrist, (args.wrist or "fingers").upper()),
@@ -123,10 +126,12 @@ class Character:
         hands = cast(
             "dict[Side, str]", {side: to for side, to in said.items() if to != "none"} if said else _HANDS
         )
-        return cls(path, armature, hands, {table.side: table for table in tables}, onto, args.reference)
+        return cls(path, armature, hands, rig, onto, args.reference)
 
-    def check(self) -> None:
-        """Raises HandfitError where none of the wanted hands could get motion, whatever is captured."""
+    def check(self) -> str | None:
+        """The file of the user's saved rig that fits and is used, where none was given: what it says decides
+        the results. Raises HandfitError where none of the wanted hands could get motion, whatever is
+        captured."""
         armature, gone = self.open()
         problems = []
         for side in self.hands:
@@ -137,6 +142,8 @@ class Character:
         if len(problems) == len(self.hands):
             problems = problems or ["--hands lets no hand of it have motion"]
             raise OptionError("; ".join([f"{shown(self.path)}: {problems[0]}", *problems[1:], *gone]))
+        used = {None if self.rig.tables else rig_used(armature, side) for side in self.hands}
+        return next((str(rig.path) for rig in used if rig is not None and len(used) == 1), None)
 
     def open(self) -> tuple[bpy.types.Object, list[str]]:
         """Open the file. Returns the armature, and sentences about what is not as it should be.
@@ -182,7 +189,9 @@ class Character:
                 alone.append(f"the character's {side} hand was left alone: {error}")
                 continue
             hands.append((hand_map, motion_of(take, track, model)))
-            told.append({"side": side, "captured": take.hands.index(track) + 1, "rig": hand_map.rig})
+            rig = self.rig if self.rig.of(side) is not None else rig_used(armature, side)
+            label = hand_map.rig if rig is None else rig.label
+            told.append({"side": side, "captured": take.hands.index(track) + 1, "rig": label})
         if not hands:
             raise OptionError("; ".join(alone))
         reference = self.reference
@@ -194,14 +203,14 @@ class Character:
         applied = run_to_completion(applying(armature, hands, replace(self.onto, reference=reference)))
         for entry, one in zip(told, applied, strict=True):
             entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
-        warnings += shortcomings(applied)
+        warnings += [*shortcomings(applied), *(() if self.rig.tables else saved_rigs()[1])]
         scene.frame_set(int(take.frame_numbers[0]))
         if bpy.app.autoexec_fail_message.startswith("Driver"):
             warnings.append(
                 f"{shown(self.path)}: drivers that need Python stand still, as no script of the file is run "
                 f"({bpy.app.autoexec_fail_message})"
             )
-        character = replace(CharacterObjects.of(armature), hand_maps=tuple(self.bones.values()))
+        character = replace(CharacterObjects.of(armature), hand_maps=self.rig.tables)
         return character, {"armature": armature.name, "hands": told}, [*alone, *warnings]
 
     def _armature(self, gone: list[str]) -> bpy.types.Object:
@@ -225,7 +234,7 @@ class Character:
 
     def _bones_of(self, armature: bpy.types.Object, side: Side) -> HandMap:
         """Raises HandModelError."""
-        hand_map = self.bones.get(side) or hand_map_of(armature, side)
+        hand_map = self.rig.of(side) or hand_map_of(armature, side)
         hand_map.check(armature.data.bones)
         return hand_map
 

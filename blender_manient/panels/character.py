@@ -9,6 +9,7 @@ import bpy
 from handfit_core.common.errors import HandfitError, HandModelError
 from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
 from handfit_core.retarget.hand_map import PALM_FINGERS
+from handfit_core.retarget.saved_rigs import saved_rigs
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised, counted
@@ -20,6 +21,7 @@ from ..scene.characters import (
     is_damaged,
     kept_map,
     recognised,
+    rig_used,
     source_of,
     sources_of,
     table_of,
@@ -168,9 +170,16 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
+        row = column.row(align=True)
+        row.operator("manient.save_rig", icon="FILE_TICK")
+        used = rig_used(armature, table.side)
+        if used is not None:
+            row.operator("manient.forget_rig", text="", icon="X").rig_name = used.name
         row = layout.row(align=True)
-        row.operator("manient.load_hand_preset", icon="FILE_FOLDER")
-        row.operator("manient.save_hand_preset", icon="FILE_TICK")
+        row.operator("manient.import_rig", icon="IMPORT")
+        row.operator("manient.export_rig", icon="EXPORT")
+        for trouble in saved_rigs()[1]:
+            sentence(layout, context, capitalised(trouble), "ERROR")
 
 
 def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:
@@ -197,6 +206,8 @@ def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list
         rig = hand_map.rig or "Unknown rig"
         if kept_map(armature, side) is not None:
             told.append((f"{rig}, with your own table", "CHECKMARK"))
+        elif (used := rig_used(armature, side)) is not None:
+            told.append((used.label, "CHECKMARK"))
         elif (sure := recognised(armature, side).sure) >= _SURE:
             told.append((f"{rig}, for sure", "CHECKMARK"))
         else:

@@ -12,6 +12,7 @@ import numpy as np
 from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.retarget.hand_map import Found, HandMap, empty_map
+from handfit_core.retarget.saved_rigs import SavedRig, fitting_rig
 
 from ..rigs import found_hand, troubles
 from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture
@@ -106,9 +107,16 @@ def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
     getattr(armature.manient.character, hand_map.side).hand_map = hand_map.to_json()
 
 
+def rig_used(armature: bpy.types.Object, side: Side) -> SavedRig | None:
+    """The user's saved rig that says which bones a hand is; None where a kept table does, or none fits."""
+    return None if kept_map(armature, side) is not None else fitting_rig(armature.data.bones.keys(), side)
+
+
 def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The kept table of a hand, else the one that is recognised. Raises HandModelError."""
-    kept = kept_map(armature, side)
+    """The kept table of a hand, else that of a saved rig that fits, else the one that is recognised. Raises
+    HandModelError."""
+    rig = rig_used(armature, side)
+    kept = kept_map(armature, side) if rig is None else rig.of(side)
     if kept is not None:
         return kept
     found = recognised(armature, side).hand_map
@@ -146,10 +154,13 @@ def _recognised(uid: int, side: Side, _names: Any, _heads: Any, _reported: Any) 
 
 
 def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
-    """Look anew, and let go of the kept table, unless nothing is recognised. Raises HandModelError then."""
+    """Look anew, and let go of the kept table, unless nothing is recognised, which raises HandModelError.
+    Where a saved rig fits, what was found is kept instead of it."""
     _recognised.cache_clear()
     found = recognised(armature, side)
     getattr(armature.manient.character, side).hand_map = ""
+    if rig_used(armature, side) is not None:
+        keep_map(armature, found.hand_map)
     return found
 
 
