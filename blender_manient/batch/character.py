@@ -21,12 +21,14 @@ from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, rig_used, why_not_reachable
+from ..scene.finding_offset import finding_offset
+from ..scene.moving_body import moving_range
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
-from ..scene.timing import set_timing
+from ..scene.timing import Timing, in_scene, set_timing, timing_in
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
 """Which captured hand each of the character's gets where nobody says"""
-_OPTIONS = ("bones", "wrist", "reference", "into", "no_contacts", "outside")
+_OPTIONS = ("bones", "wrist", "reference", "into", "time_offset", "no_contacts", "outside")
 """What is said of a character beside its hands"""
 
 
@@ -71,6 +73,12 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
         help="a new action, an NLA strip above all others, or the present action (default: new)",
     )
     group.add_argument(
+        "--time-offset",
+        metavar="FRAMES",
+        help="by how many frames of its scene the motion comes later, for a character that moves already, or "
+        "auto: where the captured wrists move as its hands do (default: 0)",
+    )
+    group.add_argument(
         "--outside",
         action="store_true",
         help="with --arms, hands are pushed out of the character's trunk and head, which capsules stand for",
@@ -93,6 +101,8 @@ class Character:
     """The bones that a file names; of no hand where none is given"""
     onto: TransferOptions
     reference: float | None
+    finds_offset: bool = False
+    """Whether the offset in time is found, instead of that in `onto`"""
 
     @classmethod
     def of_arguments(cls, args: argparse.Namespace) -> Character | None:
@@ -113,12 +123,16 @@ class Character:
                     "--hands says which captured hand the character's left and right hand get: left, right, "
                     f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
                 )
+        offset = args.time_offset or "0"
+        if not re.fullmatch("auto|[+-]?[0-9]{1,9}", offset):
+            raise OptionError(f"--time-offset is a number of frames, or auto; got {shown(offset)}")
         path, armature = file_and_armature(args.apply_to)
         file = Path(args.bones or "")
         rig = SavedRig(file.stem, tuple(read_rig(file)) if args.bones else ())
         onto = TransferOptions(
             into=cast(Into, (args.into or "new").upper()),
             wrist=cast(Wrist, (args.wrist or "fingers").upper()),
+            time_offset=0 if offset == "auto" else int(offset),
             contacts=not args.no_contacts,
             arms=bool(getattr(args, "arms", False)),
             arms_outside=args.outside,
@@ -126,7 +140,7 @@ class Character:
         hands = cast(
             "dict[Side, str]", {side: to for side, to in said.items() if to != "none"} if said else _HANDS
         )
-        return cls(path, armature, hands, rig, onto, args.reference)
+        return cls(path, armature, hands, rig, onto, args.reference, offset == "auto")
 
     def check(self) -> str | None:
         """The file of the user's saved rig that fits and is used, where none was given: what it says decides
@@ -175,43 +189,60 @@ class Character:
         return armature, gone
 
     def put(self, take: Take, model: str | None) -> tuple[CharacterObjects, dict[str, Any], list[str]]:
-        """Open the file and key a take on the character. The scene gets the take's rate and range.
+        """Open the file and key a take on the character. The scene gets the take's rate and range, unless the
+        character moves already: then it stays in its time, and so do the hands.
 
         `model` is taken instead of the one that the take names. Returns what belongs to the character, what
         report.json says of it, and sentences about what is not as it should be. Raises HandfitError.
         """
         armature, warnings = self.open()
         hands, told, alone = [], [], []
+        scene, moves, timing = bpy.context.scene, moving_range(armature) is not None, Timing()
+        if moves:  # frame 1 of both is the same moment
+            first = 1.0 + timing_in(scene, take).scale * (int(take.frame_numbers[0]) - 1)
+            take, timing, _ = in_scene(scene, take, first)
+        elif len(take.frame_numbers) > 1:  # a picture has no rate, and is no reason to shorten a timeline
+            set_timing(scene, take)
         for side, wanted in self.hands.items():
             try:
                 track, hand_map = _track(take, wanted), self._bones_of(armature, side)
             except HandfitError as error:
                 alone.append(f"the character's {side} hand was left alone: {error}")
                 continue
-            hands.append((hand_map, motion_of(take, track, model)))
+            motion = motion_of(take, track, model)
+            hands.append((hand_map, replace(motion, frames=timing.scene_frames(motion.frames))))
             rig = self.rig if self.rig.of(side) is not None else rig_used(armature, side)
             label = hand_map.rig if rig is None else rig.label
             told.append({"side": side, "captured": take.hands.index(track) + 1, "rig": label})
         if not hands:
             raise OptionError("; ".join(alone))
+        entry: dict[str, Any] = {"armature": armature.name, "hands": told}
+        offset = self.onto.time_offset
+        if self.finds_offset:
+            found = run_to_completion(finding_offset(armature, hands))
+            offset, entry["offset"] = found.frames, {"frames": found.frames, "sure": round(found.sure, 2)}
         reference = self.reference
         if reference is None:
-            reference = max(float(motion.frames[0]) for _, motion in hands)
-        scene = bpy.context.scene
-        if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
-            set_timing(scene, take)
-        applied = run_to_completion(applying(armature, hands, replace(self.onto, reference=reference)))
-        for entry, one in zip(told, applied, strict=True):
-            entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
+            reference = max(float(motion.frames[0]) for _, motion in hands) + offset
+        onto = replace(self.onto, reference=reference, time_offset=offset)
+        applied = run_to_completion(applying(armature, hands, onto))
+        for hand, one in zip(told, applied, strict=True):
+            hand |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
         warnings += [*shortcomings(applied), *(() if self.rig.tables else saved_rigs()[1])]
-        scene.frame_set(int(take.frame_numbers[0]))
+        first, last = (round(end) + offset for end in timing.scene_frames(take.frame_numbers[[0, -1]]))
+        if moves and not scene.frame_start <= first <= last <= scene.frame_end:
+            warnings.append(
+                f"the hands move in frames {first} to {last}, and files hold those of the scene, "
+                f"{scene.frame_start} to {scene.frame_end}"
+            )
+        scene.frame_set(first)
         if bpy.app.autoexec_fail_message.startswith("Driver"):
             warnings.append(
                 f"{shown(self.path)}: drivers that need Python stand still, as no script of the file is run "
                 f"({bpy.app.autoexec_fail_message})"
             )
         character = replace(CharacterObjects.of(armature), hand_maps=self.rig.tables)
-        return character, {"armature": armature.name, "hands": told}, [*alone, *warnings]
+        return character, entry, [*alone, *warnings]
 
     def _armature(self, gone: list[str]) -> bpy.types.Object:
         """The one that was named, or the only one, or the only one that deforms or carries a mesh."""

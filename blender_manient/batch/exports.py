@@ -40,6 +40,7 @@ _MAKING = (
     "wrist",
     "reference",
     "into",
+    "time_offset",
     "no_contacts",
     "arms",
     "outside",

@@ -15,13 +15,16 @@ from mathutils import Matrix, Vector
 from handfit_core.common.errors import HandfitError, HandModelError, OptionError
 from handfit_core.common.files import shown
 from handfit_core.common.skeleton import SIDES, other_side
+from handfit_core.common.slices import map_yields
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.saved_rigs import forget_rig, read_rig, save_rig, saved_rigs, write_rig
+from handfit_core.retarget.time_offset import FoundOffset
 
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted
 from ..scene.characters import hand_map_of, hands_to_move, keep_map, recognise_again, rig_used, table_of
-from ..scene.onto_character import TransferOptions, putting, shortcomings
+from ..scene.finding_offset import finding_offset
+from ..scene.onto_character import TransferOptions, putting, reading_motion, shortcomings
 from ..session.properties import SIDE_ITEMS
 from .base import CharacterOperator, StepsOperator, polled_character, select_alone, show_frame_again
 
@@ -66,7 +69,8 @@ class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.
     def steps(self, context) -> Generator[str, None, list]:
         armature, scene = polled_character(context), context.scene
         reference, posing = BlockReference.of("objects", armature), self.mode == "POSE"
-        onto = TransferOptions.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
+        as_pose = {"into": "ACTION", "wrist": "FINGERS", "time_offset": 0} if posing else {}
+        onto = TransferOptions.of(armature, **as_pose)
         frames = [scene.frame_current_final] if posing else None
         working = putting(armature, hands_to_move(armature, context), onto, frames)
         while True:
@@ -87,6 +91,30 @@ class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.
             self.report({"WARNING"}, sentence[:1].upper() + sentence[1:])
         bones, frames = sum(one.bones for one in result), max(one.frames for one in result)
         return f"Keyed {counted(bones, 'bone')} in {counted(frames, 'frame')}"
+
+
+class MANIENT_OT_find_offset(StepsOperator, CharacterOperator, bpy.types.Operator):
+    """Find the Time Offset at which the captured wrists move as the hands of this character, which moves
+    already."""
+
+    bl_label = "Find Offset"
+    title = "Find Offset"
+    undone = "an undo or a deletion stopped Find Offset"
+
+    @classmethod
+    def poll_reason(cls, context):
+        return MANIENT_OT_apply_to_character.poll_reason(context)
+
+    def steps(self, context) -> Generator[str, None, FoundOffset]:
+        armature, motions = polled_character(context), []
+        for hand_map, hand in hands_to_move(armature, context):
+            motion = yield from map_yields(reading_motion(hand), lambda: "Reading the captured hands")
+            motions.append((hand_map, motion))
+        return (yield from map_yields(finding_offset(armature, motions), lambda: "Looking for the offset"))
+
+    def finished(self, context, result):
+        polled_character(context).manient.character.time_offset = result.frames
+        return f"Time Offset: {result.said}"
 
 
 class MANIENT_OT_recognise_hand(CharacterOperator, bpy.types.Operator):

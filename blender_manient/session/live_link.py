@@ -114,8 +114,10 @@ step = _links.step
 
 
 def _show(armature: bpy.types.Object) -> None:
-    """Put the fingers where the captured hands show them now."""
+    """Put the fingers where the captured hands show them now, unless they show that at another time."""
     check_unlayered(armature)
+    if armature.manient.character.time_offset:
+        return
     for hand_map, hand in hands_to_move(armature, bpy.context):
         rest, shown = hand.rig.rest, shown_now(hand.armature)
         basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
