@@ -76,6 +76,7 @@ def finding_offset(
     found = find_offset(pairs, frame_rate(scene))
     if found.sure < _LEAST_SURE:
         raise OptionError(
-            f"no offset was found at which the captured wrist moves as that of {armature.name!r}: type it"
+            f"no offset was found at which the captured wrist surely moves as that of {armature.name!r}: "
+            f"type it (the likeliest is {found.frames} frames)"
         )
     return found

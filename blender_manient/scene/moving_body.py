@@ -25,12 +25,14 @@ def moving_range(armature: bpy.types.Object) -> tuple[float, float] | None:
     names |= {one.bone for side in SIDES if (one := written_keys(armature, side)) is not None}
     starts, spans = tuple(f"{bone_path(name)}." for name in names), []
     for user in unapplied_users(armature):
-        ranges = [c.range() for c in curves_in(channels_of(user)) if not c.data_path.startswith(starts)]
-        moving = [each for each in ranges if each[1] > each[0]]
+        curves = [c for c in curves_in(channels_of(user)) if not c.data_path.startswith(starts)]
+        moving = [c.range() for c in curves if c.range()[1] > c.range()[0]]
         if moving and isinstance(user, bpy.types.NlaStrip):
             spans.append((user.frame_start, user.frame_end))
         elif moving:
             spans += moving
+        if moving and any(len(c.modifiers) for c in curves):  # which go on beyond their keys
+            spans.append((bpy.context.scene.frame_start, bpy.context.scene.frame_end))
     return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
 

@@ -239,7 +239,7 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
     character, uid = armature.manient.character, armature.session_uid
     if _settling:
         return
-    _links.pop(uid, None)
+    before = _links.pop(uid, None)
     _troubles.pop(uid, None)
     if character.live:
         _settling = True
@@ -251,6 +251,8 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
             if data is None or data.action is not character.action:
                 character.action = None
             _links[uid] = _Link(armature, shows=True)
+            if before is not None and before.steps is None:
+                _links[uid].written = before.written
         except HandfitError as error:
             _troubles[uid] = str(error)
         finally:
