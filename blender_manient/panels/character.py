@@ -104,9 +104,8 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
                 sentence(column, context, capitalised(text), "ERROR" if alert else "INFO")
         data = armature.animation_data
         if character.time_offset or (data is not None and (data.action is not None or len(data.nla_tracks))):
-            row = column.row(align=True)
-            row.prop(character, "time_offset")
-            row.operator("manient.find_offset", text="", icon="VIEWZOOM")
+            column.prop(character, "time_offset")
+            column.operator("manient.find_offset", icon="VIEWZOOM")
         column.prop(character, "contacts")
         if any(arms):
             self._arms(column, armature)

@@ -43,7 +43,7 @@ def check_moved_in_time(armature: bpy.types.Object, frames: Sequence[np.ndarray]
     would = f"with an offset of {offset} frames the hands would move in frames {first:.0f} to {last:.0f}"
     if max(abs(first), abs(last)) > LAST_FRAME:
         raise OptionError(f"{would}, and Blender's timeline ends at {LAST_FRAME}: choose a smaller one")
-    span = moving_range(armature) if offset else None
+    span = moving_range(armature)
     if span is not None and (last < span[0] or first > span[1]):
         moves = f"{armature.name!r} moves in {span[0]:.0f} to {span[1]:.0f}"
         raise OptionError(f"{would}, and {moves}: choose another one")

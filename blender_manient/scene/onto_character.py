@@ -295,7 +295,8 @@ def computing(
 ) -> Generator[float, None, Computed]:
     """What `applying` writes, and raises; nothing is changed."""
     keys, applied = [], []
-    check_moved_in_time(armature, [motion.frames for _, motion in hands], onto.time_offset)
+    if onto.time_offset:
+        check_moved_in_time(armature, [motion.frames for _, motion in hands], onto.time_offset)
     for hand_map, captured in hands:
         motion = captured.on(hand_map.side, onto.time_offset)
         of_arm: list[BoneKeys] = []

@@ -132,7 +132,7 @@ def test_fingers_come_onto_a_body_in_its_own_time(movement, into):
     character = chosen(armature).manient.character
     character.contacts, character.into = False, into
     assert moving_range(armature) == (1.0, COUNT)
-    frames = (-5, 1, 40, START + 1, START + 77, COUNT, COUNT + 20)
+    frames = (-5, 1, 40.5, START + 1, START + 77, COUNT, COUNT + 20)
     before = of_body(armature, frames)
     pressed(bpy.ops.manient.find_offset)
     assert character.time_offset == START
