@@ -73,8 +73,9 @@ def saved_rigs() -> tuple[dict[str, SavedRig], tuple[str, ...]]:
     folder = rigs_folder()
     try:
         with os.scandir(folder) as entries:
-            files = [e for e in entries if e.name.endswith(SUFFIX) and not e.name.startswith(".")]
-        return _read(folder, tuple(sorted((e.name, e.stat().st_mtime_ns, e.stat().st_size) for e in files)))
+            there = [e for e in entries if e.name.endswith(SUFFIX) and not e.name.startswith(".")]
+            files = [(e.name, e.stat(follow_symlinks=False)) for e in there]
+        return _read(folder, tuple(sorted((name, s.st_mtime_ns, s.st_size) for name, s in files)))
     except FileNotFoundError:
         return {}, ()
     except (OSError, ValueError) as error:
@@ -135,9 +136,11 @@ def write_rig(path: Path, tables: Sequence[HandMap]) -> None:
 
 def forget_rig(name: str) -> None:
     """Remove a rig's file. Raises OptionError and OutputError."""
-    path = rig_path(name)
+    rig = saved_rigs()[0].get(name)
+    if rig is None:
+        raise OptionError(f"there is no saved rig {shown(name)}")
     try:
-        path.unlink()
+        rig.path.unlink()
     except OSError as error:
-        raise OutputError(f"{shown(path)}: this rig could not be removed ({why(error)})") from error
+        raise OutputError(f"{shown(rig.path)}: this rig could not be removed ({why(error)})") from error
     _read.cache_clear()
