@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,12 +20,14 @@ from handfit_core.retarget.hand_map import HandMap, read_preset
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions
+from ..exporters.imports import animations, import_file, readable
 from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
-from ..scene.timing import set_timing
+from ..scene.timing import in_scene, set_timing
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
 """Which captured hand each of the character's gets where nobody says"""
+_ENDINGS = (".blend", *readable())
 _OPTIONS = ("bones", "wrist", "reference", "into", "no_contacts", "outside")
 """What is said of a character beside its hands"""
 
@@ -42,8 +45,9 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
         "--apply-to",
         "--to",
         required=required,
-        metavar="FILE.blend[:ARMATURE]",
-        help="the character's file, and its armature where there are several; no script in it is run",
+        metavar="FILE[:ARMATURE]",
+        help=f"the character's file ({', '.join(_ENDINGS)}), and its armature where there are several; no "
+        "script in it is run",
     )
     group.add_argument(
         "--bones",
@@ -112,6 +116,10 @@ class Character:
                     f"none or a number from 1, as in left=right,right=none; got {side}={wanted}"
                 )
         path, armature = file_and_armature(args.apply_to)
+        if path.suffix.lower() in _ENDINGS[1:]:
+            args.format = args.format or readable()[path.suffix.lower()].name
+        elif not path.suffix.lower().startswith(".blend"):
+            raise OptionError(f"{shown(path)}: a character's file is one of {', '.join(_ENDINGS)}")
         tables = read_preset(args.bones) if args.bones else []
         onto = TransferOptions(
             into=cast(Into, (args.into or "new").upper()),
@@ -138,11 +146,30 @@ class Character:
             problems = problems or ["--hands lets no hand of it have motion"]
             raise OptionError("; ".join([f"{shown(self.path)}: {problems[0]}", *problems[1:], *gone]))
 
+    @property
+    def imported(self) -> bool:
+        """Whether its file is another program's."""
+        return self.path.suffix.lower() in readable()
+
     def open(self) -> tuple[bpy.types.Object, list[str]]:
-        """Open the file. Returns the armature, and sentences about what is not as it should be.
+        """Open the file, or import it into the open scene. Returns the armature, and sentences about what is
+        not as it should be.
 
         Nothing in the file is run: drivers that need Python stand still. Raises InputError and OptionError.
         """
+        gone = []
+        if self.imported:
+            import_file(self.path)
+        else:
+            gone = self._open_blend()
+        armature = self._armature(gone)
+        why_not = why_not_reachable(armature)
+        if why_not is not None:
+            raise OptionError(f"{shown(self.path)}: {armature.name!r}: {why_not[:1].lower()}{why_not[1:]}")
+        return armature, gone
+
+    def _open_blend(self) -> list[str]:
+        """Returns sentences about linked files that are not there. Raises InputError."""
         name = shown(self.path)
         try:
             bpy.ops.wm.open_mainfile(filepath=str(self.path.absolute()), load_ui=True, use_scripts=False)
@@ -156,24 +183,27 @@ class Character:
                 f"{name}: the character's file was saved by Blender {newer}, and this is {own}, which would "
                 f"lose what is new in it: use Blender {newer} or later"
             )
-        gone = [
+        return [
             f"{name}: the file {shown(library.filepath)}, from which something in it is linked, is not there"
             for library in bpy.data.libraries
             if library.packed_file is None and not is_file(bpy.path.abspath(library.filepath))
         ]
-        armature = self._armature(gone)
-        why_not = why_not_reachable(armature)
-        if why_not is not None:
-            raise OptionError(f"{name}: {armature.name!r}: {why_not[:1].lower()}{why_not[1:]}")
-        return armature, gone
 
     def put(self, take: Take, model: str | None) -> tuple[CharacterObjects, dict[str, Any], list[str]]:
-        """Open the file and key a take on the character. The scene gets the take's rate and range.
+        """Open the file and key a take on the character. The scene gets the take's rate and range; of another
+        program's file that is animated it keeps the rate, and has both ranges.
 
         `model` is taken instead of the one that the take names. Returns what belongs to the character, what
         report.json says of it, and sentences about what is not as it should be. Raises HandfitError.
         """
+        scene = bpy.context.scene
+        if self.imported:  # some files have no rate of their own
+            set_timing(scene, take)
         armature, warnings = self.open()
+        scene, (acting, left_out) = bpy.context.scene, animations()
+        keeps_time = self.imported and bool(acting)
+        if keeps_time:
+            take, *_ = in_scene(scene, take, float(take.frame_numbers[0]))
         hands, told, alone = [], [], []
         for side, wanted in self.hands.items():
             try:
@@ -188,20 +218,28 @@ class Character:
         reference = self.reference
         if reference is None:
             reference = max(float(motion.frames[0]) for _, motion in hands)
-        scene = bpy.context.scene
-        if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
+        if keeps_time:
+            ends = [*take.frame_numbers[[0, -1]], *(end for action in acting for end in action.frame_range)]
+            scene.frame_start, scene.frame_end = math.floor(min(ends)), math.ceil(max(ends))
+        elif len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
             set_timing(scene, take)
         applied = run_to_completion(applying(armature, hands, replace(self.onto, reference=reference)))
         for entry, one in zip(told, applied, strict=True):
             entry |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
         warnings += shortcomings(applied)
+        if self.imported and left_out:
+            warnings.append(
+                f"{shown(self.path)}: of its animations .blend files alone keep "
+                f"{', '.join(sorted(action.name for action in left_out))}, as nothing in the scene shows it"
+            )
         scene.frame_set(int(take.frame_numbers[0]))
         if bpy.app.autoexec_fail_message.startswith("Driver"):
             warnings.append(
                 f"{shown(self.path)}: drivers that need Python stand still, as no script of the file is run "
                 f"({bpy.app.autoexec_fail_message})"
             )
-        character = replace(CharacterObjects.of(armature), hand_maps=tuple(self.bones.values()))
+        maps = tuple(self.bones.values())
+        character = replace(CharacterObjects.of(armature), hand_maps=maps, imported=self.imported)
         return character, {"armature": armature.name, "hands": told}, [*alone, *warnings]
 
     def _armature(self, gone: list[str]) -> bpy.types.Object:
@@ -250,7 +288,7 @@ def _track(take: Take, wanted: str) -> HandTrack:
 
 
 def file_and_armature(text: str) -> tuple[Path, str]:
-    """FILE.blend[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
+    """FILE[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
     for at in (len(text), *(i for i, letter in enumerate(text) if letter == ":")):
         if is_file(text[:at]):
             return Path(text[:at]), text[at + 1 :]

@@ -26,6 +26,8 @@ class CharacterObjects:
     side: None = None
     hand_maps: tuple[HandMap, ...] = ()
     """Tables of its hands that stand before those that are kept or recognised"""
+    imported: bool = False
+    """Whether the open scene is another program's file, which is to be written as a whole"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:
