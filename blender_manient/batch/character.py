@@ -21,7 +21,7 @@ from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions
 from ..exporters.imports import animations, import_file, readable
-from ..scene.characters import CharacterObjects, characters_in, hand_map_of, why_not_reachable
+from ..scene.characters import CharacterObjects, characters_in, hand_map_of, only_character, why_not_reachable
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
 from ..scene.timing import in_scene, set_timing
 
@@ -246,10 +246,8 @@ class Character:
         """The one that was named, or the only one, or the only one that deforms or carries a mesh."""
         there = characters_in(bpy.context.scene)
         found = [one for one in there if one.name == self.armature or not self.armature]
-        if len(found) > 1:
-            found = [one for one in found if CharacterObjects.of(one).meshes] or found
-        if len(found) == 1:
-            return found[0]
+        if (only := only_character(found)) is not None:
+            return only
         names = ", ".join(one.name for one in there[:20])
         if not there:
             problem = "there is no armature in its open scene"

@@ -17,8 +17,9 @@ from bpy_extras.io_utils import axis_conversion
 from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_room
 
-from ..common.blender_versions import gltf_left_out, run_operator
+from ..common.blender_versions import gltf_left_out, run_operator, usd_rate
 from ..rigs.arm import has_arm
+from ..scene.timing import nearest_rate
 from .exporter import APART, Exporter, HandObjects, Preset, blank
 
 
@@ -214,6 +215,13 @@ class UsdExporter(BlenderFormat, Exporter):
         "export_custom_properties": False,  # USD has no type for the ten betas
         "evaluation_mode": "RENDER",
     }
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file into the open scene, which gets its rate."""
+        done, render = super().read(path, operator), bpy.context.scene.render
+        if "FINISHED" in done and (rate := usd_rate(str(path))):
+            render.fps, render.fps_base = nearest_rate(rate)
+        return done
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
         """The header, written last, tells where the table of the sections is, which ends the file."""

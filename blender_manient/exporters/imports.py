@@ -3,6 +3,8 @@ Blender's operators, the formats say (`Exporter.reads`)."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 from pathlib import Path
 
 import bpy
@@ -35,7 +37,8 @@ def import_file(path: Path) -> set[bpy.types.ID]:
     before = set(bpy.data.user_map())
     for operator in filter(has_operator, operators):
         try:
-            done = exporter.read(path.absolute(), operator)
+            with contextlib.redirect_stderr(io.StringIO()):  # some importers print tracebacks there
+                done = exporter.read(path.absolute(), operator)
         except RuntimeError as error:
             done, problem = set(), _reason(str(error))
         new = set(bpy.data.user_map()) - before
