@@ -8,6 +8,7 @@ import io
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
@@ -65,9 +66,10 @@ def import_in_time(path: Path) -> set[bpy.types.ID]:
         for action in (block for block in new if isinstance(block, bpy.types.Action)):
             for slot in getattr(action, "slots", (None,)):
                 for curve in getattr(channels(action, slot), "fcurves", ()):
-                    for point in curve.keyframe_points:
-                        for at in (point.co, point.handle_left, point.handle_right):
-                            at.x *= factor
+                    for name in ("co", "handle_left", "handle_right"):
+                        values = _values(curve, name)
+                        values[:, 0] *= factor
+                        curve.keyframe_points.foreach_set(name, values.ravel())
                     curve.update()
     return new
 
@@ -108,5 +110,13 @@ def _with_locations(armature: bpy.types.Object, still: float) -> set[str]:
     if data is None or data.action is None:
         return set()
     curves = getattr(channels(data.action, action_slot(data)), "fcurves", ())
-    moving = {c.data_path for c in curves if any(abs(p.co.y) > still for p in c.keyframe_points)}
+    places = [curve for curve in curves if curve.data_path.endswith(".location")]
+    moving = {c.data_path for c in places if np.abs(_values(c, "co")[:, 1]).max(initial=0.0) > still}
     return {bone.name for bone in armature.pose.bones if f"{bone_path(bone.name)}.location" in moving}
+
+
+def _values(curve: bpy.types.FCurve, name: str) -> np.ndarray:
+    """(N, 2) frames and values of a curve's keys, or of their handles."""
+    found = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
+    curve.keyframe_points.foreach_get(name, found.ravel())
+    return found

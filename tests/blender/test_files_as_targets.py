@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from blender_manient import command
+from blender_manient.common.blender_versions import usd_rate
 from blender_manient.exporters import imports
 from blender_manient.operators.drop_character import MANIENT_FH_character
 from blender_manient.scene.build import build_take
@@ -144,13 +145,20 @@ AT = (0.0, 1 / 3, 0.5, 1.0)
 """seconds, whole frames at 24, 30 and 60 a second"""
 
 
+def moving(path: Path) -> tuple[list[Mapping[str, np.ndarray]], Path]:
+    """Such a character's file, and its poses AT."""
+    rig = hero()
+    animated(rig)
+    found = poses(rig, *AT), written(path)
+    if ".usd" in path.suffix and usd_rate(str(path)) is None:
+        pytest.skip("this Blender has nothing that tells a USD file's rate")
+    return found
+
+
 @pytest.mark.parametrize("ending", ["fbx", "glb", "gltf", "vrm", "usda", "usdz"])
 def test_it_comes_back_with_the_fingers_that_the_viewport_shows(clip, tmp_path, ending):
     """At its own rate, with its body's motion, its prop, its skin and its texture."""
-    rig = hero()
-    animated(rig)
-    body = poses(rig, *AT)
-    path = written(tmp_path / f"hero.{ending}")
+    body, path = moving(tmp_path / f"hero.{ending}")
     assert apply(tmp_path, clip, "--to", path) == 0
     (entry,) = report(tmp_path)
     (made,) = (tmp_path / "out" / "clip" / name for name in ("clip.fbx", "clip.glb", "clip.usdc")
@@ -264,10 +272,7 @@ def test_importers_that_are_missing_and_other_endings(clip, tmp_path, capfd, mon
 @pytest.mark.parametrize("ending", ["fbx", "glb", "usdc"])
 def test_dropped_in_the_window(make_take, tmp_path, ending):
     """The scene keeps its time, and the file's motion its seconds."""
-    rig = hero()
-    animated(rig)
-    body = poses(rig, *AT)
-    path = written(tmp_path / f"hero.{ending}")
+    body, path = moving(tmp_path / f"hero.{ending}")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert ending in MANIENT_FH_character.bl_file_extensions
     build_take(make_take().take)
