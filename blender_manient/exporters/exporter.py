@@ -108,11 +108,16 @@ class Exporter(ABC):
 
     def why_not(self) -> str:
         """Why this Blender cannot write it, and what to do, as part of a sentence; empty if it can."""
-        if not self.operator or has_operator(self.operator):
-            return ""
-        if self.operator.startswith("wm."):
-            return "missing in this build of Blender; take the one from blender.org"
-        return "switched off with its add-on; enable that in Blender's preferences"
+        return why_missing(self.operator) if self.operator else ""
+
+
+def why_missing(operator: str) -> str:
+    """Why this Blender lacks an operator, and what to do, as part of a sentence; empty if it does not."""
+    if has_operator(operator):
+        return ""
+    if operator.startswith("wm."):
+        return "missing in this build of Blender; take the one from blender.org"
+    return "switched off with its add-on; enable that in Blender's preferences"
 
 
 def blank(path: Path, folder: Path) -> None:

@@ -18,7 +18,7 @@ from ..rigs.rig import bone_path
 from ..scene.timing import frame_rate
 from . import EXPORTERS
 from .clean_rig import NEAR, unconnect
-from .exporter import APART, Exporter
+from .exporter import APART, Exporter, why_missing
 
 
 def readable() -> dict[str, Exporter]:
@@ -34,7 +34,7 @@ def import_file(path: Path) -> set[bpy.types.ID]:
     """
     exporter = readable()[path.suffix.lower()]
     operators = exporter.reads[path.suffix.lower()]
-    problem = f"this Blender cannot import {path.suffix} files: enable {operators[-1]} in its preferences"
+    problem = f"what imports {path.suffix} files is {why_missing(operators[0])}"
     before = set(bpy.data.user_map())
     for operator in filter(has_operator, operators):
         try:

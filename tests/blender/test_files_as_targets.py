@@ -11,7 +11,7 @@ import pytest
 
 from blender_manient import command
 from blender_manient.common.blender_versions import usd_rate
-from blender_manient.exporters import imports
+from blender_manient.exporters import exporter, imports
 from blender_manient.operators.drop_character import MANIENT_FH_character
 from blender_manient.scene.build import build_take
 from blender_manient.scene.timing import frame_rate
@@ -261,10 +261,12 @@ def test_what_cannot_work_is_one_sentence(clip, tmp_path, capfd, ending):
 def test_importers_that_are_missing_and_other_endings(clip, tmp_path, capfd, monkeypatch):
     hero()
     path = written(tmp_path / "hero.fbx")
-    monkeypatch.setattr(imports, "has_operator", lambda _: False)
+    for module in (imports, exporter):
+        monkeypatch.setattr(module, "has_operator", lambda name: "fbx" not in name)
     (tmp_path / "hero.obj").write_text("v 0 0 0")
-    for file, expected in ((path, "cannot import .fbx files"), (tmp_path / "hero.obj", "is one of .blend, ")):
-        assert apply(tmp_path, clip, "--to", file) == 2
+    said = "what imports .fbx files is switched off with its add-on; enable that in Blender's preferences"
+    for file, expected in ((path, said), (tmp_path / "hero.obj", "is one of .blend, .fbx, ")):
+        assert apply(tmp_path, clip, "--to", file, "--format", "glb") == 2
         assert expected in capfd.readouterr().err
     assert not (tmp_path / "out").exists()
 
