@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +21,15 @@ from handfit_core.retarget.saved_rigs import SavedRig, read_rig, saved_rigs
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import versions
-from ..scene.characters import CharacterObjects, characters_in, hand_map_of, rig_used, why_not_reachable
+from ..exporters.imports import animations, import_file, readable
+from ..scene.characters import (
+    CharacterObjects,
+    characters_in,
+    hand_map_of,
+    only_character,
+    rig_used,
+    why_not_reachable,
+)
 from ..scene.finding_offset import finding_offset
 from ..scene.moving_body import moving_range
 from ..scene.onto_character import Into, TransferOptions, Wrist, applying, motion_of, shortcomings
@@ -28,6 +37,7 @@ from ..scene.timing import Timing, in_scene, set_timing, timing_in
 
 _HANDS: dict[Side, str] = {"left": "left", "right": "right"}
 """Which captured hand each of the character's gets where nobody says"""
+_ENDINGS = (".blend", *readable())
 _OPTIONS = ("bones", "wrist", "reference", "into", "time_offset", "no_contacts", "outside")
 """What is said of a character beside its hands"""
 
@@ -45,8 +55,9 @@ def add_character_arguments(parser: argparse.ArgumentParser, *, required: bool =
         "--apply-to",
         "--to",
         required=required,
-        metavar="FILE.blend[:ARMATURE]",
-        help="the character's file, and its armature where there are several; no script in it is run",
+        metavar="FILE[:ARMATURE]",
+        help=f"the character's file ({', '.join(_ENDINGS)}), and its armature where there are several; no "
+        "script in it is run",
     )
     group.add_argument(
         "--bones",
@@ -127,6 +138,10 @@ class Character:
         if not re.fullmatch("auto|[+-]?[0-9]{1,9}", offset):
             raise OptionError(f"--time-offset is a number of frames, or auto; got {shown(offset)}")
         path, armature = file_and_armature(args.apply_to)
+        if path.suffix.lower() in _ENDINGS[1:]:
+            args.format = args.format or readable()[path.suffix.lower()].name
+        elif not path.suffix.lower().startswith(".blend"):
+            raise OptionError(f"{shown(path)}: a character's file is one of {', '.join(_ENDINGS)}")
         file = Path(args.bones or "")
         rig = SavedRig(file.stem, tuple(read_rig(file)) if args.bones else ())
         onto = TransferOptions(
@@ -159,11 +174,30 @@ class Character:
         used = {None if self.rig.tables else rig_used(armature, side) for side in self.hands}
         return next((str(rig.path) for rig in used if rig is not None and len(used) == 1), None)
 
+    @property
+    def imported(self) -> bool:
+        """Whether its file is another program's."""
+        return self.path.suffix.lower() in readable()
+
     def open(self) -> tuple[bpy.types.Object, list[str]]:
-        """Open the file. Returns the armature, and sentences about what is not as it should be.
+        """Open the file, or import it into the open scene. Returns the armature, and sentences about what is
+        not as it should be.
 
         Nothing in the file is run: drivers that need Python stand still. Raises InputError and OptionError.
         """
+        gone = []
+        if self.imported:
+            import_file(self.path)
+        else:
+            gone = self._open_blend()
+        armature = self._armature(gone)
+        why_not = why_not_reachable(armature)
+        if why_not is not None:
+            raise OptionError(f"{shown(self.path)}: {armature.name!r}: {why_not[:1].lower()}{why_not[1:]}")
+        return armature, gone
+
+    def _open_blend(self) -> list[str]:
+        """Returns sentences about linked files that are not there. Raises InputError."""
         name = shown(self.path)
         try:
             bpy.ops.wm.open_mainfile(filepath=str(self.path.absolute()), load_ui=True, use_scripts=False)
@@ -177,27 +211,26 @@ class Character:
                 f"{name}: the character's file was saved by Blender {newer}, and this is {own}, which would "
                 f"lose what is new in it: use Blender {newer} or later"
             )
-        gone = [
+        return [
             f"{name}: the file {shown(library.filepath)}, from which something in it is linked, is not there"
             for library in bpy.data.libraries
             if library.packed_file is None and not is_file(bpy.path.abspath(library.filepath))
         ]
-        armature = self._armature(gone)
-        why_not = why_not_reachable(armature)
-        if why_not is not None:
-            raise OptionError(f"{name}: {armature.name!r}: {why_not[:1].lower()}{why_not[1:]}")
-        return armature, gone
 
     def put(self, take: Take, model: str | None) -> tuple[CharacterObjects, dict[str, Any], list[str]]:
-        """Open the file and key a take on the character. The scene gets the take's rate and range, unless the
-        character moves already: then it stays in its time, and so do the hands.
+        """Open the file and key a take on the character. The scene gets the take's rate and range, unless it
+        moves already: then it keeps its time, and so do the hands; another program's file has both ranges.
 
         `model` is taken instead of the one that the take names. Returns what belongs to the character, what
         report.json says of it, and sentences about what is not as it should be. Raises HandfitError.
         """
+        scene = bpy.context.scene
+        if self.imported:  # some files have no rate of their own
+            set_timing(scene, take)
         armature, warnings = self.open()
         hands, told, alone = [], [], []
-        scene, moves, timing = bpy.context.scene, moving_range(armature) is not None, Timing()
+        scene, timing, (acting, left_out) = bpy.context.scene, Timing(), animations()
+        moves = (self.imported and bool(acting)) or moving_range(armature) is not None
         if moves:  # frame 1 of both is the same moment
             first = 1.0 + timing_in(scene, take).scale * (int(take.frame_numbers[0]) - 1)
             take, timing, _ = in_scene(scene, take, first)
@@ -230,10 +263,18 @@ class Character:
             hand |= {"bones": one.bones, "frames": one.frames, "tips_apart": round(one.apart, 5)}
         warnings += [*shortcomings(applied), *(() if self.rig.tables else saved_rigs()[1])]
         first, last = (round(end) + offset for end in timing.scene_frames(take.frame_numbers[[0, -1]]))
-        if moves and not scene.frame_start <= first <= last <= scene.frame_end:
+        if self.imported and acting:
+            ends = [first, last, *(end for action in acting for end in action.frame_range)]
+            scene.frame_start, scene.frame_end = math.floor(min(ends)), math.ceil(max(ends))
+        elif moves and not scene.frame_start <= first <= last <= scene.frame_end:
             warnings.append(
                 f"the hands move in frames {first} to {last}, and files hold those of the scene, "
                 f"{scene.frame_start} to {scene.frame_end}"
+            )
+        if self.imported and left_out:
+            warnings.append(
+                f"{shown(self.path)}: of its animations .blend files alone keep "
+                f"{', '.join(sorted(action.name for action in left_out))}, as nothing in the scene shows it"
             )
         scene.frame_set(first)
         if bpy.app.autoexec_fail_message.startswith("Driver"):
@@ -241,17 +282,15 @@ class Character:
                 f"{shown(self.path)}: drivers that need Python stand still, as no script of the file is run "
                 f"({bpy.app.autoexec_fail_message})"
             )
-        character = replace(CharacterObjects.of(armature), hand_maps=self.rig.tables)
-        return character, entry, [*alone, *warnings]
+        maps, objects = self.rig.tables, CharacterObjects.of(armature)
+        return replace(objects, hand_maps=maps, imported=self.imported), entry, [*alone, *warnings]
 
     def _armature(self, gone: list[str]) -> bpy.types.Object:
         """The one that was named, or the only one, or the only one that deforms or carries a mesh."""
         there = characters_in(bpy.context.scene)
         found = [one for one in there if one.name == self.armature or not self.armature]
-        if len(found) > 1:
-            found = [one for one in found if CharacterObjects.of(one).meshes] or found
-        if len(found) == 1:
-            return found[0]
+        if (only := only_character(found)) is not None:
+            return only
         names = ", ".join(one.name for one in there[:20])
         if not there:
             problem = "there is no armature in its open scene"
@@ -290,7 +329,7 @@ def _track(take: Take, wanted: str) -> HandTrack:
 
 
 def file_and_armature(text: str) -> tuple[Path, str]:
-    """FILE.blend[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
+    """FILE[:ARMATURE] in two; both may have colons in them. Raises OptionError."""
     for at in (len(text), *(i for i, letter in enumerate(text) if letter == ":")):
         if is_file(text[:at]):
             return Path(text[:at]), text[at + 1 :]

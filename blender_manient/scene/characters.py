@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,8 @@ class CharacterObjects:
     side: None = None
     hand_maps: tuple[HandMap, ...] = ()
     """Tables of its hands that stand before those that are kept or recognised"""
+    imported: bool = False
+    """Whether the open scene is another program's file, which is to be written as a whole"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:
@@ -39,6 +42,13 @@ class CharacterObjects:
 def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The armatures of a scene that are no captured hands, by name."""
     return sorted(filter(_is_character, scene.objects), key=lambda o: o.name)
+
+
+def only_character(armatures: Sequence[bpy.types.Object]) -> bpy.types.Object | None:
+    """The only one of some armatures, or the only one that deforms or carries a mesh; None for several."""
+    if len(armatures) > 1:
+        armatures = [one for one in armatures if CharacterObjects.of(one).meshes] or armatures
+    return armatures[0] if len(armatures) == 1 else None
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:

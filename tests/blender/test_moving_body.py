@@ -23,7 +23,7 @@ from handfit_core.take.take import at_rows
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, mixamo_names
-from .looking import bones_at, chosen, directions, directions_apart, keyed_bones
+from .looking import angles, bones_at, chosen, directions, directions_apart, keyed_bones
 
 NAMES = mixamo_names("right")
 COUNT, START = 260, 90
@@ -265,6 +265,43 @@ def test_batches_leave_a_body_in_its_time(movement, tmp_path, said, rate):
         assert fingers_off(armature, hand, start + 50, 50) < 0.1
     first, last = armature.animation_data.action.curve_frame_range
     assert (first, last - first) == (start + 1, int(129 * rate / 30.0))
+
+
+def test_batches_find_the_offset_in_a_file_of_another_program(movement, tmp_path):
+    """Its whole movement comes out again, with the fingers in their time."""
+    armature = chosen(body(movement))
+    bpy.context.scene.render.fps, bpy.context.scene.frame_end = 30, COUNT
+    path, clip = str(tmp_path / "body.fbx"), tmp_path / "clip.take.npz"
+    replace(captured(movement), source=Source("data", ("a clip",))).save(clip)
+    bpy.ops.export_scene.fbx(filepath=path, object_types={"ARMATURE"}, bake_anim_simplify_factor=0.0)
+    before = [np.array(bones_at(armature, f)[NAMES[0]].matrix.to_quaternion()) for f in (1, 100, COUNT)]
+    words = [
+        "apply",
+        str(clip),
+        "--to",
+        path,
+        "-o",
+        str(tmp_path / "out"),
+        "--format",
+        "blend",
+        "--no-contacts",
+    ]
+    assert command.main([*words, "--time-offset", "auto"]) == 0
+    (entry,) = json.loads((tmp_path / "out" / "report.json").read_text())["inputs"]
+    offset = entry["character"]["offset"]["frames"]
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out" / "clip" / "clip.blend"))
+    scene = bpy.context.scene
+    (armature,) = (one for one in bpy.data.objects if one.type == "ARMATURE")
+    first = scene.frame_start
+    assert abs(offset + 1 - first - START) <= 1
+    assert scene.frame_end - first == COUNT - 1
+    assert (scene.render.fps, keyed_bones(armature)) == (30, {NAMES[joint] for joint in range(1, 16)})
+    after = [
+        np.array(bones_at(armature, first + f - 1)[NAMES[0]].matrix.to_quaternion()) for f in (1, 100, COUNT)
+    ]
+    for number in (1, 2):  # the file has other axes
+        wanted, found = (float(angles(turns[0], turns[number])) for turns in (before, after))
+        assert found == pytest.approx(wanted, abs=0.05)
 
 
 @pytest.mark.parametrize(
