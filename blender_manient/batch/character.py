@@ -25,10 +25,11 @@ from ..exporters.imports import animations, import_file, readable
 from ..scene.characters import (
     CharacterObjects,
     characters_in,
-    hand_map_of,
     only_character,
     rig_used,
+    sure_map_of,
     why_not_reachable,
+    without_keys,
 )
 from ..scene.finding_offset import finding_offset
 from ..scene.moving_body import moving_range
@@ -247,6 +248,8 @@ class Character:
             rig = self.rig if self.rig.of(side) is not None else rig_used(armature, side)
             label = hand_map.rig if rig is None else rig.label
             told.append({"side": side, "captured": take.hands.index(track) + 1, "rig": label})
+            if unkeyed := without_keys(armature, hand_map):
+                told[-1]["without_keys"] = unkeyed
         if not hands:
             raise OptionError("; ".join(alone))
         entry: dict[str, Any] = {"armature": armature.name, "hands": told}
@@ -304,7 +307,7 @@ class Character:
 
     def _bones_of(self, armature: bpy.types.Object, side: Side) -> HandMap:
         """Raises HandModelError."""
-        hand_map = self.rig.of(side) or hand_map_of(armature, side)
+        hand_map = self.rig.of(side) or sure_map_of(armature, side)
         hand_map.check(armature.data.bones)
         return hand_map
 

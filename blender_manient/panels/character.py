@@ -9,6 +9,7 @@ import bpy
 from handfit_core.common.errors import HandfitError, HandModelError
 from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
 from handfit_core.retarget.hand_map import PALM_FINGERS
+from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
 from handfit_core.retarget.saved_rigs import saved_rigs
 
 from ..common.section import Section, fitted, sentence, split
@@ -22,10 +23,12 @@ from ..scene.characters import (
     kept_map,
     recognised,
     rig_used,
+    said_without_keys,
     source_of,
     sources_of,
     table_of,
     why_not_reachable,
+    without_keys,
 )
 from ..scene.onto_character import why_not_turned
 from ..scene.store import CapturedHand
@@ -171,6 +174,9 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
             text = "Metacarpals" if finger == PALM_FINGERS[0] else finger.capitalize()
             block.prop_search(table, f"{finger}_palm", armature.data, "bones", text=text)
         block.prop(table, "fold", slider=True)
+        keyless = said_without_keys(without_keys(armature, table_of(armature, table.side)))
+        if keyless:
+            sentence(layout, context, capitalised(keyless), "INFO")
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
@@ -207,17 +213,23 @@ def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list
         lacked = not wanted and table_of(armature, other_side(side)).mapped
         return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
     try:
-        rig = hand_map.rig or "Unknown rig"
-        if kept_map(armature, side) is not None:
+        rig, kept, used = hand_map.rig or "Unknown rig", kept_map(armature, side), rig_used(armature, side)
+        if kept is not None:
             told.append((f"{rig}, with your own table", "CHECKMARK"))
-        elif (used := rig_used(armature, side)) is not None:
+        elif used is not None:
             told.append((used.label, "CHECKMARK"))
         elif (sure := recognised(armature, side).sure) >= _SURE:
             told.append((f"{rig}, for sure", "CHECKMARK"))
+        elif sure < DOUBTFUL:
+            told.append(("This may be no hand: look at Bones below", "ERROR"))
         else:
             doubt = "likely" if sure >= _LIKELY else "perhaps"
             told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
         hand_map.check(armature.data.bones)
+        if keyless := without_keys(armature, hand_map).get(UNKNOWN):
+            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
+        if kept is None and used is None and (but := recognised(armature, side).but):
+            told.append((capitalised(but), "INFO"))
     except HandModelError as error:
         return [*told, (capitalised(str(error)), "ERROR")]
     if armature.manient.character.wrist == "FINGERS":

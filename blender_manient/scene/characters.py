@@ -12,10 +12,12 @@ import numpy as np
 
 from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.common.skeleton import SIDES, Side
-from handfit_core.retarget.hand_map import Found, HandMap, empty_map
+from handfit_core.retarget.hand_map import HandMap, empty_map
+from handfit_core.retarget.recognition import DOUBTFUL, Found, left_out
 from handfit_core.retarget.saved_rigs import SavedRig, fitting_rig
 
 from ..rigs import found_hand, troubles
+from ..rigs.character import bones_of, driven_bones
 from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture
 
 
@@ -161,6 +163,36 @@ def _recognised(uid: int, side: Side, _names: Any, _heads: Any, _reported: Any) 
         return found_hand(armature, side)
     except HandModelError as error:
         return error
+
+
+def sure_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
+    """`hand_map_of`, where nobody is there to be asked. Raises HandModelError for what may be no hand."""
+    hand_map = hand_map_of(armature, side)
+    taught = kept_map(armature, side) is not None or rig_used(armature, side) is not None
+    if not taught and recognised(armature, side).sure < DOUBTFUL:
+        raise HandModelError(
+            f"the bones below {hand_map.bones[0]!r} may be no {side} hand: name its bones with --bones, or "
+            "choose them in the panel and save the rig or the character's file"
+        )
+    return hand_map
+
+
+def without_keys(armature: bpy.types.Object, hand_map: HandMap) -> dict[str, list[str]]:
+    """The deforming bones of a hand that get no keys, by why not; without those that follow others."""
+    bones, driven = armature.data.bones, driven_bones(armature)
+    if hand_map.bones[0] not in bones:
+        return {}
+    found = left_out(bones_of(armature), hand_map)
+    own = {bone.name for bone in bones if bone.use_deform} - driven
+    return {why: those for why, names in found.items() if (those := [name for name in names if name in own])}
+
+
+def said_without_keys(found: dict[str, list[str]]) -> str:
+    """What `without_keys` found, as a sentence; empty where it found nothing."""
+    some = {
+        why: ", ".join([*names[:3], *(["..."] if len(names) > 3 else [])]) for why, names in found.items()
+    }
+    return "; ".join(f"no keys for {len(names)} bones {why} ({some[why]})" for why, names in found.items())
 
 
 def recognise_again(armature: bpy.types.Object, side: Side) -> Found:

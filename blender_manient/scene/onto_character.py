@@ -25,6 +25,7 @@ from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.arms import CapturedArm
 from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import UNKNOWN
 from handfit_core.retarget.transfer import (
     SourceHand,
     TargetHand,
@@ -42,7 +43,7 @@ from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
 from .character_arms import MARK, Arm, ArmOptions, arm_of, keying_arm
-from .characters import why_not_reachable
+from .characters import said_without_keys, why_not_reachable, without_keys
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
@@ -304,6 +305,8 @@ def computing(
         fingers_only = onto.wrist == "FINGERS" and arm is None
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
         left_alone += [no_arm] if no_arm is not None else []
+        keyless = without_keys(armature, hand_map).get(UNKNOWN)
+        left_alone += [said_without_keys({UNKNOWN: keyless})] if keyless else []
         kept = None
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)

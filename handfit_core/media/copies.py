@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import logging
 import re
+import time
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +27,8 @@ _UNREAD: Final = {"photo": HEIF, "video": rb"\x89PNG|RIFF....WEBP"}
 that move it shows the first frame alone"""
 _KEPT: Final = 100
 """copies"""
+_NEEDED: Final = 24 * 3600.0
+"""seconds; a batch shows copies when all of its inputs are captured"""
 
 
 def copy_path(source: Source) -> Path | None:
@@ -57,8 +60,18 @@ def write_copy(source: Source, max_megapixels: float | None = None) -> None:
     except HandfitError as error:
         log.warning("%s; so there will be no picture behind the hands", error)
         return
-    for old in sorted(path.parent.iterdir(), key=lambda p: p.stat().st_mtime)[:-_KEPT]:
-        old.unlink(missing_ok=True)
+    _remove_old(path.parent)
+
+
+def _remove_old(folder: Path) -> None:
+    """Remove copies that are neither recent nor among the newest. Other processes may do the same."""
+    ages: list[tuple[float, Path]] = []
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):
+            ages.append((time.time() - path.stat().st_mtime, path))
+    for age, path in sorted(ages)[_KEPT:]:
+        if age > _NEEDED:
+            path.unlink(missing_ok=True)
 
 
 def _write_photo(path: Path, media: Media) -> None:

@@ -56,8 +56,8 @@ def read_picture_header(stream: BinaryIO) -> Header | None:
 
 
 def read_video_header(stream: BinaryIO) -> Header | None:
-    """A header without a size for an MP4, QuickTime, Matroska, WebM, AVI, Windows Media, MPEG, Ogg, Flash or
-    MXF file, and a GIF's with its size.
+    """A header without a size for an MP4, QuickTime, Matroska, WebM, AVI, Windows Media, MPEG, DV, Ogg, Flash
+    or MXF file, and a GIF's with its size.
 
     `stream` must be seekable; its position afterwards is undefined. None where it is none of these, or claims
     more frames than it can hold.
@@ -79,8 +79,8 @@ def read_video_header(stream: BinaryIO) -> Header | None:
 _MP4: Final = rb"....(ftyp|moov|mdat|free|skip|wide|pnot|styp)"
 _CONTAINERS: Final = (
     rb"%s|\x1a\x45\xdf\xa3.{,60}(matroska|webm)|RIFF....AVI |GIF8[79]a|\x30\x26\xb2\x75\x8e\x66\xcf\x11"
-    rb"|\x00\x00\x01[\xba\xb3]|G(.{187}G){3}|....G(.{191}G){3}|OggS\x00|FLV\x01|\x06\x0e\x2b\x34\x02\x05"
-    % _MP4
+    rb"|\x00\x00\x01[\xba\xb3]|\x1f\x07\x00[\x3f\xbf]|G(.{187}G){3}|....G(.{191}G){3}"
+    rb"|OggS\x00|FLV\x01|\x06\x0e\x2b\x34\x02\x05" % _MP4
 )
 _PLAYLIST: Final = re.compile(rb"c=IN IP|<MPD|#EXTM3U|ffconcat", re.IGNORECASE)
 

@@ -26,7 +26,8 @@ PHOTO_SUFFIXES = frozenset(
     for name in "jpg jpeg jpe png webp bmp dib tif tiff ppm pgm pnm hdr exr dpx heic heif hif avif".split(" ")
 )
 VIDEO_SUFFIXES = frozenset(
-    f".{name}" for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ogv gif apng".split(" ")
+    f".{name}"
+    for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ts vob mxf 3gp flv dv ogv gif apng".split()
 )
 
 

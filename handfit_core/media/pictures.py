@@ -92,7 +92,7 @@ def _white(path: Path, pixels: np.ndarray) -> float:
     if MEDIA.darkest <= bright <= MEDIA.brightest:
         return 1.0
     white = bright / 0.8
-    log.warning("%s: its linear values reach to about %.2g, and this is made white", path, white)
+    log.warning("%s: its linear values reach about %g, which is made white", path, float(f"{white:.2g}"))
     return white
 
 

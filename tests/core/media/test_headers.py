@@ -100,7 +100,7 @@ def test_videos(tmp_path):
     packet = b"G\x40\0\x10" + bytes(184)
     by_chance = b"G\x40\0\x10" + b"<mPd" + bytes(180)  # compressed data may hold any four bytes
     for data in (
-        *(b"\0\0\1\xba" + bytes(40), b"\0\0\1\xb3" + bytes(40), b"OggS\0\2", b"FLV\1"),
+        *(b"\0\0\1\xba" + bytes(40), b"\0\0\1\xb3" + bytes(40), b"OggS\0\2", b"FLV\1", b"\x1f\7\0\xbf"),
         *(packet * 5, (bytes(4) + packet) * 5, by_chance * 5),
     ):
         assert video(data) == Header()
