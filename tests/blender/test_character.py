@@ -197,6 +197,11 @@ def test_two_hands_of_one_side(make_take):
     keep_map(armature, HandMap("left", tuple(ours[j] for j in range(16))))
     assert apply() == {"FINISHED"}
     assert keyed_bones(armature) == {*ours.values()} - {ours[0]}
+    bpy.ops.manient.save_rig(rig_name="The second")
+    armature.manient.character.left.hand_map = ""
+    assert "The second, your rig" in said()
+    assert "several left hands" not in said().lower()
+    assert hand_map_of(armature, "left").bones[0] == ours[0]
 
 
 def test_bones_that_something_else_turns_are_named_before(make_take):
