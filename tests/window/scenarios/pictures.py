@@ -196,7 +196,7 @@ def onto_a_body(stage, folder, source, side, turns, places, frame=75):
         space = stage.area().spaces[0]
         space.overlay.show_extras = space.overlay.show_cursor = False
         space.region_3d.view_location = rig.matrix_world @ rig.pose.bones[table.bones[0]].head
-        space.region_3d.view_distance = 0.7
+        space.region_3d.view_distance = 0.9
         yield from _shown(stage, "body")
 
 
