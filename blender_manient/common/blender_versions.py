@@ -113,6 +113,23 @@ def has_operator(name: str) -> bool:
     return True
 
 
+def run_operator(name: str, **told: Any) -> set[str]:
+    """Run the operator `module.name`, with those of the arguments that this Blender's has."""
+    module, _, operator = name.partition(".")
+    run = getattr(getattr(bpy.ops, module), operator)
+    known = run.get_rna_type().properties.keys()
+    return run(**{key: value for key, value in told.items() if key in known})
+
+
+def usd_rate(path: str) -> float | None:
+    """The frames per second of a USD file, which Blender's importer leaves alone; None where this Blender has
+    no module for it, as the bpy wheel of 4.2."""
+    getattr(bpy.utils, "expose_bundled_modules", lambda: None)()
+    with contextlib.suppress(ImportError):
+        return importlib.import_module("pxr.Usd").Stage.Open(path).GetTimeCodesPerSecond()
+    return None
+
+
 def gltf_left_out() -> list[str]:
     """The glTF exporter's own list of custom properties that it leaves out: changing it changes what is
     written. An empty one where this Blender's exporter has none."""

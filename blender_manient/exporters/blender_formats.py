@@ -17,9 +17,10 @@ from bpy_extras.io_utils import axis_conversion
 from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_room
 
-from ..common.blender_versions import gltf_left_out
+from ..common.blender_versions import gltf_left_out, run_operator, usd_rate
 from ..rigs.arm import has_arm
-from .exporter import Exporter, HandObjects, Preset, blank
+from ..scene.timing import nearest_rate
+from .exporter import APART, Exporter, HandObjects, Preset, blank
 
 
 class BlenderFormat:
@@ -27,19 +28,28 @@ class BlenderFormat:
 
     operator: ClassVar[str]
     arguments: ClassVar[Mapping[str, Any]] = {}
+    reading: ClassVar[Mapping[str, Any]] = {}
+    """Arguments of the operators that read such files"""
 
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write the file with the arguments of the format and of the preset."""
-        module, name = self.operator.split(".")
         with self.around(path, hands) as more:
-            write = getattr(getattr(bpy.ops, module), name)
-            write(filepath=str(path), check_existing=False, **{**self.arguments, **preset.keywords, **more})
+            told = {**self.arguments, **preset.keywords, **more}
+            run_operator(self.operator, filepath=str(path), check_existing=False, **told)
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file into the open scene."""
+        return run_operator(operator, filepath=str(path), **self.reading)
 
     @contextlib.contextmanager
     def around(self, _path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
         """Prepare the context's scene and clean up behind the operator; yields the arguments that the scene
         decides."""
         yield {}
+
+
+_SMALL = 0.1
+"""An armature of less than this scale came out of a file in centimetres"""
 
 
 class FbxExporter(BlenderFormat, Exporter):
@@ -66,6 +76,14 @@ class FbxExporter(BlenderFormat, Exporter):
         "bake_anim_simplify_factor": 0.0,
         "path_mode": "STRIP",  # textures by name: where they lie is private
     }
+    apart = APART
+    reads: ClassVar = {".fbx": ("import_scene.fbx", "wm.fbx_import")}
+    reading: ClassVar = {"anim_offset": 0.0}  # frames as they are written
+    of_scene: ClassVar = {
+        "object_types": {"ARMATURE", "MESH", "EMPTY", "CAMERA", "LIGHT", "OTHER"},
+        "path_mode": "COPY",
+        "embed_textures": True,
+    }
     presets: ClassVar = {
         # Y up and -Z forward, as the exporter writes by default; FBX_SCALE_ALL: metres with UnitScaleFactor
         # 100.
@@ -85,10 +103,13 @@ class FbxExporter(BlenderFormat, Exporter):
     }
 
     @contextlib.contextmanager
-    def around(self, path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """The exporter also names each texture with the folder that the file is in."""
-        yield {}
+    def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """What was imported from centimetres becomes centimetres again. The exporter also names each texture
+        with the folder that the file is in."""
+        small = all(hand.armature.matrix_world.median_scale < _SMALL for hand in hands)
+        yield {"apply_scale_options": "FBX_SCALE_NONE"} if small else {}
         blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
+        blank(path, Path(f"{path.stem}.fbm"))  # which it makes up for embedded textures
 
 
 class GltfExporter(BlenderFormat, Exporter):
@@ -117,6 +138,13 @@ class GltfExporter(BlenderFormat, Exporter):
         "export_optimize_animation_size": False,
         "export_morph_normal": False,
     }
+    reads: ClassVar = {
+        ".glb": ("import_scene.gltf",),
+        ".gltf": ("import_scene.gltf",),
+        ".vrm": ("import_scene.vrm", "import_scene.gltf"),  # the first is an add-on's of its own
+    }
+    reading: ClassVar = {"bone_heuristic": "BLENDER", "disable_bone_shape": True}  # bones keep their axes
+    of_scene: ClassVar = {"use_selection": False, "export_cameras": True, "export_lights": True}
     presets: ClassVar = {
         "UNITY": Preset({"export_all_influences": False, "export_influence_nb": 4}),
         "UNREAL": Preset(root="root"),
@@ -129,16 +157,31 @@ class GltfExporter(BlenderFormat, Exporter):
         # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
         for obj in (o for hand in hands for o in (hand.armature, *hand.meshes)):
             obj.select_set(True, view_layer=bpy.context.view_layer)
-        # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
         context, left_out = bpy.context, gltf_left_out()
-        context.scene.render.fps_base = 1.0 / context.scene.render.fps_base
         left_out.append("manient")
         bpy.context = _WindowlessContext(context)  # type: ignore
         try:
-            yield {}
+            with _rate_turned(context.scene):
+                yield {}
         finally:
             bpy.context = context
             left_out.remove("manient")
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file, which has no frames, at the open scene's rate."""
+        with _rate_turned(bpy.context.scene):
+            return super().read(path, operator)
+
+
+@contextlib.contextmanager
+def _rate_turned(scene: bpy.types.Scene) -> Iterator[None]:
+    """What Blender's glTF importer and exporter (4.2 to 5.2) multiply by, for what they should divide by."""
+    base = scene.render.fps_base
+    scene.render.fps_base = 1.0 / base
+    try:
+        yield
+    finally:
+        scene.render.fps_base = base
 
 
 class _WindowlessContext:
@@ -161,6 +204,9 @@ class UsdExporter(BlenderFormat, Exporter):
     suffix = ".usdc"
     other_endings = (".usd",)
     operator = "wm.usd_export"
+    reads: ClassVar = dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("wm.usd_import",))
+    # The first of both until Blender 4.5, the second from 4.3 on.
+    of_scene: ClassVar = {"export_textures": True, "export_textures_mode": "NEW", "overwrite_textures": True}
     arguments: ClassVar = {
         "export_animation": True,
         "export_armatures": True,
@@ -169,6 +215,13 @@ class UsdExporter(BlenderFormat, Exporter):
         "export_custom_properties": False,  # USD has no type for the ten betas
         "evaluation_mode": "RENDER",
     }
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file into the open scene, which gets its rate."""
+        done, render = super().read(path, operator), bpy.context.scene.render
+        if "FINISHED" in done and (rate := usd_rate(str(path))):
+            render.fps, render.fps_base = nearest_rate(rate)
+        return done
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
         """The header, written last, tells where the table of the sections is, which ends the file."""

@@ -143,6 +143,8 @@ def export_hands(
     wanted = chosen.presets.get(preset, Preset(clean=not plain))
     if _is_character(hands):
         wanted = replace(wanted, clean=chosen.bakes)
+    if _is_whole_scene(chosen, hands):
+        wanted = Preset(dict(chosen.of_scene or {}), clean=False)
     objects = [o for hand in hands for o in (hand.armature, *hand.meshes)]
     with contextlib.ExitStack() as stack:
         if whole is None and chosen.writes == "hands":  # a .blend keeps what is hidden
@@ -218,7 +220,7 @@ def _opened(
 
     Blender's exporters write what the context's scene holds, at its frame rate and over its range.
     """
-    if chosen.writes == "captured" or (chosen.writes == "collection" and _is_character(hands)):
+    if chosen.writes == "captured" or _is_whole_scene(chosen, hands):
         yield hands
         return
     if chosen.writes == "hands":
@@ -247,6 +249,7 @@ def _opened(
                             metres_per_unit=stage.metres_per_unit,
                             units=preset.units,
                             turn=preset.turn,
+                            apart=chosen.apart,
                         )
                     )
                     for index, hand in enumerate(hands)
@@ -257,6 +260,12 @@ def _opened(
 
 def _is_character(hands: Sequence[HandObjects]) -> bool:
     return any(hand.side is None for hand in hands)
+
+
+def _is_whole_scene(chosen: Exporter, hands: Sequence[HandObjects]) -> bool:
+    """Whether the open scene is written as it is, and not a scene with the hands."""
+    imported = chosen.of_scene is not None and any(getattr(hand, "imported", False) for hand in hands)
+    return imported or (chosen.writes == "collection" and _is_character(hands))
 
 
 def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.Object, None]:

@@ -60,6 +60,11 @@ class HandMap:
         return tuple(dict.fromkeys([*folded, *self.mapped.values()]))
 
     @property
+    def named(self) -> tuple[str, ...]:
+        """All bones that it names, each once."""
+        return tuple(name for name in dict.fromkeys((*self.bones, *self.palm, self.control)) if name)
+
+    @property
     def moved_by(self) -> str:
         """The bone that moves the whole hand."""
         return self.control or self.bones[0]
@@ -75,8 +80,7 @@ class HandMap:
             raise HandModelError(f"no bone stands for the {self.side} hand itself: choose it in the table")
         if not self.mapped:
             raise HandModelError(f"no bone stands for a finger of the {self.side} hand: choose some")
-        named = [*self.bones, *self.palm, self.control]
-        missing = next((name for name in named if name and name not in there), None)
+        missing = next((name for name in self.named if name not in there), None)
         if missing is not None:
             raise HandModelError(f"there is no bone {shown(missing)!r}: choose another one in the table")
 

@@ -1,0 +1,122 @@
+"""Characters out of other programs' files, in the open scene. Which endings can be read, and by which of
+Blender's operators, the formats say (`Exporter.reads`)."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from handfit_core.common.errors import InputError
+from handfit_core.common.files import shown
+
+from ..common.blender_versions import action_slot, channels, has_operator, used_actions
+from ..rigs.rig import bone_path
+from ..scene.timing import frame_rate
+from . import EXPORTERS
+from .clean_rig import NEAR, unconnect
+from .exporter import APART, Exporter, why_missing
+
+
+def readable() -> dict[str, Exporter]:
+    """The formats of other programs' files, by the endings of those that Blender can import."""
+    return {ending: exporter for exporter in EXPORTERS.values() for ending in exporter.reads}
+
+
+def import_file(path: Path) -> set[bpy.types.ID]:
+    """Import a file with a character into the open scene, which gets the file's rate where it has one.
+
+    Bones are unconnected, as Blender would leave out where connected ones go. Returns the new data-blocks.
+    Raises InputError, with nothing new left, where it cannot be read or has no armature.
+    """
+    exporter = readable()[path.suffix.lower()]
+    operators = exporter.reads[path.suffix.lower()]
+    problem = f"what imports {path.suffix} files is {why_missing(operators[0])}"
+    before = set(bpy.data.user_map())
+    for operator in filter(has_operator, operators):
+        try:
+            with contextlib.redirect_stderr(io.StringIO()):  # some importers print tracebacks there
+                done = exporter.read(path.absolute(), operator)
+        except RuntimeError as error:
+            done, problem = set(), _reason(str(error))
+        new = set(bpy.data.user_map()) - before
+        if "FINISHED" in done:
+            if any(isinstance(block, bpy.types.Armature) for block in new):
+                _settle(new)
+                return new
+            problem = "there is no armature in it"
+        bpy.data.batch_remove(new)
+    raise InputError(f"{shown(path)}: {problem}")
+
+
+def import_in_time(path: Path) -> set[bpy.types.ID]:
+    """`import_file` into a scene that keeps its rate and range: keys lie at the same seconds."""
+    scene = bpy.context.scene
+    rate, render = frame_rate(scene), scene.render
+    kept = render.fps, render.fps_base, scene.frame_start, scene.frame_end
+    try:
+        new = import_file(path)
+        factor = rate / frame_rate(scene)
+    finally:
+        render.fps, render.fps_base, scene.frame_start, scene.frame_end = kept
+    if abs(factor - 1.0) > 1e-6:
+        for action in (block for block in new if isinstance(block, bpy.types.Action)):
+            for slot in getattr(action, "slots", (None,)):
+                for curve in getattr(channels(action, slot), "fcurves", ()):
+                    for name in ("co", "handle_left", "handle_right"):
+                        values = _values(curve, name)
+                        values[:, 0] *= factor
+                        curve.keyframe_points.foreach_set(name, values.ravel())
+                    curve.update()
+    return new
+
+
+def animations() -> tuple[set[bpy.types.Action], set[bpy.types.Action]]:
+    """The actions of the open file that move something now, and the others."""
+    blocks = [block for block in bpy.data.user_map() if getattr(block, "animation_data", None) is not None]
+    acting = {action for block in blocks for action, _ in used_actions(block, acting=True)}  # type: ignore
+    return acting, set(bpy.data.actions) - acting
+
+
+def _reason(said: str) -> str:
+    """Blender's words on a failure, without the lines of a traceback."""
+    words = " ".join(said.removeprefix("Error: ").split())
+    return "it is damaged" if "Traceback" in words else f"Blender could not import it ({words})"
+
+
+def _settle(new: set[bpy.types.ID]) -> None:
+    """Have everything move that is animated: glTF has animations of several objects side by side."""
+    for data in filter(None, (getattr(block, "animation_data", None) for block in new)):
+        strips = [strip for track in data.nla_tracks for strip in track.strips]
+        if data.action is None and strips:
+            data.action = strips[0].action
+            if (slot := action_slot(strips[0])) is not None:
+                data.action_slot = slot
+    for armature in (block for block in new if isinstance(block, bpy.types.Object)):
+        if armature.type == "ARMATURE" and armature.visible_get():
+            size = max(armature.matrix_world.median_scale, 1e-9)
+            unconnect(armature, _with_locations(armature, NEAR / size), APART / size)
+    for image in (block for block in new if isinstance(block, bpy.types.Image)):
+        if not image.filepath:  # as out of glTF; exporters tell pictures by their paths
+            image.filepath_raw = f"//{image.name}.{image.file_format.lower()}"
+
+
+def _with_locations(armature: bpy.types.Object, still: float) -> set[str]:
+    """The bones whose keys move them farther than `still` from their rest."""
+    data = armature.animation_data
+    if data is None or data.action is None:
+        return set()
+    curves = getattr(channels(data.action, action_slot(data)), "fcurves", ())
+    places = [curve for curve in curves if curve.data_path.endswith(".location")]
+    moving = {c.data_path for c in places if np.abs(_values(c, "co")[:, 1]).max(initial=0.0) > still}
+    return {bone.name for bone in armature.pose.bones if f"{bone_path(bone.name)}.location" in moving}
+
+
+def _values(curve: bpy.types.FCurve, name: str) -> np.ndarray:
+    """(N, 2) frames and values of a curve's keys, or of their handles."""
+    found = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
+    curve.keyframe_points.foreach_get(name, found.ravel())
+    return found
