@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from math import floor
@@ -132,6 +133,9 @@ def loading_plate(
         return None, [_unreadable(path)]
     if take.source.kind == "video":
         image.source = "MOVIE"
+    with contextlib.suppress(OSError, TypeError):  # a studio's own OpenColorIO may have no such name
+        if _is_video_dpx(path):
+            image.colorspace_settings.name = "sRGB"
     size = tuple(image.size)  # asked here, since as a sequence it is that of a frame not yet chosen
     if 0 in size:
         bpy.data.images.remove(image)
@@ -156,6 +160,14 @@ def loading_plate(
     pixel = size[1] / size[0] * (1.0 / picture_aspect(take) if turned else picture_aspect(take))
     image.display_aspect = (max(1.0, pixel), max(1.0, 1.0 / pixel))
     return plate, _mismatches(path, size[::-1] if turned else size, take)
+
+
+def _is_video_dpx(path: Path) -> bool:
+    """Whether it is a DPX that holds values as they are shown, all of which Blender takes for linear ones.
+    Film densities it makes linear itself."""
+    with open(path, "rb") as stream:
+        head = stream.read(802)
+    return head[:4] in (b"SDPX", b"XPDS") and head[801:] not in (b"\1", b"\3")  # SMPTE 268M: transfer
 
 
 def shown_file(take: Take) -> tuple[Path, bool]:

@@ -1,4 +1,5 @@
-"""The add-on's folder for files that it can make again: where it lies, how large it is, clearing it."""
+"""Files that the add-on can make again, in its own folder and the core's of copies: where they lie, how large
+they are, clearing them."""
 
 from __future__ import annotations
 
@@ -15,6 +16,7 @@ import bpy
 
 from handfit_core.common.errors import OutputError
 from handfit_core.common.files import cache_dir
+from handfit_core.media.copies import copies_folder
 
 from ..common import preferences
 
@@ -90,9 +92,10 @@ def remove_temporary_takes() -> None:
 def clear() -> tuple[int, int]:
     """Remove everything but pictures that the open file shows; returns (bytes freed, files left)."""
     global _measured_at
-    kept = {Path(bpy.path.abspath(image.filepath)) for image in bpy.data.images if image.filepath}
+    shown = (*bpy.data.images, *bpy.data.movieclips)
+    kept = {Path(bpy.path.abspath(each.filepath)) for each in shown if each.filepath}
     freed = left = 0
-    for path in _files(folder_path()):
+    for path in _files():
         try:
             if path in kept:
                 left += 1
@@ -102,32 +105,32 @@ def clear() -> tuple[int, int]:
             freed += size
         except OSError:  # open elsewhere, on Windows
             left += 1
-    for parent, _, _ in os.walk(folder_path(), topdown=False):
-        with contextlib.suppress(OSError):  # not empty
-            Path(parent).rmdir()
+    for folder in _folders():
+        for parent, _, _ in os.walk(folder, topdown=False):
+            with contextlib.suppress(OSError):  # not empty
+                Path(parent).rmdir()
     _measured_at = -_STALE
     return freed, left
 
 
 def shown_size() -> int:
-    """The folder's size in bytes, measured anew every few seconds; for drawing: it holds few files."""
+    """The size of all files in bytes, measured anew every few seconds; for drawing: they are few."""
     global _measured, _measured_at
     if time.monotonic() - _measured_at > _STALE:
-        _measured, _measured_at = measure(folder_path()), time.monotonic()
+        _measured, _measured_at = 0, time.monotonic()
+        for path in _files():
+            with contextlib.suppress(OSError):
+                _measured += path.stat().st_size
     return _measured
 
 
-def measure(folder: Path) -> int:
-    """Bytes in all files of a folder; 0 where there is none."""
-    size = 0
-    for path in _files(folder):
-        with contextlib.suppress(OSError):
-            size += path.stat().st_size
-    return size
+def _folders() -> tuple[Path, Path]:
+    return folder_path(), copies_folder()
 
 
-def _files(folder: Path) -> Iterator[Path]:
-    return (Path(parent, name) for parent, _, names in os.walk(folder) for name in names)
+def _files() -> Iterator[Path]:
+    for folder in _folders():
+        yield from (Path(parent, name) for parent, _, names in os.walk(folder) for name in names)
 
 
 def _remove_abandoned(folder: Path) -> None:

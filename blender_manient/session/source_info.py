@@ -32,7 +32,7 @@ from handfit_core.media.opening import (
     sequence_numbers,
     to_read,
 )
-from handfit_core.media.size_limit import check_for_blender
+from handfit_core.media.size_limit import check_for_blender, is_picture, is_video
 from handfit_core.media.source import SourceKind
 from handfit_core.take import is_take
 
@@ -92,9 +92,10 @@ def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
     if not path.is_file():
         raise InputError(f"{path.name} is not there any more: choose the file again")
     suffix = path.suffix.lower()
-    if suffix in VIDEO_SUFFIXES or (suffix in PHOTO_SUFFIXES and is_animated(path)):
+    picture = suffix in PHOTO_SUFFIXES or is_picture(path)
+    if suffix in VIDEO_SUFFIXES or (is_animated(path) if picture else is_video(path)):
         return SourceFiles("video", (str(path),))
-    if suffix in PHOTO_SUFFIXES:
+    if picture:
         numbered = numbered_siblings(path) if as_sequence else []
         if len(numbered) > 1:
             return SourceFiles("sequence", tuple(map(str, numbered)))

@@ -303,14 +303,19 @@ def capture_to_file(
     check_writable(output, _named(source, options))
     started = time.perf_counter()
     take = bare_take(source, options) if bare else capture(source, options, progress, should_stop)
-    for view in (take, *(take.cameras.views if take.cameras is not None else ())):
-        write_copy(view.source, options.max_megapixels)
+    write_copies(take, options.max_megapixels)
     report = _saved(take, output, compact, started)
     if cameras_to is not None and take.cameras is not None:
         write_rig(cameras_to, take)
     elif cameras_to is not None:
         log.warning("%s was not written: the cameras were not found", shown(cameras_to))
     return report
+
+
+def write_copies(take: Take, max_megapixels: float | None = None) -> None:
+    """Write copies of what Blender cannot read of a take's pictures, those of all its views."""
+    for view in (take, *(take.cameras.views if take.cameras is not None else ())):
+        write_copy(view.source, max_megapixels)
 
 
 def add_arms_to_file(

@@ -28,7 +28,7 @@ import numpy as np
 from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.files import shown
 from handfit_core.media.camera_names import SYSTEM_CAMERAS, cameras
-from handfit_core.media.headers import read_picture_header
+from handfit_core.media.headers import Header, read_picture_header
 from handfit_core.media.opening import open_media
 from handfit_core.media.recording import ClipWriter
 from handfit_core.media.source import Frame
@@ -338,9 +338,13 @@ def _opened(
             if not found or bgr is None:
                 return
             encoded = len(bgr) == 1
-            width, height = _jpeg_size(bgr) if encoded else bgr.shape[1::-1]
-            _check_size(source, width, height)
-            if width:
+            header = read_picture_header(io.BytesIO(bgr.tobytes())) if encoded else Header(*bgr.shape[1::-1])
+            if header is not None:
+                if header.width * header.height > CAMERA.max_pixels:
+                    raise InputError(
+                        f"{source}: gives pictures of {header.width}x{header.height} pixels, which are too "
+                        "large to follow hands in as they come; choose a smaller size"
+                    )
                 good = time.monotonic()
                 yield partial(_decoded, bgr, encoded=encoded)
             elif time.monotonic() > good + CAMERA.answer_seconds:
@@ -361,12 +365,6 @@ def _opened_camera(cv2: Any, number: int, size: tuple[int, int], fps: float) -> 
     return capture
 
 
-def _jpeg_size(data: np.ndarray) -> tuple[int, int]:
-    """Width and height that an encoded JPEG (1, N) claims; 0 for what is none."""
-    header = read_picture_header(io.BytesIO(data.tobytes()))
-    return (0, 0) if header is None else (header.width, header.height)
-
-
 def _decoded(data: np.ndarray, *, encoded: bool) -> np.ndarray | None:
     """The picture (H, W, 3) uint8 RGB of an encoded JPEG (1, N) or of BGR; None for a damaged one."""
     import cv2
@@ -376,15 +374,6 @@ def _decoded(data: np.ndarray, *, encoded: bool) -> np.ndarray | None:
     except cv2.error:
         return None
     return None if bgr is None else cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
-
-
-def _check_size(source: LiveSource, width: int, height: int) -> None:
-    """Raise InputError for pictures that are too large."""
-    if width * height > CAMERA.max_pixels:
-        raise InputError(
-            f"{source}: gives pictures of {width}x{height} pixels, which are too large to follow hands in as "
-            "they come; choose a smaller size"
-        )
 
 
 def _opened_address(cv2: Any, address: str) -> Any:

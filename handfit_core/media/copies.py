@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import logging
-import re
+import time
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -13,36 +13,37 @@ from typing import Any, Final
 import numpy as np
 
 from handfit_core.common.errors import HandfitError, InputError
-from handfit_core.common.files import cache_dir, is_file, written_whole
-from handfit_core.media.heif import HEIF
+from handfit_core.common.files import cache_dir, written_whole
+from handfit_core.media.headers import PICTURES, begins
 from handfit_core.media.opening import open_media
 from handfit_core.media.source import Media, Source
 
 log = logging.getLogger("handfit")
 
 _SUFFIXES: Final = {"photo": ".jpg", "video": ".mp4"}
-_UNREAD: Final = {"photo": HEIF, "video": rb"\x89PNG|RIFF....WEBP"}
+_UNREAD: Final = {"photo": PICTURES["HEIC"], "video": PICTURES["PNG"] + b"|" + PICTURES["WebP"]}
 """First bytes, by kind, of what Blender does not read, or not in every version: HEIC and AVIF; of pictures
 that move it shows the first frame alone"""
 _KEPT: Final = 100
 """copies"""
+_NEEDED: Final = 24 * 3600.0
+"""seconds; a batch shows copies when all of its inputs are captured"""
+
+
+def copies_folder() -> Path:
+    """Where all copies lie."""
+    return cache_dir() / "plates"
 
 
 def copy_path(source: Source) -> Path | None:
     """Where the copy of a photo or clip lies, whether or not there is one; None where none is needed."""
     path = Path(source.files[0])
-    if source.kind not in _UNREAD or not is_file(path):
+    if source.kind not in _UNREAD or not begins(path, _UNREAD[source.kind]):
         return None
-    try:
-        with open(path, "rb") as stream:
-            if not re.match(_UNREAD[source.kind], stream.read(12), re.DOTALL):
-                return None
-        state = path.stat()
-    except OSError:
-        return None
+    state = path.stat()
     key = f"{path.resolve()} {state.st_size} {state.st_mtime_ns}"
     name = hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()[:24]
-    return cache_dir() / "plates" / (name + _SUFFIXES[source.kind])
+    return copies_folder() / (name + _SUFFIXES[source.kind])
 
 
 def write_copy(source: Source, max_megapixels: float | None = None) -> None:
@@ -57,8 +58,18 @@ def write_copy(source: Source, max_megapixels: float | None = None) -> None:
     except HandfitError as error:
         log.warning("%s; so there will be no picture behind the hands", error)
         return
-    for old in sorted(path.parent.iterdir(), key=lambda p: p.stat().st_mtime)[:-_KEPT]:
-        old.unlink(missing_ok=True)
+    _remove_old(path.parent)
+
+
+def _remove_old(folder: Path) -> None:
+    """Remove copies that are neither recent nor among the newest. Other processes may do the same."""
+    ages: list[tuple[float, Path]] = []
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):
+            ages.append((time.time() - path.stat().st_mtime, path))
+    for age, path in sorted(ages)[_KEPT:]:
+        if age > _NEEDED:
+            path.unlink(missing_ok=True)
 
 
 def _write_photo(path: Path, media: Media) -> None:

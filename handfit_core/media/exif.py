@@ -7,6 +7,7 @@ the tag is read here and undone by `upright`.
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import struct
@@ -16,8 +17,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.media.headers import read_video_focal_35mm
-from handfit_core.media.heif import HEIF
+from handfit_core.media.headers import PICTURES, read_tiff_tags, read_video_focal_35mm
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media
 
@@ -26,47 +26,42 @@ SHORTEST, LONGEST = 4.0, 2000.0
 """mm as on 35 mm film, between which a focal length is believed"""
 _TIFF: Final = rb"(?:Exif\0\0)?(?=II\*\0|MM\0\*)"
 _MARKERS: Final = {
-    rb"\xff\xd8": re.compile(rb"\xff\xe1..Exif\0\0" + _TIFF, re.DOTALL),
-    rb"\x89PNG\r\n\x1a\n": re.compile(rb"eXIf" + _TIFF),
-    rb"RIFF.{4}WEBP": re.compile(rb"EXIF.{4}" + _TIFF, re.DOTALL),
+    PICTURES["JPEG"]: re.compile(rb"\xff\xe1..Exif\0\0" + _TIFF, re.DOTALL),
+    PICTURES["PNG"]: re.compile(rb"eXIf" + _TIFF),
+    PICTURES["WebP"]: re.compile(rb"EXIF.{4}" + _TIFF, re.DOTALL),
     _TIFF: re.compile(_TIFF),
-    HEIF: re.compile(rb"\0\0\0[\0\x06]" + _TIFF),
+    PICTURES["HEIC"]: re.compile(rb"\0\0\0[\0\x06]" + _TIFF),
 }
 """What stands before the tags, by a picture's first bytes; the chance that it is something else is 2^-64"""
 
 
 def read_orientation(data: bytes) -> int:
     """EXIF orientation 1-8 of an encoded JPEG, PNG, WebP or TIFF; 1 where there is none."""
-    value = _short(data, _ORIENTATION)
-    return value if value is not None and 1 <= value <= 8 else 1
+    value = _number(data, _ORIENTATION)
+    return value if 1 <= value <= 8 else 1
 
 
 def read_focal_35mm(data: bytes) -> float | None:
     """Focal length in mm as on 35 mm film (EXIF FocalLengthIn35mmFilm); None where there is none."""
-    return float(_short(data, _EXIF_DIRECTORY, _FOCAL_35MM) or 0) or None
+    return float(_number(data, _EXIF_DIRECTORY, _FOCAL_35MM)) or None
 
 
-def _short(data: bytes, *tags: int) -> int | None:
-    """The 16-bit number of the last of the tags, of which each one leads to the next one's directory; None
-    where there is none, and in damaged metadata, which are no reason to refuse a picture."""
+def _number(data: bytes, *tags: int) -> int:
+    """The number of the last of the tags, of which each one leads to the next one's directory; 0 where there
+    is none, and in damaged metadata, which are no reason to refuse a picture."""
     for container, marker in _MARKERS.items():
         if re.match(container, data, re.DOTALL) and (found := marker.search(data)):
-            tiff = data[found.end() : found.end() + MEDIA.exif_bytes]
+            block = io.BytesIO(data[found.end() : found.end() + MEDIA.exif_bytes])
             break
     else:
-        return None
-    order = "<" if tiff.startswith(b"II") else ">"
+        return 0
+    value = None
     try:
-        (value,) = struct.unpack_from(order + "I", tiff, 4)
         for tag in tags:
-            kind, layout = (3, "H") if tag == tags[-1] else (4, "I")
-            (count,) = struct.unpack_from(order + "H", tiff, value)
-            places = range(value + 2, value + 2 + 12 * count, 12)
-            entry = next(at for at in places if struct.unpack_from(order + "HH", tiff, at) == (tag, kind))
-            (value,) = struct.unpack_from(order + layout, tiff, entry + 8)
-    except (struct.error, StopIteration):
-        return None
-    return value
+            value = read_tiff_tags(block, value)[tag]
+    except (struct.error, KeyError):
+        return 0
+    return value or 0
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -81,11 +76,6 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     if orientation in (3, 4, 7, 8):
         pixels = pixels[::-1]
     return pixels
-
-
-def is_tiff(data: bytes) -> bool:
-    """Whether an encoded picture is a TIFF, which OpenCV turns upright by itself."""
-    return data[:4] in (b"II*\0", b"MM\0*")
 
 
 def known_intrinsics(media: Media) -> Intrinsics | None:

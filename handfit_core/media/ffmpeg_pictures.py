@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from handfit_core.common.errors import InputError
-from handfit_core.media.headers import EXR, exr_channels, read_exr_attributes
-from handfit_core.media.heif import HEIF, read_heif
-from handfit_core.media.kinds import what_is
+from handfit_core.media.headers import PICTURES, exr_channels, read_exr_attributes
+from handfit_core.media.heif import read_heif
+from handfit_core.media.kinds import unreadable
 
 if TYPE_CHECKING:
     import av
@@ -28,15 +28,15 @@ def decoded_by_ffmpeg(path: Path, data: bytes) -> tuple[np.ndarray, int] | None:
     """(H, W) or (H, W, 3) BGR as stored, uint8 or linear float16 or float32, and the EXIF orientation to
     undo; None for a picture of another kind. Raises InputError."""
     try:
-        if re.match(HEIF, data, re.DOTALL):
+        if re.match(PICTURES["HEIC"], data, re.DOTALL):
             return _heif(path, data)
-        if data.startswith(EXR):
+        if re.match(PICTURES["OpenEXR"], data):
             return _exr(path, data), 1
-        if data.startswith((b"SDPX", b"XPDS")):
+        if re.match(PICTURES["DPX"], data):
             # Logarithmic film densities, too, are taken as they would be shown.
             return _one("dpx", data).to_ndarray(format="bgr24"), 1
     except (ValueError, LookupError, struct.error) as error:
-        raise InputError(f"{path}: {what_is(path)}") from error
+        raise unreadable(path) from error
     return None
 
 
@@ -50,8 +50,11 @@ def _frames(decoder: str, packets: Sequence[bytes], **options: object) -> Iterat
     context.extradata = options.pop("extradata", None)
     context.options = {name: str(value) for name, value in options.items()}
     for index, data in enumerate((*packets, None)):
-        packet = None if data is None else av.Packet(data)
-        if packet is not None:
+        packet = None
+        if data is not None:
+            # Its memory is FFmpeg's own: to free Python's, a thread waits for the lock that closing it holds.
+            packet = av.Packet(len(data))
+            packet.update(data)
             packet.pts = index
         with contextlib.suppress(FFmpegError):
             for frame in context.decode(packet):

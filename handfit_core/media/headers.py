@@ -9,15 +9,28 @@ too.
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from handfit_core.media.heif import HEIF, read_heif
+from handfit_core.common.files import is_file
+from handfit_core.media.heif import HEIF, boxes_of, read_at, read_heif
 
+PICTURES: Final = {
+    "JPEG": rb"\xff\xd8\xff",
+    "PNG": rb"\x89PNG",
+    "TIFF": rb"II\*\0|MM\0\*",
+    "WebP": rb"RIFF....WEBP",
+    "OpenEXR": rb"v/1\x01",
+    "DPX": rb"SDPX|XPDS",
+    "HEIC": HEIF,
+}
+"""What pictures of a kind begin with"""
 _MAX_STEPS: Final = 100_000
 """Markers, chunks or boxes that are read; no camera and no program writes as many"""
 _SCAN_BYTES: Final = 1 << 20
@@ -42,11 +55,11 @@ def read_picture_header(stream: BinaryIO) -> Header | None:
     `stream` must be seekable; its position afterwards is undefined. None where it is none of these, or is
     damaged before its size.
     """
-    start = _read_at(stream, 0, 65536)
+    start = read_at(stream, 0, 65536)
     header = None
     try:
-        for signature, read in _WALKED.items():
-            header = read(stream) if re.match(signature, start, re.DOTALL) else header
+        for kind, read in _WALKED.items():
+            header = read(stream) if re.match(PICTURES[kind], start, re.DOTALL) else header
     except (struct.error, ValueError, LookupError):
         return None
     for pattern, read in _FIXED.items():
@@ -56,16 +69,16 @@ def read_picture_header(stream: BinaryIO) -> Header | None:
 
 
 def read_video_header(stream: BinaryIO) -> Header | None:
-    """A header without a size for an MP4, QuickTime, Matroska, WebM, AVI, Windows Media, MPEG, Ogg, Flash or
-    MXF file, and a GIF's with its size.
+    """A header without a size for an MP4, QuickTime, Matroska, WebM, AVI, Windows Media, MPEG, DV, Ogg, Flash
+    or MXF file, and a GIF's with its size.
 
     `stream` must be seekable; its position afterwards is undefined. None where it is none of these, or claims
     more frames than it can hold.
     """
-    start = _read_at(stream, 0, _SCAN_BYTES)
+    start = read_at(stream, 0, _SCAN_BYTES)
     # A transport stream's few fixed bytes can be had in a text, too. FFmpeg takes a file for a text up to the
     # first zero byte; a stream has some soon, and anything by chance behind them.
-    if not re.match(_CONTAINERS, start, re.DOTALL) or _PLAYLIST.search(start.partition(b"\0")[0]):
+    if not re.match(CONTAINERS, start, re.DOTALL) or _PLAYLIST.search(start.partition(b"\0")[0]):
         return None
     if start.startswith(b"GIF8"):
         header = Header(_little(start[6:8]), _little(start[8:10]))
@@ -77,17 +90,13 @@ def read_video_header(stream: BinaryIO) -> Header | None:
 
 
 _MP4: Final = rb"....(ftyp|moov|mdat|free|skip|wide|pnot|styp)"
-_CONTAINERS: Final = (
+CONTAINERS: Final = (
     rb"%s|\x1a\x45\xdf\xa3.{,60}(matroska|webm)|RIFF....AVI |GIF8[79]a|\x30\x26\xb2\x75\x8e\x66\xcf\x11"
-    rb"|\x00\x00\x01[\xba\xb3]|G(.{187}G){3}|....G(.{191}G){3}|OggS\x00|FLV\x01|\x06\x0e\x2b\x34\x02\x05"
-    % _MP4
+    rb"|\x00\x00\x01[\xba\xb3]|\x1f\x07\x00[\x3f\xbf]|G(.{187}G){3}|....G(.{191}G){3}"
+    rb"|OggS\x00|FLV\x01|\x06\x0e\x2b\x34\x02\x05" % _MP4
 )
+"""What videos begin with that hold their frames themselves"""
 _PLAYLIST: Final = re.compile(rb"c=IN IP|<MPD|#EXTM3U|ffconcat", re.IGNORECASE)
-
-
-def _read_at(stream: BinaryIO, position: int, count: int) -> bytes:
-    stream.seek(position)
-    return stream.read(count)
 
 
 def _unpack(stream: BinaryIO, layout: str, at: int | None = None) -> tuple[int, ...]:
@@ -109,7 +118,7 @@ def _png(stream: BinaryIO) -> Header | None:
     _, kind, width, height, depth = _unpack(stream, ">I4sIIB", 8)
     position = 8
     for _ in range(_MAX_STEPS):
-        size, name = struct.unpack(">I4s", _read_at(stream, position, 8).ljust(8, b"\0"))
+        size, name = struct.unpack(">I4s", read_at(stream, position, 8).ljust(8, b"\0"))
         if name == b"IEND" or position + 8 > end:
             return Header(width, height, _cost(depth)) if kind == b"IHDR" else None
         if size > end:  # OpenCV would allocate that
@@ -149,18 +158,27 @@ _LOGARITHMIC: Final = (34676, 34677)
 _TIFF_NUMBERS: Final = {1: "B", 3: "H", 4: "I"}
 
 
-def _tiff(stream: BinaryIO) -> Header | None:
-    order = "<" if _read_at(stream, 0, 2) == b"II" else ">"
-    (directory,) = _unpack(stream, order + "I", 4)
+def read_tiff_tags(stream: BinaryIO, directory: int | None = None) -> dict[int, int]:
+    """The first number of each tag of a TIFF or EXIF directory that has whole numbers; None: of the first
+    directory. Raises struct.error for a damaged one."""
+    order = "<" if read_at(stream, 0, 2) == b"II" else ">"
+    if directory is None:
+        (directory,) = _unpack(stream, order + "I", 4)
     (count,) = _unpack(stream, order + "H", directory)
     tags: dict[int, int] = {}
     for i in range(count):
         tag, kind, values = _unpack(stream, order + "HHI", directory + 2 + 12 * i)
         if kind in _TIFF_NUMBERS and tag not in tags:
             layout = order + _TIFF_NUMBERS[kind]
-            if values * struct.calcsize(layout) > 4:
-                stream.seek(*_unpack(stream, order + "I"))
-            (tags[tag],) = _unpack(stream, layout)
+            with contextlib.suppress(struct.error):  # it lies beyond what there is of the file
+                if values * struct.calcsize(layout) > 4:
+                    stream.seek(*_unpack(stream, order + "I"))
+                (tags[tag],) = _unpack(stream, layout)
+    return tags
+
+
+def _tiff(stream: BinaryIO) -> Header | None:
+    tags = read_tiff_tags(stream)
     bits = 32 if tags.get(259) in _LOGARITHMIC else tags.get(258, 1)
     channels = max(1, -(-tags.get(277, 1) // 4))
     if not tags.get(256) or not tags.get(257):
@@ -171,8 +189,6 @@ def _tiff(stream: BinaryIO) -> Header | None:
 
 _LONGEST_ATTRIBUTE: Final = 1 << 20
 """Bytes of one of an OpenEXR picture's attributes that are read"""
-EXR: Final = b"v/1\x01"
-"""What an OpenEXR picture begins with"""
 
 
 def read_exr_attributes(stream: BinaryIO) -> dict[bytes, tuple[int, bytes]]:
@@ -181,13 +197,13 @@ def read_exr_attributes(stream: BinaryIO) -> dict[bytes, tuple[int, bytes]]:
     found: dict[bytes, tuple[int, bytes]] = {}
     position = 8
     for _ in range(_MAX_STEPS):
-        name, _, rest = _read_at(stream, position, 600).partition(b"\0")
+        name, _, rest = read_at(stream, position, 600).partition(b"\0")
         if not name:
             return found
         kind, _, rest = rest.partition(b"\0")
         (size,) = struct.unpack_from("<I", rest)
         position += len(name) + len(kind) + 6
-        found[name] = position, _read_at(stream, position, min(size, _LONGEST_ATTRIBUTE))
+        found[name] = position, read_at(stream, position, min(size, _LONGEST_ATTRIBUTE))
         position += size
     raise ValueError("more attributes than anybody writes")
 
@@ -212,14 +228,8 @@ def _heif(stream: BinaryIO) -> Header | None:
     return Header(max(found.width, found.tile_width), max(found.height, found.tile_height), _cost(found.bits))
 
 
-_WALKED: Final = {
-    rb"\xff\xd8\xff": _jpeg,
-    rb"\x89PNG\r\n\x1a\n": _png,
-    rb"II\*\0|MM\0\*": _tiff,
-    EXR: _exr,
-    HEIF: _heif,
-}
-"""Readers by a picture's first bytes"""
+_WALKED: Final = {"JPEG": _jpeg, "PNG": _png, "TIFF": _tiff, "OpenEXR": _exr, "HEIC": _heif}
+"""Readers of pictures whose size may stand anywhere"""
 
 
 def _little(data: bytes) -> int:
@@ -262,13 +272,19 @@ _FIXED: Final[dict[bytes, Callable[..., Header]]] = {
 """Patterns of pictures whose size stands in one place, and what they say there"""
 
 
+def begins(path: Path, pattern: bytes) -> bool:
+    """Whether a file begins like that; no for one that cannot be read."""
+    try:
+        with open(path, "rb") if is_file(path) else io.BytesIO() as stream:
+            return bool(re.match(pattern, stream.read(65536), re.DOTALL))
+    except OSError:
+        return False
+
+
 def is_animated(path: Path) -> bool:
-    """Whether a PNG, WebP or AVIF picture has several frames. Raises OSError."""
-    with open(path, "rb") as stream:
-        start = _read_at(stream, 0, 65536)
+    """Whether a PNG, WebP or AVIF picture has several frames."""
     # A PNG's chunk of its animation stands before its pixels.
-    animated = rb"\x89PNG\r\n\x1a\n(?:(?!IDAT).)*acTL|RIFF....WEBPVP8X.*ANIM|....ftypavis"
-    return bool(re.match(animated, start, re.DOTALL))
+    return begins(path, rb"\x89PNG\r\n\x1a\n(?:(?!IDAT).)*acTL|RIFF....WEBPVP8X.*ANIM|....ftypavis")
 
 
 # MP4 and QuickTime: boxes with a size and a name; some hold boxes again.
@@ -281,33 +297,11 @@ _COUNTS: Final = {b"stsz": 8, b"stz2": 8, b"trun": 4}
 """Where the boxes that list frames say how many they are"""
 
 
-def _boxes(stream: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
-    """The name of each box, and where its contents begin and end; those with boxes come before what they
-    hold. Raises struct.error, and ValueError for more than anybody writes."""
-    end, position = stream.seek(0, 2), 0
-    for _ in range(_MAX_STEPS):
-        if position + 8 > end:
-            return
-        size, name = struct.unpack(">I4s", _read_at(stream, position, 8))
-        head = 8
-        if size == 1:
-            (size,) = _unpack(stream, ">Q")
-            head = 16
-        if 0 < size < head:
-            return
-        after = position + size if size else end
-        yield name, position + head, min(after, end)
-        if name == b"meta":  # MP4's has a version and flags; QuickTime's begins with a box
-            head += 4 * (_unpack(stream, ">I", position + head) == (0,))
-        position = position + head if name in _BOXES_WITH_BOXES else after
-    raise ValueError("more boxes than anybody writes")
-
-
 def _holds_its_frames(stream: BinaryIO) -> bool:
     """Whether an MP4 has at least a byte for each frame that it claims: FFmpeg would allocate a list of them,
     and unpack a compressed header to whatever size it claims."""
     end, frames = stream.seek(0, 2), 0
-    for name, start, _ in _boxes(stream):
+    for name, start, _ in boxes_of(stream, _BOXES_WITH_BOXES):
         if name in _COUNTS:
             frames += _unpack(stream, ">I", start + _COUNTS[name])[0]
         if name == b"cmov" or frames > end:
@@ -324,8 +318,8 @@ def read_video_focal_35mm(stream: BinaryIO) -> float | None:
     None where there is none, and in damaged metadata. `stream` must be seekable."""
     number = 0
     try:
-        for name, start, end in _boxes(stream):
-            data = _read_at(stream, start, min(end - start, _LARGEST_TABLE)) if name in _TABLES else b""
+        for name, start, end in boxes_of(stream, _BOXES_WITH_BOXES):
+            data = read_at(stream, start, min(end - start, _LARGEST_TABLE)) if name in _TABLES else b""
             if name == b"keys":
                 number, at = 0, 8
                 for i in range(1, 1 + int.from_bytes(data[4:8])):

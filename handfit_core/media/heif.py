@@ -50,8 +50,9 @@ class Heif:
 
 def read_heif(stream: BinaryIO) -> Heif | None:
     """The main picture of a HEIC or AVIF; None where its layout is another one than a picture or a grid of
-    them. Raises struct.error, IndexError and KeyError for damaged files."""
-    start, meta = _meta(stream)
+    them. Raises struct.error, ValueError, IndexError and KeyError for damaged files."""
+    start, end = next((place for name, *place in boxes_of(stream, frozenset()) if name == b"meta"), (0, 0))
+    meta = read_at(stream, start, min(end - start, _MOST_BYTES))
     boxes = {name: (at, data) for name, at, data in _boxes(meta, 4, start)}
     (primary,) = struct.unpack_from(">I" if boxes[b"pitm"][1][0] else ">H", boxes[b"pitm"][1], 4)
     kinds = dict(_kinds(boxes[b"iinf"][1]))
@@ -83,20 +84,30 @@ def read_heif(stream: BinaryIO) -> Heif | None:
     return found if grid == told and len(tiles) == told[0] * told[1] else None
 
 
-def _meta(stream: BinaryIO) -> tuple[int, bytes]:
-    """Where the box of the items begins behind its head, and what it holds."""
-    position = 0
+def read_at(stream: BinaryIO, position: int, count: int) -> bytes:
+    """So many bytes at a place in a file, or fewer at its end."""
+    stream.seek(position)
+    return stream.read(count)
+
+
+def boxes_of(stream: BinaryIO, with_boxes: frozenset[bytes]) -> Iterator[tuple[bytes, int, int]]:
+    """The name of each box of a file, and where its contents begin and end; those `with_boxes` in them come
+    before what they hold. Raises struct.error, and ValueError for more than anybody writes."""
+    end, position = stream.seek(0, 2), 0
     for _ in range(_MOST_BOXES):
-        stream.seek(position)
-        head, size, name = 8, *struct.unpack(">I4s", stream.read(8))
+        if position + 8 > end:
+            return
+        head, (size, name) = 8, struct.unpack(">I4s", read_at(stream, position, 8))
         if size == 1:
-            head, size = 16, *struct.unpack(">Q", stream.read(8))
-        if name == b"meta":
-            return position + head, stream.read(min(size - head, _MOST_BYTES))
-        if size < head:
-            break
-        position += size
-    raise KeyError("meta")
+            head, (size,) = 16, struct.unpack(">Q", stream.read(8))
+        if 0 < size < head:
+            return
+        after = position + size if size else end
+        yield name, position + head, min(after, end)
+        if name == b"meta":  # MP4's has a version and flags; QuickTime's begins with a box
+            head += 4 * (read_at(stream, position + head, 4) == bytes(4))
+        position = position + head if name in with_boxes else after
+    raise ValueError("more boxes than anybody writes")
 
 
 def _boxes(data: bytes, at: int = 0, start: int = 0) -> Iterator[tuple[bytes, int, bytes]]:

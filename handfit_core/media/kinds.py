@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from handfit_core.common.errors import InputError
+from handfit_core.media.headers import CONTAINERS, PICTURES
 from handfit_core.media.heif import HEIF
 
 _PICTURE: Final = "picture that is cut off or damaged; open it in a viewer and save it again"
@@ -18,16 +19,12 @@ _KINDS: Final = {
     rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "a JPEG 2000 picture; export it as PNG or JPEG",
     HEIF: "a HEIC or AVIF photo that is damaged or of an unusual layout; export it as JPEG",
     rb"....ftypcrx |FUJIFILM|II(?:U\0|RO)|FOVb": "a camera's raw picture; develop it and export it as JPEG",
-    rb"\xff\xd8\xff": f"a JPEG {_PICTURE}",
-    rb"\x89PNG": f"a PNG {_PICTURE}",
-    rb"II\*\0|MM\0\*": f"a TIFF {_PICTURE}",
-    rb"RIFF....WEBP": f"a WebP {_PICTURE}",
+    PICTURES["OpenEXR"]: f"an OpenEXR {_PICTURE}, as RGB with ZIP",
+    **{PICTURES[kind]: f"a {kind} {_PICTURE}" for kind in ("JPEG", "PNG", "TIFF", "WebP", "DPX")},
     rb"GIF8": f"a GIF {_PICTURE}",
-    rb"SDPX|XPDS": f"a DPX {_PICTURE}",
-    rb"\x76\x2f\x31\x01": f"an OpenEXR {_PICTURE}, as RGB with ZIP",
     rb"BM.{4}\0\0\0\0|P[1-6]\s|#\?R": f"a {_PICTURE}",
-    rb"....(?:ftyp|moov|mdat|wide)|\x1a\x45\xdf\xa3|RIFF....AVI |\x30\x26\xb2\x75|OggS|FLV": "a clip that is "
-    "cut off, damaged or of an unusual kind; if it plays in a viewer, convert it to .mp4 (H.264)",
+    CONTAINERS: "a clip that is cut off, damaged or of an unusual kind; if it plays in a viewer, convert it "
+    "to .mp4 (H.264)",
     rb"RIFF....WAVE|ID3|\xff[\xfb\xf3\xf2]|fLaC": f"a sound; {_CHOOSE}",
     rb"PK\x03\x04|Rar!|7z\xbc\xaf|\x1f\x8b|\x28\xb5\x2f\xfd": f"packed data; unpack it and {_CHOOSE}",
     rb"BLENDER": "a Blender file; render it and choose the pictures",
@@ -37,22 +34,19 @@ _KINDS: Final = {
     rb"[\t\n\r\x20-\x7e\x80-\xff]+\Z": f"a text; {_CHOOSE}",
 }
 """What files are by their first bytes, and what to do with them; the first that fits"""
+_UNKNOWN: Final = "data of an unknown kind, or damaged; export it as PNG, JPEG or MP4"
 
 
 def what_is(path: Path) -> str:
     """What a file is and what to do with it, as the end of a sentence. Raises OSError."""
     with open(path, "rb") as stream:
         start = stream.read(4096)
-    for pattern, kind in _KINDS.items():
-        if re.match(pattern, start, re.DOTALL):
-            return f"this is {kind}"
-    return "this is data of an unknown kind, or damaged; export it as PNG, JPEG or MP4"
+    if not start:
+        return "the file is empty (0 bytes); copy or export it again"
+    kinds = (kind for pattern, kind in _KINDS.items() if re.match(pattern, start, re.DOTALL))
+    return f"this is {next(kinds, _UNKNOWN)}"
 
 
-def is_heif(path: Path) -> bool:
-    """Whether a file begins as a HEIC or AVIF photo does. Raises InputError where it cannot be read."""
-    try:
-        with open(path, "rb") as stream:
-            return bool(re.match(HEIF, stream.read(64), re.DOTALL))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+def unreadable(path: Path) -> InputError:
+    """What is raised for a file that cannot be read as the kind that it should be. Raises OSError."""
+    return InputError(f"{path}: {what_is(path)}")

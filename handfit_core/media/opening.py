@@ -14,7 +14,7 @@ from handfit_core.common.errors import InputError
 from handfit_core.common.files import path_of, printable, shown, why
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.headers import is_animated
-from handfit_core.media.kinds import what_is
+from handfit_core.media.kinds import unreadable
 from handfit_core.media.pictures import Pictures
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import is_picture, is_video
@@ -26,7 +26,8 @@ PHOTO_SUFFIXES = frozenset(
     for name in "jpg jpeg jpe png webp bmp dib tif tiff ppm pgm pnm hdr exr dpx heic heif hif avif".split(" ")
 )
 VIDEO_SUFFIXES = frozenset(
-    f".{name}" for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ogv gif apng".split(" ")
+    f".{name}"
+    for name in "mp4 mov avi mkv webm m4v mpg mpeg wmv mts m2ts ts vob mxf 3gp flv dv ogv gif apng".split()
 )
 
 
@@ -80,14 +81,12 @@ def _open_path(path: Path, wanted: Wanted) -> Media:
             raise InputError(f"{path}: no pictures in it{there}; give photos, a folder of photos or a video")
         return _open_pictures(*to_read(path, files, others), wanted, str(path))
     if path.is_file():
-        if path.stat().st_size == 0:
-            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
         still = is_picture(path)
         if still and not is_animated(path):
-            return Pictures([path], [1], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
+            return Pictures([(1, path)], Wanted(FrameRange(), wanted.max_megapixels), kind="photo")
         if still or path.suffix.lower() in VIDEO_SUFFIXES or is_video(path):
             return Video(path, wanted)
-        raise InputError(f"{path}: {what_is(path)}")
+        raise unreadable(path)
     if is_pattern(str(path)):
         found, numbers = matching(path)
         if not found:
@@ -254,7 +253,7 @@ def _open_pictures(
     """Open a sequence of pictures; `numbers` are their frame numbers where their names tell them, and `said`
     is a warning."""
     if not files:
-        raise InputError(f"{what}: no pictures in it; give photos ({_suffixes(PHOTO_SUFFIXES)}) or a video")
+        raise InputError(f"{what}: no pictures in it; give photos, a folder of photos or a video")
     if said:
         log.warning("%s", said)
     if len(files) == 1 and numbers is None:
@@ -269,14 +268,4 @@ def _open_pictures(
             f"{what}: no picture lies in frames {wanted.frames}; its frames are "
             f"{ordered[0][0]}-{ordered[-1][0]}"
         )
-    return Pictures(
-        [f for _, f in chosen],
-        [n for n, _ in chosen],
-        wanted,
-        kind="sequence",
-        all_numbers=[n for n, _ in ordered],
-    )
-
-
-def _suffixes(suffixes: frozenset[str]) -> str:
-    return " ".join(sorted(suffixes))
+    return Pictures(chosen, wanted, kind="sequence", all_numbers=[n for n, _ in ordered])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
@@ -11,9 +12,10 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.errors import InputError
-from handfit_core.media.exif import is_tiff, read_orientation, upright
+from handfit_core.media.exif import read_orientation, upright
 from handfit_core.media.ffmpeg_pictures import decoded_by_ffmpeg
-from handfit_core.media.kinds import what_is
+from handfit_core.media.headers import PICTURES
+from handfit_core.media.kinds import unreadable
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.size_limit import Limit, check_picture, common_limit
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source, SourceKind, Wanted
@@ -52,7 +54,7 @@ def read_picture(
     if as_stored:
         orientation = 1
     rgb = _rgb8(pixels, white)
-    if not is_tiff(data):  # OpenCV turns a TIFF upright itself
+    if not re.match(PICTURES["TIFF"], data):  # OpenCV turns a TIFF upright itself
         rgb = upright(rgb, orientation)
     return np.ascontiguousarray(rgb), orientation
 
@@ -70,7 +72,7 @@ def _decoded(path: Path, data: bytes) -> tuple[np.ndarray, int]:
         # OpenCV refuses more than 2^30 pixels.
         raise InputError(f"{path}: the picture is too large or damaged; save it again, smaller") from error
     if pixels is None:
-        raise InputError(f"{path}: {what_is(path)}")
+        raise unreadable(path)
     return pixels, read_orientation(data)
 
 
@@ -92,7 +94,7 @@ def _white(path: Path, pixels: np.ndarray) -> float:
     if MEDIA.darkest <= bright <= MEDIA.brightest:
         return 1.0
     white = bright / 0.8
-    log.warning("%s: its linear values reach to about %.2g, and this is made white", path, white)
+    log.warning("%s: its linear values reach about %g, which is made white", path, float(f"{white:.2g}"))
     return white
 
 
@@ -155,16 +157,14 @@ class Pictures(Media):
 
     def __init__(
         self,
-        files: list[Path],
-        numbers: list[int],
+        numbered: list[tuple[int, Path]],
         wanted: Wanted,
         *,
         kind: SourceKind,
-        all_numbers: list[int] | None = None,
+        all_numbers: Sequence[int] = (),
     ) -> None:
-        """`all_numbers`: frame numbers of all pictures, including those that are not wanted; None:
-        `numbers`."""
-        self._files, self._numbers = files, numbers
+        """`all_numbers`: those of all pictures, if others than the `numbered` ones are there."""
+        self._files, self._numbers = files, numbers = [f for _, f in numbered], [n for n, _ in numbered]
         self._all_numbers = all_numbers or numbers
         self._max_megapixels = common_limit(files, wanted.max_megapixels)
         self._whites: dict[str, float] = {}

@@ -44,6 +44,8 @@ class MediaSettings:
     darkest: float = 0.1
     brightest: float = 1.5
     """Between which the bright parts of a linear picture lie, if its exposure needs no change"""
+    kept_bytes: int = 30_000_000
+    """Of freed memory that stays the process's own; glibc allows less than 32 MiB"""
     read_ahead_frames: int = 2
     """Frames; decoding is steady enough that more gain nothing, and each is a whole picture"""
     exif_bytes: int = 1 << 20

@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from handfit_core.common.errors import InputError
-from handfit_core.common.files import is_file
-from handfit_core.media.headers import Header, read_picture_header, read_video_header
-from handfit_core.media.kinds import is_heif, what_is
+from handfit_core.media.headers import PICTURES, Header, begins, read_picture_header, read_video_header
+from handfit_core.media.kinds import unreadable
 
 SMALL_FILE: Final = 10_000_000
 """Bytes; a smaller input may claim less than a larger one: what it may claim stays below 1 GB in the worker
@@ -33,6 +32,10 @@ class Limit:
 
     small_file: float
     large_file: float
+
+    def of(self, path: Path) -> float:
+        """That of a picture or frame in this file."""
+        return self.small_file if path.stat().st_size < SMALL_FILE else self.large_file
 
     def __str__(self) -> str:
         return f"{self.large_file:g}, in inputs under {SMALL_FILE / 1e6:g} MB {self.small_file:g}"
@@ -66,42 +69,23 @@ def common_limit(files: Sequence[Path], max_megapixels: float | None) -> float |
 def check_picture(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Check a picture's header. Raises InputError where it claims more than `max_megapixels`, or is no
     picture that can be read."""
-    header = _header(path, read_picture_header)
-    if header is None:
-        if path.stat().st_size == 0:
-            raise InputError(f"{path}: the file is empty (0 bytes); copy or export it again")
-        raise InputError(f"{path}: {what_is(path)}")
-    _check(path, header, max_megapixels or PICTURE)
+    _check(path, _header(path, read_picture_header), max_megapixels or PICTURE)
 
 
-def check_video(path: Path, max_megapixels: float | Limit | None = None) -> None:
-    """Raise InputError for a file that is no video which holds its frames itself: a playlist would make
-    FFmpeg open other files and addresses. Of a GIF, whose header says it, the size is checked, too;
-    `max_megapixels` is the limit for each frame."""
-    header = _header(path, read_video_header)
-    if header is None:
-        raise InputError(not_a_video(path))
-    _check(path, header, max_megapixels or VIDEO)
-
-
-def check_frame_size(
-    path: Path, width: int, height: int, max_megapixels: float | Limit | None = None
+def check_video(
+    path: Path, max_megapixels: float | Limit | None = None, size: tuple[int, int] | None = None
 ) -> None:
-    """Raise InputError for a video whose frames are too large."""
-    _check(path, Header(width, height), max_megapixels or VIDEO)
-
-
-def pixel_limit(path: Path, max_megapixels: float | None) -> int:
-    """How many pixels a frame of a video may have."""
-    small = path.stat().st_size < SMALL_FILE
-    return int(1e6 * (max_megapixels or (VIDEO.small_file if small else VIDEO.large_file)))
+    """Raise InputError for a file that is no video which holds its frames itself: a playlist would make
+    FFmpeg open other files and addresses. `max_megapixels` is the limit for each frame, of which `size` is
+    width and height; None: as far as the header says it, as a GIF's does."""
+    _check(path, Header(*size) if size else _header(path, read_video_header), max_megapixels or VIDEO)
 
 
 def check_for_blender(path: Path, max_megapixels: float | Limit | None = None) -> None:
     """Raise InputError for a file that Blender should not be given as picture or video: one that is neither,
     one that it cannot read, one that is too large, and a video with %d in its name whose ending does not keep
     its FFmpeg from taking that for the numbers of pictures."""
-    if is_file(path) and is_heif(path):
+    if begins(path, PICTURES["HEIC"]):
         raise InputError(f"{path}: this is a HEIC or AVIF photo, which few Blenders read; export it as JPEG")
     if is_picture(path):
         check_picture(path, max_megapixels)
@@ -123,14 +107,6 @@ def is_video(path: Path) -> bool:
     return _header(path, read_video_header) is not None
 
 
-def not_a_video(path: Path) -> str:
-    """The error message for a file that cannot be read as a video."""
-    return (
-        f"{path}: not a video, or one that is damaged or empty; play it in a viewer, and convert it to .mp4 "
-        "(H.264) if that works"
-    )
-
-
 def _header(path: Path, read: Callable[[BinaryIO], Header | None]) -> Header | None:
     if not path.is_file():  # a named pipe would be waited for
         raise InputError(f"{path}: there is no such file")
@@ -141,14 +117,16 @@ def _header(path: Path, read: Callable[[BinaryIO], Header | None]) -> Header | N
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _check(path: Path, header: Header, limit: Limit | float) -> None:
+def _check(path: Path, header: Header | None, limit: Limit | float) -> None:
+    if header is None:
+        raise unreadable(path)
     pixels, cost, size = header.width * header.height, 1, path.stat().st_size
     where = ""
     if isinstance(limit, Limit):
         small = size < SMALL_FILE
         cost = header.cost if small or size < pixels else 1
         where = f"in a file under {SMALL_FILE / 1e6:g} MB " if small else ""
-        limit = limit.small_file if small else limit.large_file
+        limit = limit.of(path)
     claims = f"{path}: claims {header.width} x {header.height} pixels"
     if max(header.width, header.height) > LONGEST_SIDE:
         raise InputError(f"{claims}, and no side of more than {LONGEST_SIDE} is read; save it smaller")

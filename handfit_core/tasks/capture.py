@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from handfit_core.capturing.options import VIEW_OPTIONS, CaptureOptions
-from handfit_core.capturing.pipeline import capture
+from handfit_core.capturing.pipeline import capture, write_copies
 from handfit_core.common.errors import HandfitError, InputError, OptionError, OutputError
 from handfit_core.common.version import __version__
 from handfit_core.take import Take
@@ -128,12 +128,14 @@ def _capture(task: Task, output: Path, part: Path, settings: Settings, result: R
     if not _is_same(task.take, task.take_path(output)):
         take.save(part / task.take_path(output).name)
     result.describe(take)
+    with contextlib.suppress(ImportError):  # takes may be used where nothing can draw
+        write_copies(take, options.max_megapixels)
     if settings.sheet:
         try:
             write_sheet(take, part / task.sheet(output).name, max_megapixels=options.max_megapixels)
         except OutputError:
             raise
-        except (HandfitError, ImportError) as error:  # takes may be used where nothing can draw
+        except (HandfitError, ImportError) as error:
             result.warnings += [] if task.take else [f"there is no contact sheet of it: {error}"]
 
 

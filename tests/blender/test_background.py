@@ -211,6 +211,13 @@ def test_a_playlist_is_no_picture(make_take, tmp_path, kind):
     assert not bpy.data.images
 
 
+def test_a_source_is_what_it_holds(tmp_path):
+    (tmp_path / "a").write_bytes(clip(tmp_path / "clip.mp4"))
+    (tmp_path / "b").write_bytes(with_claimed_size(".png", 80, 48))
+    kinds = [source_info.resolve(str(tmp_path / name), as_sequence=False).kind for name in "ab"]
+    assert kinds == ["video", "photo"]
+
+
 def test_a_picture_that_claims_too_much_is_not_loaded(make_take, tmp_path):
     path = tmp_path / "large.jpg"
     path.write_bytes(with_claimed_size(".jpg", 32000, 32000))

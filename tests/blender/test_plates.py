@@ -20,6 +20,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.media.copies import copy_path, write_copy
 from handfit_core.media.opening import open_media
 from tests.clips import MATRICES, written_clip
+from tests.plates import dpx
 
 FRAMES = 40
 LEFT_OUT = 17
@@ -81,6 +82,12 @@ def test_a_copy_of_what_blender_cannot_read(make_take, tmp_path, monkeypatch, na
     assert [image.name for image in bpy.data.images if image.packed_file] == ["a"][: count == 1]
     path.touch()
     assert copy_path(media.source) != written
+
+
+def test_a_dpx(make_take, tmp_path):
+    path = tmp_path / "a.dpx"
+    path.write_bytes(dpx(picture(9)))
+    assert shown_frames(make_take, path, 1) == {9}
 
 
 def shown_frames(make_take, path: Path, count: int = 10) -> set[int]:

@@ -105,20 +105,25 @@ def test_the_cache_is_ours_in_the_chosen_folder_or_in_the_users(registered, tmp_
     assert cache.cache_folder() == tmp_path / "of the user" / "manient"
 
 
-def test_clear_removes_only_what_is_ours_and_what_no_file_shows(registered, tmp_path):
+def test_clear_removes_only_what_is_ours_and_what_no_file_shows(registered, tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path / "core"))
+    plates = tmp_path / "core" / "plates"
+    plates.mkdir(parents=True)
+    (plates / "copy.jpg").write_bytes(b"x" * 300)
     chosen = tmp_path / "cache"
     chosen.mkdir()
     (chosen / "thesis.txt").write_text("years of work")
     cache.temporary_take().write_bytes(b"x" * 1000)
     (cache.cache_folder() / "still.png").write_bytes(b"x" * 500)
-    assert cache.measure(cache.folder_path()) == cache.shown_size() == 1500
+    assert cache.shown_size() == 1800
     shared_worker.worker().submit("check")
     assert not bpy.ops.manient.clear_cache.poll()
     shared_worker.stop()
     assert bpy.ops.manient.clear_cache() == {"FINISHED"}
     assert (chosen / "thesis.txt").exists()
-    assert cache.measure(cache.folder_path()) == cache.shown_size() == 0
+    assert cache.shown_size() == 0
     assert not cache.folder_path().exists()
+    assert not plates.exists()
     assert cache.temporary_take().parent.is_dir()  # it comes back when it is needed
     shown = write_png(cache.cache_folder() / "shown.png", np.ones((4, 4, 4), dtype=np.float32))
     bpy.data.images.load(str(shown))

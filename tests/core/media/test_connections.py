@@ -32,7 +32,7 @@ def test_a_playlist_is_no_video(tmp_path, name):
         for address in (f"http://127.0.0.1:{port}/clip.mp4", str(hidden), hidden.name, f"file:{hidden}"):
             for kind, content in playlists(address).items():
                 (tmp_path / name).write_bytes(content)
-                with pytest.raises(InputError, match=r"not a video|this is "):
+                with pytest.raises(InputError, match="this is "):
                     open_media(tmp_path / name)
                 assert connections() == 0, kind
 

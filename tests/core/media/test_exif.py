@@ -13,6 +13,7 @@ from handfit_core.media.exif import known_intrinsics, read_focal_35mm, read_orie
 from handfit_core.media.opening import open_media
 from handfit_core.media.pictures import read_picture
 from tests.bombs import clip
+from tests.plates import box
 
 ORDERS = {"<": b"II*\0", ">": b"MM\0*"}
 
@@ -141,10 +142,6 @@ def test_pictures_and_videos_that_do_not_tell(tmp_path, block):
     assert known_intrinsics(open_media(photo(tmp_path / "a.jpg", block))) is None
     clip(tmp_path / "clip.avi", "MJPG")
     assert known_intrinsics(open_media(tmp_path / "clip.avi")) is None
-
-
-def box(name: bytes, *inside: bytes) -> bytes:
-    return struct.pack(">I4s", 8 + sum(map(len, inside)), name) + b"".join(inside)
 
 
 def phone_tags(value: bytes, kind: int, *, version: bool) -> bytes:

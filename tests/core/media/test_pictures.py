@@ -224,6 +224,8 @@ def test_what_files_are(tmp_path):
         (b"BLENDER-v402", "a Blender file"),
         (bytes(range(256)), "unknown"),
         (encoded(".jpg")[:20], "a JPEG picture that is cut off"),
+        # At a damaged one OpenCV crashes.
+        (encoded(".jp2", np.zeros((48, 64, 3), np.uint8))[:-60], "a JPEG 2000 picture"),
     ):
         (tmp_path / "a.png").write_bytes(data)
         assert said in what_is(tmp_path / "a.png")

@@ -16,8 +16,8 @@ from handfit_core.media.size_limit import (
     VIDEO,
     Limit,
     check_for_blender,
-    check_frame_size,
     check_picture,
+    check_video,
     common_limit,
 )
 from tests.bombs import clip, with_claimed_size, with_frame_count
@@ -124,9 +124,9 @@ def test_the_limit_is_an_option(tmp_path):
 
 def test_videos_have_limits_of_their_own(tmp_path):
     clip(tmp_path / "a.mp4")
-    check_frame_size(tmp_path / "a.mp4", 4096, 2160)
+    check_video(tmp_path / "a.mp4", None, (4096, 2160))
     with pytest.raises(InputError, match=f"no more than {VIDEO.small_file:g} are read"):
-        check_frame_size(tmp_path / "a.mp4", 7680, 4320)
+        check_video(tmp_path / "a.mp4", None, (7680, 4320))
     with pytest.raises(InputError, match="64 x 48 pixels"):
         open_media(tmp_path / "a.mp4", max_megapixels=0.003)
 

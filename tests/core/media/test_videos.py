@@ -43,19 +43,16 @@ def shown(media) -> list[int | None]:
         ("a.mp4", "libsvtav1"),
         ("a.avi", "mjpeg"),
         ("a.mkv", "libx265"),
+        ("a.gif", "gif"),
     ],
 )
 def test_codecs(tmp_path, name, codec):
     media = open_media(written_clip(tmp_path / name, [grey(4 * n) for n in range(12)], codec=codec))
     assert (media.width, media.height, media.fps, media.expected_frames) == (*SIZE, 25.0, 12)
     assert np.abs(np.array(shown(media)) - 4 * np.arange(12)).max() <= 1
-
-
-@pytest.mark.parametrize("codec", ["gif"])
-def test_moving_pictures(tmp_path, codec):
-    media = open_media(written_clip(tmp_path / f"a.{codec}", [grey(n) for n in range(5)], codec=codec))
     assert media.source.kind == "video"
-    assert [number for number in shown(media) if number is not None] == list(range(5))
+    with pytest.raises(InputError, match="it has frames 1-12"):
+        open_media(tmp_path / name, FrameRange.parse("70-"))
 
 
 def test_an_animated_webp(tmp_path):
@@ -131,9 +128,26 @@ def test_parts_are_the_frames_of_the_whole(tmp_path):
         assert np.array_equal(one.rgb, other.rgb)
     again = list(media.frames(5, 10))  # from the beginning again
     assert all(np.array_equal(one.rgb, other.rgb) for one, other in zip(again, whole[5:15], strict=True))
+    assert whole[9].time == pytest.approx(9 / media.fps)
     some = list(open_media(path, FrameRange.parse("4-20:3")).frames())
     assert [frame.number for frame in some] == [4, 7, 10, 13, 16, 19]
     assert all(np.array_equal(frame.rgb, whole[frame.number - 1].rgb) for frame in some)
+
+
+def test_a_clip_is_opened_once_and_released(tmp_path, monkeypatch):
+    path = written_clip(tmp_path / "a.mp4", [grey(n) for n in range(8)])
+    files, opening = [], av.open
+    monkeypatch.setattr(
+        av, "open", lambda file, *rest, **more: files.append(file) or opening(file, *rest, **more)
+    )
+    media = open_media(path)
+    for times in (1, 2):
+        assert shown(media) == list(range(8))
+        assert len(files) == times
+    media = open_media(path)
+    assert not files[-1].closed
+    del media  # whoever only asks for the size reads no frames
+    assert all(file.closed for file in files)
 
 
 @pytest.mark.parametrize("sought", [False, True])

@@ -19,6 +19,7 @@ from handfit_core.common.files import PART
 from handfit_core.take import Take
 from tests.conftest import ROOT
 from tests.core.tasks.fakes import CALLS
+from tests.plates import heic, tile
 
 pytest.importorskip("loky")
 
@@ -252,6 +253,24 @@ def test_takes_are_copied(tmp_path: Path) -> None:
     shop.run("--jobs", "1", more=[str(given)])
     assert shop.statuses == {"a": "ok", "b": "ok"}
     assert Take.load(shop.output / "b" / "b.take.npz").hands[0].side == "right"
+
+
+def test_copies_for_blender_stay_until_it_has_shown_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HANDFIT_CACHE", str(tmp_path))
+    plates = tmp_path / "plates"
+    plates.mkdir()
+    recent, old = ([plates / f"{age}{n}.jpg" for n in range(count)] for age, count in (("b", 120), ("c", 5)))
+    for path in (*recent, *old):
+        path.touch()
+    for path in old:
+        os.utime(path, (0, 0))
+    shop = Shop(tmp_path, ["a"])
+    (shop.inputs / "a.jpg").write_bytes(heic([tile((200, 30, 30))], (64, 64)))
+    shop.run("--jobs", "1")
+    (copy,) = set(plates.iterdir()) - set(recent)
+    assert copy.stat().st_size > 0
 
 
 def test_flat_and_names_that_differ_in_case_alone(tmp_path: Path) -> None:

@@ -25,14 +25,14 @@ def test_what_a_flat_batch_has_put_beside_its_inputs_is_no_input(tmp_path, text)
 
 
 def test_clips_of_one_name_are_two_views(tmp_path):
-    names = "x_a.mp4 x_b.MOV x_a.jpg y_A.mp4 y_B.mp4 z_a.mp4 z_b.mp4 z_c.mp4 only_a.mp4 a.mp4".split()
+    names = "x_a.mp4 x_b.MOV x_a.jpg y_A.mxf y_B.mxf z_a.mp4 z_b.mp4 z_c.mp4 only_a.mp4 a.mp4".split()
     for name in names:
         (tmp_path / name).touch()
     found = {each.name: each for each in paired(expand(str(tmp_path)))}
     views = {name: (Path(each.source[0]).name, Path(each.view).name) for name, each in found.items()}
     assert views == {
         "x": ("x_a.mp4", "x_b.MOV"),
-        "y": ("y_A.mp4", "y_B.mp4"),
+        "y": ("y_A.mxf", "y_B.mxf"),
         "z": ("z_a.mp4", "z_b.mp4"),
         "x_a": ("x_a.jpg", ""),
         "only_a": ("only_a.mp4", ""),
