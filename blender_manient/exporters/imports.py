@@ -41,7 +41,7 @@ def import_file(path: Path) -> set[bpy.types.ID]:
             with contextlib.redirect_stderr(io.StringIO()):  # some importers print tracebacks there
                 done = exporter.read(path.absolute(), operator)
         except RuntimeError as error:
-            done, problem = set(), _reason(str(error))
+            done, problem = set(), _reason(str(error).replace(str(path.absolute()), path.name))
         new = set(bpy.data.user_map()) - before
         if "FINISHED" in done:
             if any(isinstance(block, bpy.types.Armature) for block in new):
@@ -83,8 +83,9 @@ def animations() -> tuple[set[bpy.types.Action], set[bpy.types.Action]]:
 
 def _reason(said: str) -> str:
     """Blender's words on a failure, without the lines of a traceback."""
-    words = " ".join(said.removeprefix("Error: ").split())
-    return "it is damaged" if "Traceback" in words else f"Blender could not import it ({words})"
+    words = " ".join(said.replace("Error: ", "").partition("Python: Traceback")[0].split())
+    told = "it may be damaged or cut off, as Blender could not import it: export it again"
+    return f"{told} ({words})" if words else told
 
 
 def _settle(new: set[bpy.types.ID]) -> None:
