@@ -225,9 +225,8 @@ class Character:
         `model` is taken instead of the one that the take names. Returns what belongs to the character, what
         report.json says of it, and sentences about what is not as it should be. Raises HandfitError.
         """
-        scene = bpy.context.scene
         if self.imported:  # some files have no rate of their own
-            set_timing(scene, take)
+            set_timing(bpy.context.scene, take)
         armature, warnings = self.open()
         hands, told, alone = [], [], []
         scene, timing, (acting, left_out) = bpy.context.scene, Timing(), animations()

@@ -113,12 +113,11 @@ def has_operator(name: str) -> bool:
     return True
 
 
-def run_operator(name: str, **told: Any) -> set[str]:
-    """Run the operator `module.name`, with those of the arguments that this Blender's has."""
-    module, _, operator = name.partition(".")
-    run = getattr(getattr(bpy.ops, module), operator)
-    known = run.get_rna_type().properties.keys()
-    return run(**{key: value for key, value in told.items() if key in known})
+def with_textures() -> dict[str, Any]:
+    """What has the USD exporter write textures; the first is gone in Blender 5.0, the second new in 4.3."""
+    told = {"export_textures": True, "export_textures_mode": "NEW", "overwrite_textures": True}
+    known = bpy.ops.wm.usd_export.get_rna_type().properties.keys() if has_operator("wm.usd_export") else ()
+    return {name: value for name, value in told.items() if name in known}
 
 
 def usd_rate(path: str) -> float | None:

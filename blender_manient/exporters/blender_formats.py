@@ -17,7 +17,7 @@ from bpy_extras.io_utils import axis_conversion
 from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_room
 
-from ..common.blender_versions import gltf_left_out, run_operator, usd_rate
+from ..common.blender_versions import gltf_left_out, usd_rate, with_textures
 from ..rigs.arm import has_arm
 from ..scene.timing import nearest_rate
 from .exporter import APART, Exporter, HandObjects, Preset, blank
@@ -28,24 +28,29 @@ class BlenderFormat:
 
     operator: ClassVar[str]
     arguments: ClassVar[Mapping[str, Any]] = {}
-    reading: ClassVar[Mapping[str, Any]] = {}
+    reading: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     """Arguments of the operators that read such files"""
 
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write the file with the arguments of the format and of the preset."""
         with self.around(path, hands) as more:
             told = {**self.arguments, **preset.keywords, **more}
-            run_operator(self.operator, filepath=str(path), check_existing=False, **told)
+            _operator(self.operator)(filepath=str(path), check_existing=False, **told)
 
     def read(self, path: Path, operator: str, /) -> set[str]:
         """Import a file into the open scene."""
-        return run_operator(operator, filepath=str(path), **self.reading)
+        return _operator(operator)(filepath=str(path), **self.reading.get(operator, {}))
 
     @contextlib.contextmanager
     def around(self, _path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
         """Prepare the context's scene and clean up behind the operator; yields the arguments that the scene
         decides."""
         yield {}
+
+
+def _operator(name: str) -> Any:
+    module, _, operator = name.partition(".")
+    return getattr(getattr(bpy.ops, module), operator)
 
 
 _SMALL = 0.1
@@ -78,7 +83,8 @@ class FbxExporter(BlenderFormat, Exporter):
     }
     apart = APART
     reads: ClassVar = {".fbx": ("import_scene.fbx", "wm.fbx_import")}
-    reading: ClassVar = {"anim_offset": 0.0}  # frames as they are written
+    # Frames as they are written.
+    reading: ClassVar = {name: {"anim_offset": 0.0} for name in ("import_scene.fbx", "wm.fbx_import")}
     of_scene: ClassVar = {
         "object_types": {"ARMATURE", "MESH", "EMPTY", "CAMERA", "LIGHT", "OTHER"},
         "path_mode": "COPY",
@@ -143,7 +149,8 @@ class GltfExporter(BlenderFormat, Exporter):
         ".gltf": ("import_scene.gltf",),
         ".vrm": ("import_scene.vrm", "import_scene.gltf"),  # the first is an add-on's of its own
     }
-    reading: ClassVar = {"bone_heuristic": "BLENDER", "disable_bone_shape": True}  # bones keep their axes
+    # Bones keep their axes.
+    reading: ClassVar = {"import_scene.gltf": {"bone_heuristic": "BLENDER", "disable_bone_shape": True}}
     of_scene: ClassVar = {"use_selection": False, "export_cameras": True, "export_lights": True}
     presets: ClassVar = {
         "UNITY": Preset({"export_all_influences": False, "export_influence_nb": 4}),
@@ -205,8 +212,7 @@ class UsdExporter(BlenderFormat, Exporter):
     other_endings = (".usd",)
     operator = "wm.usd_export"
     reads: ClassVar = dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("wm.usd_import",))
-    # The first of both until Blender 4.5, the second from 4.3 on.
-    of_scene: ClassVar = {"export_textures": True, "export_textures_mode": "NEW", "overwrite_textures": True}
+    of_scene: ClassVar = with_textures()
     arguments: ClassVar = {
         "export_animation": True,
         "export_armatures": True,

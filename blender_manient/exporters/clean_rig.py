@@ -60,11 +60,11 @@ def clean_rig(
     """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
 
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
-    the rotation that the file's axes need: it is done to the data and undone by the object. `apart` is
-    `Exporter.apart`. The hand must be
-    in that scene, which has the copy instead afterwards; its names are lent to the copy. When this context
-    ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy;
-    one that no bone of the copy moves has keys of its own, and no parent, where it moves.
+    the rotation that the file's axes need: it is done to the data and undone by the object. `apart` is that
+    of the exporter. The hand must be in that scene, which has the copy instead afterwards; its names are lent
+    to the copy. When this context ends the copy is gone. A character's mesh that a bone carries is deformed
+    by that bone alone in the copy; one that no bone of the copy moves has keys of its own, and no parent,
+    where it moves.
     """
     scene = bpy.context.scene
     turned = np.eye(4)

@@ -8,13 +8,14 @@ import io
 from pathlib import Path
 
 import bpy
-import numpy as np
 
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
 
 from ..common.blender_versions import action_slot, channels, has_operator, used_actions
 from ..rigs.rig import bone_path
+from ..scene.actions import curves_in, present_curves
+from ..scene.keys import change_places
 from ..scene.timing import frame_rate
 from . import EXPORTERS
 from .clean_rig import NEAR, unconnect
@@ -41,7 +42,7 @@ def import_file(path: Path) -> set[bpy.types.ID]:
             with contextlib.redirect_stderr(io.StringIO()):  # some importers print tracebacks there
                 done = exporter.read(path.absolute(), operator)
         except RuntimeError as error:
-            done, problem = set(), _reason(str(error))
+            done, problem = set(), _reason(str(error).replace(str(path.absolute()), path.name))
         new = set(bpy.data.user_map()) - before
         if "FINISHED" in done:
             if any(isinstance(block, bpy.types.Armature) for block in new):
@@ -65,12 +66,8 @@ def import_in_time(path: Path) -> set[bpy.types.ID]:
     if abs(factor - 1.0) > 1e-6:
         for action in (block for block in new if isinstance(block, bpy.types.Action)):
             for slot in getattr(action, "slots", (None,)):
-                for curve in getattr(channels(action, slot), "fcurves", ()):
-                    for name in ("co", "handle_left", "handle_right"):
-                        values = _values(curve, name)
-                        values[:, 0] *= factor
-                        curve.keyframe_points.foreach_set(name, values.ravel())
-                    curve.update()
+                for curve in curves_in(channels(action, slot)):
+                    change_places(curve, (factor, 1.0), (0.0, 0.0))
     return new
 
 
@@ -83,8 +80,9 @@ def animations() -> tuple[set[bpy.types.Action], set[bpy.types.Action]]:
 
 def _reason(said: str) -> str:
     """Blender's words on a failure, without the lines of a traceback."""
-    words = " ".join(said.removeprefix("Error: ").split())
-    return "it is damaged" if "Traceback" in words else f"Blender could not import it ({words})"
+    words = " ".join(said.replace("Error: ", "").partition("Python: Traceback")[0].split())
+    told = "it may be damaged or cut off, as Blender could not import it: export it again"
+    return f"{told} ({words})" if words else told
 
 
 def _settle(new: set[bpy.types.ID]) -> None:
@@ -106,17 +104,6 @@ def _settle(new: set[bpy.types.ID]) -> None:
 
 def _with_locations(armature: bpy.types.Object, still: float) -> set[str]:
     """The bones whose keys move them farther than `still` from their rest."""
-    data = armature.animation_data
-    if data is None or data.action is None:
-        return set()
-    curves = getattr(channels(data.action, action_slot(data)), "fcurves", ())
-    places = [curve for curve in curves if curve.data_path.endswith(".location")]
-    moving = {c.data_path for c in places if np.abs(_values(c, "co")[:, 1]).max(initial=0.0) > still}
+    places = [curve for curve in present_curves(armature) if curve.data_path.endswith(".location")]
+    moving = {c.data_path for c in places if any(abs(key.co.y) > still for key in c.keyframe_points)}
     return {bone.name for bone in armature.pose.bones if f"{bone_path(bone.name)}.location" in moving}
-
-
-def _values(curve: bpy.types.FCurve, name: str) -> np.ndarray:
-    """(N, 2) frames and values of a curve's keys, or of their handles."""
-    found = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
-    curve.keyframe_points.foreach_get(name, found.ravel())
-    return found

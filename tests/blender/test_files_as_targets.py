@@ -216,6 +216,9 @@ def test_animations_that_nothing_shows_are_named(clip, tmp_path):
     assert ".blend files alone keep Hero|" in warning
 
 
+DAMAGED = "it may be damaged or cut off, as Blender could not import it: export it again"
+
+
 def wrong(path: Path) -> str:
     """Make a file that cannot get hands. Returns what is said of it."""
     match path.stem:
@@ -236,10 +239,10 @@ def wrong(path: Path) -> str:
             hero()
             content = written(path).read_bytes()
             path.write_bytes(content[: len(content) // 2])
-            return "half"
+            return DAMAGED
         case "words":
             path.write_text("; FBX 7.3.0 project file\nthese are words")
-            return "words"
+            return DAMAGED
     raise ValueError(path)
 
 
