@@ -31,9 +31,14 @@ def first_slot(action: bpy.types.Action) -> Any:
     return action.slots[0] if _has_slots(action) else None
 
 
+def slots_of(action: bpy.types.Action) -> list[Any]:
+    """The slots of an action, each for one object; a None in their place before Blender 4.4."""
+    return list(action.slots) if _has_slots(action) else [None]
+
+
 def has_one_slot(action: bpy.types.Action) -> bool:
-    """True if the action holds curves for one object at most, as always before Blender 4.4."""
-    return not _has_slots(action) or len(action.slots) < 2
+    """True if the action holds curves for one object at most."""
+    return len(slots_of(action)) < 2
 
 
 def new_slot(action: bpy.types.Action, name: str) -> Any:

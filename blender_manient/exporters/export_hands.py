@@ -37,6 +37,7 @@ from ..rigs.arm import has_arm
 from ..rigs.controls import control_bones
 from ..scene.build import BuiltTake
 from ..scene.camera import frame_scene
+from ..scene.characters import CharacterObjects
 from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
 from ..scene.proof import prove_whole
 from ..scene.timing import set_timing
@@ -264,8 +265,10 @@ def _is_character(hands: Sequence[HandObjects]) -> bool:
 
 def _is_whole_scene(chosen: Exporter, hands: Sequence[HandObjects]) -> bool:
     """Whether the open scene is written as it is, and not a scene with the hands."""
-    imported = chosen.of_scene is not None and any(getattr(hand, "imported", False) for hand in hands)
-    return imported or (chosen.writes == "collection" and _is_character(hands))
+    imported = any(isinstance(hand, CharacterObjects) and hand.imported for hand in hands)
+    return (imported and chosen.of_scene is not None) or (
+        chosen.writes == "collection" and _is_character(hands)
+    )
 
 
 def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.Object, None]:

@@ -12,7 +12,7 @@ import bpy
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
 
-from ..common.blender_versions import action_slot, channels, has_operator, used_actions
+from ..common.blender_versions import action_slot, channels, has_operator, slots_of, used_actions
 from ..rigs.rig import bone_path
 from ..scene.actions import curves_in, present_curves
 from ..scene.keys import change_places
@@ -65,7 +65,7 @@ def import_in_time(path: Path) -> set[bpy.types.ID]:
         render.fps, render.fps_base, scene.frame_start, scene.frame_end = kept
     if abs(factor - 1.0) > 1e-6:
         for action in (block for block in new if isinstance(block, bpy.types.Action)):
-            for slot in getattr(action, "slots", (None,)):
+            for slot in slots_of(action):
                 for curve in curves_in(channels(action, slot)):
                     change_places(curve, (factor, 1.0), (0.0, 0.0))
     return new
