@@ -6,8 +6,10 @@ from __future__ import annotations
 import contextlib
 import io
 from pathlib import Path
+from typing import Any
 
 import bpy
+import numpy as np
 
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
@@ -72,10 +74,21 @@ def import_in_time(path: Path) -> set[bpy.types.ID]:
 
 
 def animations() -> tuple[set[bpy.types.Action], set[bpy.types.Action]]:
-    """The actions of the open file that move something now, and the others."""
+    """The actions of the open file that are used now, and the others in which something moves."""
     blocks = [block for block in bpy.data.user_map() if getattr(block, "animation_data", None) is not None]
     acting = {action for block in blocks for action, _ in used_actions(block, acting=True)}  # type: ignore
-    return acting, set(bpy.data.actions) - acting
+    others = set(bpy.data.actions) - acting
+    return acting, {action for action in others if any(_moving(action, slot) for slot in slots_of(action))}
+
+
+def _moving(action: bpy.types.Action, slot: Any) -> int:
+    """How many curves do not keep their value."""
+    count = 0
+    for curve in curves_in(channels(action, slot)):
+        keys = np.empty((len(curve.keyframe_points), 2), dtype=np.float32)
+        curve.keyframe_points.foreach_get("co", keys.ravel())
+        count += bool(np.ptp(keys[:, 1]) > 1e-4) if len(keys) else 0
+    return count
 
 
 def _reason(said: str) -> str:
@@ -86,12 +99,19 @@ def _reason(said: str) -> str:
 
 
 def _settle(new: set[bpy.types.ID]) -> None:
-    """Have everything move that is animated: glTF has animations of several objects side by side."""
-    for data in filter(None, (getattr(block, "animation_data", None) for block in new)):
-        strips = [strip for track in data.nla_tracks for strip in track.strips]
-        if data.action is None and strips:
-            data.action = strips[0].action
-            if (slot := action_slot(strips[0])) is not None:
+    """Of several animations each block gets the one that moves most of it, where importers take the first:
+    Blender's own FBX files also have those of others for it, in which it stands still."""
+    actions = [block for block in new if isinstance(block, bpy.types.Action)]
+    for block in new:
+        if (data := getattr(block, "animation_data", None)) is None:
+            continue
+        users = [data, *(strip for track in data.nla_tracks for strip in track.strips)]
+        choices = [(user.action, action_slot(user)) for user in users if user.action is not None]
+        named = [action for action in actions if action.name.startswith(f"{block.name}|")]
+        choices += [(action, slot) for action in named for slot in slots_of(action)]
+        if choices:
+            data.action, slot = max(choices, key=lambda choice: _moving(*choice))
+            if slot is not None:
                 data.action_slot = slot
     for armature in (block for block in new if isinstance(block, bpy.types.Object)):
         if armature.type == "ARMATURE" and armature.visible_get():

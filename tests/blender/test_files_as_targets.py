@@ -201,19 +201,28 @@ def test_a_pose_that_is_not_the_rest(clip, tmp_path):
     assert apart(found, shown, (*FINGER, *BODY))[0] < 0.5
 
 
-def test_animations_that_nothing_shows_are_named(clip, tmp_path):
+def test_of_several_animations_the_liveliest_is_kept_and_others_are_named(clip, tmp_path):
+    """Blender's exporter writes each for every object, and its importer takes the first."""
     rig = hero()
-    for name in ("Idle", "Walk"):
-        rig.animation_data_clear()
-        rig.pose.bones["Hips"].keyframe_insert("location", frame=1)
-        rig.animation_data.action.name = name
-        rig.animation_data.action.use_fake_user = True
-        track = rig.animation_data.nla_tracks.new()
-        track.strips.new(name, 1, rig.animation_data.action)
-    bpy.ops.export_scene.fbx(filepath=str(tmp_path / "hero.fbx"), bake_anim_use_nla_strips=False)
-    assert apply(tmp_path, clip, "--to", tmp_path / "hero.fbx") == 0
+    animated(rig)
+    body, walk = poses(rig, *AT), rig.animation_data.action
+    hips = rig.pose.bones["Hips"]
+    for name, turn in (("A-pose", 0.0), ("Idle", 1.0)):
+        rig.animation_data.action = action = bpy.data.actions.new(name)
+        action.use_fake_user = True
+        for frame in (1, 20):
+            hips.rotation_quaternion = (1.0, turn * frame / 20, 0.0, 0.0)
+            hips.keyframe_insert("rotation_quaternion", frame=frame)
+    rig.animation_data.action = walk
+    path = tmp_path / "hero.fbx"
+    bpy.context.scene.render.fps = 24
+    bpy.ops.export_scene.fbx(filepath=str(path), bake_anim_simplify_factor=0.0)
+    assert apply(tmp_path, clip, "--to", path) == 0
     (warning,) = report(tmp_path)[0]["warnings"]
-    assert ".blend files alone keep Hero|" in warning
+    assert ".blend files alone keep Hero|Hero|Idle" in warning
+    assert "pose" not in warning
+    found = poses(plainly_imported(tmp_path / "out" / "clip" / "clip.fbx"), *AT)
+    assert apart(found, body, BODY)[0] < 0.1
 
 
 DAMAGED = "it may be damaged or cut off, as Blender could not import it: export it again"
