@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import mmap
 import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -108,6 +110,12 @@ class FbxExporter(BlenderFormat, Exporter):
         ),
     }
 
+    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+        """Names and curves stand in the file as they are."""
+        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            gone = [bone for bone in bones if content.find(bone.encode() + b"\0\x01") < 0]
+            return _missing(gone, moves=content.find(b"AnimCurve") >= 0)
+
     @contextlib.contextmanager
     def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
         """What was imported from centimetres becomes centimetres again. The exporter also names each texture
@@ -174,10 +182,23 @@ class GltfExporter(BlenderFormat, Exporter):
             bpy.context = context
             left_out.remove("manient")
 
+    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+        """Its first chunk tells of all nodes and animations."""
+        with path.open("rb") as stream:
+            (size,) = struct.unpack("<12xI4x", stream.read(20))
+            told = json.loads(stream.read(size))
+        there = {node.get("name") for node in told.get("nodes", ()) if "skins" in told}
+        return _missing([bone for bone in bones if bone not in there], moves="animations" in told)
+
     def read(self, path: Path, operator: str, /) -> set[str]:
         """Import a file, which has no frames, at the open scene's rate."""
         with _rate_turned(bpy.context.scene):
             return super().read(path, operator)
+
+
+def _missing(bones: Sequence[str], *, moves: bool) -> str:
+    """What `Exporter.lacks` says where these bones, or all motion, are not there."""
+    return f"the bone {bones[0]!r} and {len(bones) - 1} others" if bones else "" if moves else "any motion"
 
 
 @contextlib.contextmanager

@@ -138,8 +138,9 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres, without controls and arms, are as they should be in the file.
-    rigged = any(control_bones(h.armature) or has_arm(h.armature) for h in hands)
+    # Only hands of scenes in metres, without controls and arms, which nothing carries, are as they should be
+    # in the file.
+    rigged = any(control_bones(h.armature) or has_arm(h.armature) or _is_carried(h.armature) for h in hands)
     plain = np.isclose(stage.metres_per_unit, 1.0) and not rigged
     wanted = chosen.presets.get(preset, Preset(clean=not plain))
     if _is_character(hands):
@@ -190,9 +191,15 @@ def _write_one(
         try:
             with _opened(chosen, hands, stage, preset, whole) as written:
                 objects = [o for hand in written for o in (hand.armature, *hand.meshes)]
+                bones = [bone.name for hand in written for bone in hand.armature.data.bones]
                 with bpy.context.temp_override(object=next(iter(objects), None), selected_objects=objects):
                     chosen.write(beside, written, preset, path)
             prove_whole(path, beside, chosen.is_whole)
+            if lacks := chosen.lacks(beside, bones):
+                raise OutputError(
+                    f"{shown(path)}: Blender wrote it without {lacks}, so what was there is kept; choose "
+                    "another format or preset"
+                )
         except (HandfitError, OSError):
             raise
         except RuntimeError as error:
@@ -257,6 +264,11 @@ def _opened(
                 )
         scene.frame_set(scene.frame_start)
         yield hands
+
+
+def _is_carried(armature: bpy.types.Object) -> bool:
+    """Whether another object moves an armature, as a scene's camera does, which no file of hands holds."""
+    return armature.parent is not None or any(not constraint.mute for constraint in armature.constraints)
 
 
 def _is_character(hands: Sequence[HandObjects]) -> bool:

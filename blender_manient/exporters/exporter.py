@@ -101,6 +101,11 @@ class Exporter(ABC):
         struct.error, ValueError, IndexError and OSError where the file is too short."""
         return True
 
+    def lacks(self, _path: Path, _bones: Sequence[str], /) -> str:
+        """What of the motion of these bones a file that was written does not hold, as part of a sentence;
+        empty where it holds it, or where that is not looked at."""
+        return ""
+
     def read(self, path: Path, operator: str, /) -> set[str]:
         """Import a file into the open scene by an operator of `reads`. Returns what that returns. Raises
         RuntimeError."""
