@@ -50,7 +50,7 @@ DEMO_BPY = BPY["4.5"]
 NUMBERS = [
     *("tests/core/fit", "tests/core/edit", "tests/core/detect/correction", "tests/core/geometry"),
     *("tests/core/paper/test_placement.py", "tests/core/retarget/test_contacts.py"),
-    *("tests/core/retarget/test_transfer.py", "tests/core/retarget/test_structure.py"),
+    *("tests/core/retarget/test_transfer.py", "tests/core/retarget/test_recognition.py"),
     *("tests/core/hand_model/test_anatomy.py", "tests/core/hand_model/test_landmarks.py"),
     "tests/core/hand_model/test_open_hand.py",
     *(f"tests/core/capturing/views/test_{name}.py" for name in ("cameras", "sync", "rig_file")),

@@ -86,10 +86,28 @@ def filmed_twice(folder: Path) -> dict[str, Any]:
     return {"source": "front", "second": "side", "other": Inputs(folder).clip(60).name}
 
 
+def filmed_in_part(folder: Path) -> dict[str, Any]:
+    """A moving hand of the benchmark, of whose movement frames 31 to 90 are filmed."""
+    from blender_manient.scene.onto_character import motion_of
+    from scripts.benchmark.clips import clip_shot
+    from scripts.benchmark.drawing import draw
+    from scripts.benchmark.scene import build_scene
+
+    shot = clip_shot(0, 9, 110, 400)
+    build_scene(shot, 2)
+    for number in range(60):
+        draw(shot, 30 + number, folder / "film" / f"film.{number + 1:04d}.jpg")
+    motion = motion_of(take := shot.take(), take.hands[0])
+    numbers = motion.frames > 0  # the first key frame is before the first picture
+    movement = {"turns": motion.turns[numbers, 0].tolist(), "places": motion.places[numbers].tolist()}
+    return {"source": "film", "side": shot.hands[0].side, **movement}
+
+
 SCENES: dict[str, Callable[[Path], dict[str, Any]]] = {
     "tour": lambda _: {"source": "wave"},
     "choosing": lambda _: {"source": "mona_lisa.jpg"},
     "onto_a_character": lambda _: {"source": "wave"},
+    "onto_a_body": filmed_in_part,
     "several": lambda _: {"sources": ["mona_lisa.jpg", "wave"]},
     "posing": lambda _: {"source": "wave"},
     "placing": placed,
@@ -118,7 +136,9 @@ def through_both(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 PICTURES: dict[str, tuple[Any, ...]] = {
     "empty": (cut,),
     **dict.fromkeys(("capturing", "captured", "keypoints", "touch", "find", "box"), (whole,)),
-    **dict.fromkeys(("add-laid", "add-point-12", "character", "captures", "pose-range", "live"), (whole,)),
+    **dict.fromkeys(
+        ("add-laid", "add-point-12", "character", "body", "captures", "pose-range", "live"), (whole,)
+    ),
     "views": (through_both, "views-first", "views-second"),
     "views-wrong": (cut,),
 }

@@ -32,7 +32,8 @@ def add_arguments(
     parser.add_argument("--python", metavar="PATH", help=f"Python that captures (default: {default_python})")
     parser.add_argument("--debug", action="store_true", help="show tracebacks and Blender's own messages")
     formats = ",".join(name for name, e in EXPORTERS.items() if e.writes != "captured")
-    parser.add_argument("--format", default="blend,glb", help=f"of {formats} (default: blend,glb)")
+    said = "blend,glb; onto a character of another program, its own"
+    parser.add_argument("--format", help=f"of {formats} (default: {said})")
     parser.add_argument("--preview", action="store_true", help="render a preview picture of each input")
     parser.add_argument("--no-picture", action="store_true", help="no picture behind the hands in the .blend")
     parser.add_argument("--no-correctives", action="store_true", help="no corrective shape keys")

@@ -40,6 +40,7 @@ _MAKING = (
     "wrist",
     "reference",
     "into",
+    "time_offset",
     "no_contacts",
     "arms",
     "outside",
@@ -67,13 +68,15 @@ class Exports:
     def of_arguments(cls, args: argparse.Namespace) -> Exports:
         """From parsed arguments, out of whose `hands` those of a character are taken. Raises OptionError."""
         given = {name: getattr(args, name) for name in _GIVEN}
-        formats = [text for each in args.format.split(",") if (text := each.strip().lower().lstrip("."))]
+        character = Character.of_arguments(args)
+        asked = (args.format or "blend,glb").split(",")
+        formats = [text for each in asked if (text := each.strip().lower().lstrip("."))]
         can = [name for name, e in EXPORTERS.items() if e.writes != "captured" and not e.why_not()]
         for name in formats:
             if find_exporter(name).name not in can:
                 raise OptionError(f"this Blender cannot write {name}; choose from {', '.join(can)}")
         formats += [PREVIEW] if args.preview else []
-        return cls(tuple(dict.fromkeys(formats)), given, Character.of_arguments(args))
+        return cls(tuple(dict.fromkeys(formats)), given, character)
 
     @property
     def key(self) -> str:

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from handfit_core.capturing.options import OPTIONS, CaptureOptions
@@ -83,7 +83,9 @@ def _run(args: argparse.Namespace, host: Host) -> int:
     if exports.character is not None:  # before hours of work for nothing
         with blender_silenced(args.debug):
             start_empty(keep_addons=host.keep_addons)
-            exports.character.check()
+            used = exports.character.check()
+        given = exports.given["bones"] or used
+        exports = replace(exports, given={**exports.given, "bones": given})
     sheet, flat, overwrite = not args.no_sheet, args.flat, args.overwrite
     tasks = make_tasks(
         args.inputs, options, output, grouping=args.grouping, sheet=sheet, flat=flat, overwrite=overwrite

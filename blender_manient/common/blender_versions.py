@@ -31,9 +31,14 @@ def first_slot(action: bpy.types.Action) -> Any:
     return action.slots[0] if _has_slots(action) else None
 
 
+def slots_of(action: bpy.types.Action) -> list[Any]:
+    """The slots of an action, each for one object; a None in their place before Blender 4.4."""
+    return list(action.slots) if _has_slots(action) else [None]
+
+
 def has_one_slot(action: bpy.types.Action) -> bool:
-    """True if the action holds curves for one object at most, as always before Blender 4.4."""
-    return not _has_slots(action) or len(action.slots) < 2
+    """True if the action holds curves for one object at most."""
+    return len(slots_of(action)) < 2
 
 
 def new_slot(action: bpy.types.Action, name: str) -> Any:
@@ -111,6 +116,22 @@ def has_operator(name: str) -> bool:
     except (AttributeError, KeyError):
         return False
     return True
+
+
+def with_textures() -> dict[str, Any]:
+    """What has the USD exporter write textures; the first is gone in Blender 5.0, the second new in 4.3."""
+    told = {"export_textures": True, "export_textures_mode": "NEW", "overwrite_textures": True}
+    known = bpy.ops.wm.usd_export.get_rna_type().properties.keys() if has_operator("wm.usd_export") else ()
+    return {name: value for name, value in told.items() if name in known}
+
+
+def usd_rate(path: str) -> float | None:
+    """The frames per second of a USD file, which Blender's importer leaves alone; None where this Blender has
+    no module for it, as the bpy wheel of 4.2."""
+    getattr(bpy.utils, "expose_bundled_modules", lambda: None)()
+    with contextlib.suppress(ImportError):
+        return importlib.import_module("pxr.Usd").Stage.Open(path).GetTimeCodesPerSecond()
+    return None
 
 
 def gltf_left_out() -> list[str]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
+import mmap
 import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,9 +19,10 @@ from bpy_extras.io_utils import axis_conversion
 from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_room
 
-from ..common.blender_versions import gltf_left_out
+from ..common.blender_versions import gltf_left_out, usd_rate, with_textures
 from ..rigs.arm import has_arm
-from .exporter import Exporter, HandObjects, Preset, blank
+from ..scene.timing import nearest_rate
+from .exporter import APART, Exporter, HandObjects, Preset, blank
 
 
 class BlenderFormat:
@@ -27,19 +30,33 @@ class BlenderFormat:
 
     operator: ClassVar[str]
     arguments: ClassVar[Mapping[str, Any]] = {}
+    reading: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Arguments of the operators that read such files"""
 
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, _final: Path, /) -> None:
         """Write the file with the arguments of the format and of the preset."""
-        module, name = self.operator.split(".")
         with self.around(path, hands) as more:
-            write = getattr(getattr(bpy.ops, module), name)
-            write(filepath=str(path), check_existing=False, **{**self.arguments, **preset.keywords, **more})
+            told = {**self.arguments, **preset.keywords, **more}
+            _operator(self.operator)(filepath=str(path), check_existing=False, **told)
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file into the open scene."""
+        return _operator(operator)(filepath=str(path), **self.reading.get(operator, {}))
 
     @contextlib.contextmanager
     def around(self, _path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
         """Prepare the context's scene and clean up behind the operator; yields the arguments that the scene
         decides."""
         yield {}
+
+
+def _operator(name: str) -> Any:
+    module, _, operator = name.partition(".")
+    return getattr(getattr(bpy.ops, module), operator)
+
+
+_SMALL = 0.1
+"""An armature of less than this scale came out of a file in centimetres"""
 
 
 class FbxExporter(BlenderFormat, Exporter):
@@ -66,6 +83,15 @@ class FbxExporter(BlenderFormat, Exporter):
         "bake_anim_simplify_factor": 0.0,
         "path_mode": "STRIP",  # textures by name: where they lie is private
     }
+    apart = APART
+    reads: ClassVar = {".fbx": ("import_scene.fbx", "wm.fbx_import")}
+    # Frames as they are written.
+    reading: ClassVar = {name: {"anim_offset": 0.0} for name in ("import_scene.fbx", "wm.fbx_import")}
+    of_scene: ClassVar = {
+        "object_types": {"ARMATURE", "MESH", "EMPTY", "CAMERA", "LIGHT", "OTHER"},
+        "path_mode": "COPY",
+        "embed_textures": True,
+    }
     presets: ClassVar = {
         # Y up and -Z forward, as the exporter writes by default; FBX_SCALE_ALL: metres with UnitScaleFactor
         # 100.
@@ -84,11 +110,20 @@ class FbxExporter(BlenderFormat, Exporter):
         ),
     }
 
+    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+        """Names and curves stand in the file as they are."""
+        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            gone = [bone for bone in bones if content.find(bone.encode() + b"\0\x01") < 0]
+            return _missing(gone, moves=content.find(b"AnimCurve") >= 0)
+
     @contextlib.contextmanager
-    def around(self, path: Path, _hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
-        """The exporter also names each texture with the folder that the file is in."""
-        yield {}
+    def around(self, path: Path, hands: Sequence[HandObjects], /) -> Iterator[dict[str, Any]]:
+        """What was imported from centimetres becomes centimetres again. The exporter also names each texture
+        with the folder that the file is in."""
+        small = all(hand.armature.matrix_world.median_scale < _SMALL for hand in hands)
+        yield {"apply_scale_options": "FBX_SCALE_NONE"} if small else {}
         blank(path, Path(os.path.abspath(path.parent)))  # noqa: PTH100  Links stay as they are.
+        blank(path, Path(f"{path.stem}.fbm"))  # which it makes up for embedded textures
 
 
 class GltfExporter(BlenderFormat, Exporter):
@@ -117,6 +152,14 @@ class GltfExporter(BlenderFormat, Exporter):
         "export_optimize_animation_size": False,
         "export_morph_normal": False,
     }
+    reads: ClassVar = {
+        ".glb": ("import_scene.gltf",),
+        ".gltf": ("import_scene.gltf",),
+        ".vrm": ("import_scene.vrm", "import_scene.gltf"),  # the first is an add-on's of its own
+    }
+    # Bones keep their axes.
+    reading: ClassVar = {"import_scene.gltf": {"bone_heuristic": "BLENDER", "disable_bone_shape": True}}
+    of_scene: ClassVar = {"use_selection": False, "export_cameras": True, "export_lights": True}
     presets: ClassVar = {
         "UNITY": Preset({"export_all_influences": False, "export_influence_nb": 4}),
         "UNREAL": Preset(root="root"),
@@ -129,16 +172,44 @@ class GltfExporter(BlenderFormat, Exporter):
         # The exporter takes all children of what is in the scene, wherever they are, but for unselected ones.
         for obj in (o for hand in hands for o in (hand.armature, *hand.meshes)):
             obj.select_set(True, view_layer=bpy.context.view_layer)
-        # The exporter (4.2 to 5.2) multiplies by fps_base where it should divide; a test reads the times.
         context, left_out = bpy.context, gltf_left_out()
-        context.scene.render.fps_base = 1.0 / context.scene.render.fps_base
         left_out.append("manient")
         bpy.context = _WindowlessContext(context)  # type: ignore
         try:
-            yield {}
+            with _rate_turned(context.scene):
+                yield {}
         finally:
             bpy.context = context
             left_out.remove("manient")
+
+    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+        """Its first chunk tells of all nodes and animations."""
+        with path.open("rb") as stream:
+            (size,) = struct.unpack("<12xI4x", stream.read(20))
+            told = json.loads(stream.read(size))
+        there = {node.get("name") for node in told.get("nodes", ()) if "skins" in told}
+        return _missing([bone for bone in bones if bone not in there], moves="animations" in told)
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file, which has no frames, at the open scene's rate."""
+        with _rate_turned(bpy.context.scene):
+            return super().read(path, operator)
+
+
+def _missing(bones: Sequence[str], *, moves: bool) -> str:
+    """What `Exporter.lacks` says where these bones, or all motion, are not there."""
+    return f"the bone {bones[0]!r} and {len(bones) - 1} others" if bones else "" if moves else "any motion"
+
+
+@contextlib.contextmanager
+def _rate_turned(scene: bpy.types.Scene) -> Iterator[None]:
+    """What Blender's glTF importer and exporter (4.2 to 5.2) multiply by, for what they should divide by."""
+    base = scene.render.fps_base
+    scene.render.fps_base = 1.0 / base
+    try:
+        yield
+    finally:
+        scene.render.fps_base = base
 
 
 class _WindowlessContext:
@@ -161,6 +232,8 @@ class UsdExporter(BlenderFormat, Exporter):
     suffix = ".usdc"
     other_endings = (".usd",)
     operator = "wm.usd_export"
+    reads: ClassVar = dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("wm.usd_import",))
+    of_scene: ClassVar = with_textures()
     arguments: ClassVar = {
         "export_animation": True,
         "export_armatures": True,
@@ -169,6 +242,13 @@ class UsdExporter(BlenderFormat, Exporter):
         "export_custom_properties": False,  # USD has no type for the ten betas
         "evaluation_mode": "RENDER",
     }
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file into the open scene, which gets its rate."""
+        done, render = super().read(path, operator), bpy.context.scene.render
+        if "FINISHED" in done and (rate := usd_rate(str(path))):
+            render.fps, render.fps_base = nearest_rate(rate)
+        return done
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
         """The header, written last, tells where the table of the sections is, which ends the file."""

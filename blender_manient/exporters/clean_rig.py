@@ -9,7 +9,7 @@ turn to undo. Which bones deform, and what they hang on without the controls, is
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -40,6 +40,8 @@ class CleanHand:
     """None of them where the artist deleted it"""
 
 
+NEAR = 1e-5
+"""metres from its rest place within which a bone stays in it to the eye"""
 _STILL = 1e-7
 """parts of a unit. Bones that move and grow by less get no keys for it"""
 
@@ -53,14 +55,16 @@ def clean_rig(
     metres_per_unit: float,
     units: float = 1.0,
     turn: np.ndarray | None = None,
+    apart: float = 0.0,
 ) -> Iterator[CleanHand]:
     """A copy of the hand in the context's scene, whose armature object is called `name` (empty: as before).
 
     `metres_per_unit` is the artist's scene's, `units` how many units of the file a metre is. `turn` (3, 3) is
-    the rotation that the file's axes need: it is done to the data and undone by the object. The hand must be
-    in that scene, which has the copy instead afterwards; its names are lent to the copy. When this context
-    ends the copy is gone. A character's mesh that a bone carries is deformed by that bone alone in the copy;
-    one that no bone of the copy moves has keys of its own, and no parent, where it moves.
+    the rotation that the file's axes need: it is done to the data and undone by the object. `apart` is that
+    of the exporter. The hand must be in that scene, which has the copy instead afterwards; its names are lent
+    to the copy. When this context ends the copy is gone. A character's mesh that a bone carries is deformed
+    by that bone alone in the copy; one that no bone of the copy moves has keys of its own, and no parent,
+    where it moves.
     """
     scene = bpy.context.scene
     turned = np.eye(4)
@@ -127,6 +131,9 @@ def clean_rig(
         if tree or hung:
             _hang(armature, tree or hung)
         actions.append(_bake(armature, sampled, turned @ in_metres @ sampled.world, size, frames))
+        if apart and tree:
+            far = np.abs(sampled.basis()[..., :3, 3]).max(axis=(0, 2)) * size > NEAR * units
+            unconnect(armature, {sampled.names[bone] for bone in np.flatnonzero(far)}, apart * units)
         for original in originals:
             scene.collection.objects.unlink(original)
         yield CleanHand(hand.side, armature, tuple(copies[1:]))
@@ -210,10 +217,7 @@ def _deform_by(mesh: bpy.types.Object, armature: bpy.types.Object, bone: str) ->
 
 def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
     """Leave an armature of the context's scene the bones of a tree, as `deforming_tree` gives it."""
-    bpy.context.view_layer.objects.active = armature
-    with bpy.context.temp_override(active_object=armature, object=armature):
-        bpy.ops.object.mode_set(mode="EDIT")
-        bones = armature.data.edit_bones
+    with _edited(armature) as bones:
         bones_left_out = [bone for bone in bones if bone.name not in tree]
         for bone in bones:
             bone.use_connect = False
@@ -221,6 +225,27 @@ def _hang(armature: bpy.types.Object, tree: Mapping[str, str]) -> None:
             bones.remove(bone)
         for name, parent in tree.items():
             bones[name].parent = bones[parent] if parent else None
+
+
+def unconnect(armature: bpy.types.Object, moving: Collection[str], apart: float) -> None:
+    """Unconnect all bones of an armature of the context's scene. Those of them that move from their rest are
+    put `apart` beside the end of the bone above, or Blender's importers would connect them again."""
+    with _edited(armature) as bones:
+        for bone in bones:
+            bone.use_connect = False
+            if bone.name not in moving or bone.parent is None:
+                continue
+            aside = bone.parent.matrix.inverted() @ bone.head
+            if np.hypot(aside.x, aside.z) < 0.6 * apart:
+                bone.translate(apart * bone.parent.x_axis)
+
+
+@contextlib.contextmanager
+def _edited(armature: bpy.types.Object) -> Iterator[bpy.types.ArmatureEditBones]:
+    bpy.context.view_layer.objects.active = armature
+    with bpy.context.temp_override(active_object=armature, object=armature):
+        bpy.ops.object.mode_set(mode="EDIT")
+        yield armature.data.edit_bones
         bpy.ops.object.mode_set(mode="OBJECT")
 
 

@@ -37,6 +37,7 @@ from ..rigs.arm import has_arm
 from ..rigs.controls import control_bones
 from ..scene.build import BuiltTake
 from ..scene.camera import frame_scene
+from ..scene.characters import CharacterObjects
 from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
 from ..scene.proof import prove_whole
 from ..scene.timing import set_timing
@@ -137,12 +138,15 @@ def export_hands(
     presets = [name for name, *_ in PRESETS]
     if preset not in presets:
         raise OptionError(f"there is no export preset {preset!r}; choose from {', '.join(presets)}")
-    # Only hands of scenes in metres, without controls and arms, are as they should be in the file.
-    rigged = any(control_bones(h.armature) or has_arm(h.armature) for h in hands)
+    # Only hands of scenes in metres, without controls and arms, which nothing carries, are as they should be
+    # in the file.
+    rigged = any(control_bones(h.armature) or has_arm(h.armature) or _is_carried(h.armature) for h in hands)
     plain = np.isclose(stage.metres_per_unit, 1.0) and not rigged
     wanted = chosen.presets.get(preset, Preset(clean=not plain))
     if _is_character(hands):
         wanted = replace(wanted, clean=chosen.bakes)
+    if _is_whole_scene(chosen, hands):
+        wanted = Preset(dict(chosen.of_scene or {}), clean=False)
     objects = [o for hand in hands for o in (hand.armature, *hand.meshes)]
     with contextlib.ExitStack() as stack:
         if whole is None and chosen.writes == "hands":  # a .blend keeps what is hidden
@@ -187,9 +191,15 @@ def _write_one(
         try:
             with _opened(chosen, hands, stage, preset, whole) as written:
                 objects = [o for hand in written for o in (hand.armature, *hand.meshes)]
+                bones = [bone.name for hand in written for bone in hand.armature.data.bones]
                 with bpy.context.temp_override(object=next(iter(objects), None), selected_objects=objects):
                     chosen.write(beside, written, preset, path)
             prove_whole(path, beside, chosen.is_whole)
+            if lacks := chosen.lacks(beside, bones):
+                raise OutputError(
+                    f"{shown(path)}: Blender wrote it without {lacks}, so what was there is kept; choose "
+                    "another format or preset"
+                )
         except (HandfitError, OSError):
             raise
         except RuntimeError as error:
@@ -218,7 +228,7 @@ def _opened(
 
     Blender's exporters write what the context's scene holds, at its frame rate and over its range.
     """
-    if chosen.writes == "captured" or (chosen.writes == "collection" and _is_character(hands)):
+    if chosen.writes == "captured" or _is_whole_scene(chosen, hands):
         yield hands
         return
     if chosen.writes == "hands":
@@ -247,6 +257,7 @@ def _opened(
                             metres_per_unit=stage.metres_per_unit,
                             units=preset.units,
                             turn=preset.turn,
+                            apart=chosen.apart,
                         )
                     )
                     for index, hand in enumerate(hands)
@@ -255,8 +266,21 @@ def _opened(
         yield hands
 
 
+def _is_carried(armature: bpy.types.Object) -> bool:
+    """Whether another object moves an armature, as a scene's camera does, which no file of hands holds."""
+    return armature.parent is not None or any(not constraint.mute for constraint in armature.constraints)
+
+
 def _is_character(hands: Sequence[HandObjects]) -> bool:
     return any(hand.side is None for hand in hands)
+
+
+def _is_whole_scene(chosen: Exporter, hands: Sequence[HandObjects]) -> bool:
+    """Whether the open scene is written as it is, and not a scene with the hands."""
+    imported = any(isinstance(hand, CharacterObjects) and hand.imported for hand in hands)
+    return (imported and chosen.of_scene is not None) or (
+        chosen.writes == "collection" and _is_character(hands)
+    )
 
 
 def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.Object, None]:

@@ -17,6 +17,9 @@ from handfit_core.common.skeleton import Side
 
 from ..common.blender_versions import has_operator
 
+APART = 2e-4
+"""metres by which bones that do not touch lie apart for Blender's importers"""
+
 
 class HandObjects(Protocol):
     """A hand to write to a file, or a whole character."""
@@ -79,6 +82,13 @@ class Exporter(ABC):
     """Endings of a name that stay instead of the suffix"""
     other_endings: ClassVar[tuple[str, ...]] = ()
     """Endings of a name that the suffix replaces"""
+    apart: ClassVar[float] = 0.0
+    """metres by which a bone that moves from its rest place is put beside the end of the one above: Blender's
+    importer connects bones that touch, and leaves out where connected ones go"""
+    reads: ClassVar[Mapping[str, Sequence[str]]] = {}
+    """By the ending of files that Blender imports, the operators that do it, the one to prefer first"""
+    of_scene: ClassVar[Mapping[str, Any] | None] = None
+    """What Blender's exporter is told where the whole scene is written as it was imported; None: it is not"""
 
     @abstractmethod
     def write(self, path: Path, hands: Sequence[HandObjects], preset: Preset, final: Path, /) -> None:
@@ -91,13 +101,28 @@ class Exporter(ABC):
         struct.error, ValueError, IndexError and OSError where the file is too short."""
         return True
 
+    def lacks(self, _path: Path, _bones: Sequence[str], /) -> str:
+        """What of the motion of these bones a file that was written does not hold, as part of a sentence;
+        empty where it holds it, or where that is not looked at."""
+        return ""
+
+    def read(self, path: Path, operator: str, /) -> set[str]:
+        """Import a file into the open scene by an operator of `reads`. Returns what that returns. Raises
+        RuntimeError."""
+        raise NotImplementedError
+
     def why_not(self) -> str:
         """Why this Blender cannot write it, and what to do, as part of a sentence; empty if it can."""
-        if not self.operator or has_operator(self.operator):
-            return ""
-        if self.operator.startswith("wm."):
-            return "missing in this build of Blender; take the one from blender.org"
-        return "switched off with its add-on; enable that in Blender's preferences"
+        return why_missing(self.operator) if self.operator else ""
+
+
+def why_missing(operator: str) -> str:
+    """Why this Blender lacks an operator, and what to do, as part of a sentence; empty if it does not."""
+    if has_operator(operator):
+        return ""
+    if operator.startswith("wm."):
+        return "missing in this build of Blender; take the one from blender.org"
+    return "switched off with its add-on; enable that in Blender's preferences"
 
 
 def blank(path: Path, folder: Path) -> None:

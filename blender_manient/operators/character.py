@@ -13,14 +13,18 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper
 from mathutils import Matrix, Vector
 
 from handfit_core.common.errors import HandfitError, HandModelError, OptionError
-from handfit_core.common.files import shown, written_whole
+from handfit_core.common.files import shown
 from handfit_core.common.skeleton import SIDES, other_side
-from handfit_core.retarget.hand_map import HandMap, read_preset, to_preset
+from handfit_core.common.slices import map_yields
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.saved_rigs import forget_rig, read_rig, save_rig, saved_rigs, write_rig
+from handfit_core.retarget.time_offset import FoundOffset
 
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted
-from ..scene.characters import hand_map_of, hands_to_move, keep_map, recognise_again, table_of
-from ..scene.onto_character import TransferOptions, putting, shortcomings
+from ..scene.characters import hand_map_of, hands_to_move, keep_map, recognise_again, rig_used, table_of
+from ..scene.finding_offset import finding_offset
+from ..scene.onto_character import TransferOptions, putting, reading_motion, shortcomings
 from ..session.properties import SIDE_ITEMS
 from .base import CharacterOperator, StepsOperator, polled_character, select_alone, show_frame_again
 
@@ -65,7 +69,8 @@ class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.
     def steps(self, context) -> Generator[str, None, list]:
         armature, scene = polled_character(context), context.scene
         reference, posing = BlockReference.of("objects", armature), self.mode == "POSE"
-        onto = TransferOptions.of(armature, **({"into": "ACTION", "wrist": "FINGERS"} if posing else {}))
+        as_pose = {"into": "ACTION", "wrist": "FINGERS", "time_offset": 0} if posing else {}
+        onto = TransferOptions.of(armature, **as_pose)
         frames = [scene.frame_current_final] if posing else None
         working = putting(armature, hands_to_move(armature, context), onto, frames)
         while True:
@@ -86,6 +91,30 @@ class MANIENT_OT_apply_to_character(StepsOperator, CharacterOperator, bpy.types.
             self.report({"WARNING"}, sentence[:1].upper() + sentence[1:])
         bones, frames = sum(one.bones for one in result), max(one.frames for one in result)
         return f"Keyed {counted(bones, 'bone')} in {counted(frames, 'frame')}"
+
+
+class MANIENT_OT_find_offset(StepsOperator, CharacterOperator, bpy.types.Operator):
+    """Find the Time Offset at which the captured wrists move as the hands of this character, which moves
+    already."""
+
+    bl_label = "Find Offset"
+    title = "Find Offset"
+    undone = "an undo or a deletion stopped Find Offset"
+
+    @classmethod
+    def poll_reason(cls, context):
+        return MANIENT_OT_apply_to_character.poll_reason(context)
+
+    def steps(self, context) -> Generator[str, None, FoundOffset]:
+        armature, motions = polled_character(context), []
+        for hand_map, hand in hands_to_move(armature, context):
+            motion = yield from map_yields(reading_motion(hand), lambda: "Reading the captured hands")
+            motions.append((hand_map, motion))
+        return (yield from map_yields(finding_offset(armature, motions), lambda: "Looking for the offset"))
+
+    def finished(self, context, result):
+        polled_character(context).manient.character.time_offset = result.frames
+        return f"Time Offset: {result.said}"
 
 
 class MANIENT_OT_recognise_hand(CharacterOperator, bpy.types.Operator):
@@ -116,46 +145,89 @@ class MANIENT_OT_copy_hand_table(CharacterOperator, bpy.types.Operator):
         return f"The {other_side(self.side)} hand has the opposite bones now"
 
 
-class MANIENT_OT_save_hand_preset(CharacterOperator, bpy.types.Operator, ExportHelper):
-    """Write which bones are this character's hands to a file, for others of its kind."""
+class MANIENT_OT_save_rig(CharacterOperator, bpy.types.Operator):
+    """Keep which bones are this character's hands under a name, for every later file and batch whose
+    character has bones of the same names."""
 
-    bl_label = "Save Preset"
+    bl_label = "Save Rig"
+    bl_options = {"REGISTER"}
+
+    rig_name: bpy.props.StringProperty(  # type: ignore
+        name="Name", description="What the rig is called; one of this name is replaced"
+    )
+
+    def invoke(self, context, event):
+        armature = polled_character(context)
+        used = next(filter(None, (rig_used(armature, side) for side in SIDES)), None)
+        self.rig_name = armature.name if used is None else used.name
+        return context.window_manager.invoke_props_dialog(self)
+
+    def run(self, context):
+        tables = _shown_tables(polled_character(context))
+        name = save_rig(self.rig_name, tables).stem
+        return f"Saved {name}, which is used for every character with these bones: the {_hands(tables)}"
+
+
+class MANIENT_OT_forget_rig(CharacterOperator, bpy.types.Operator):
+    """Remove this saved rig: bones are recognised again."""
+
+    bl_label = "Forget Rig"
+    bl_options = {"REGISTER"}
+
+    rig_name: bpy.props.StringProperty(options={"SKIP_SAVE"})  # type: ignore
+
+    def invoke(self, context, event):
+        return context.window_manager.invoke_confirm(self, event)
+
+    def run(self, context):
+        forget_rig(self.rig_name)
+        return f"Forgot {self.rig_name}"
+
+
+class MANIENT_OT_export_rig(CharacterOperator, bpy.types.Operator, ExportHelper):
+    """Write which bones are this character's hands to a file, for other machines and --bones."""
+
+    bl_label = "Export Rig"
     bl_options = {"REGISTER"}
 
     filename_ext = ".json"
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore
 
     def run(self, context):
-        armature = polled_character(context)
-        tables = [table for side in SIDES if (table := table_of(armature, side)).mapped]
-        if not tables:
-            raise HandModelError("neither hand has a bone yet: choose some in the table first")
+        tables = _shown_tables(polled_character(context))
         path = Path(bpy.path.abspath(self.filepath))
-        with written_whole(path, read_preset) as beside:
-            beside.write_text(to_preset(tables), encoding="utf-8")
+        write_rig(path, tables)
         return f"Wrote the {_hands(tables)} to {path.name}"
 
 
-class MANIENT_OT_load_hand_preset(CharacterOperator, bpy.types.Operator, ImportHelper):
-    """Read which bones are this character's hands from a file that was saved here."""
+class MANIENT_OT_import_rig(CharacterOperator, bpy.types.Operator, ImportHelper):
+    """Save the rig of a file that was exported here, under the file's name, and use it for this character
+    where it fits."""
 
-    bl_label = "Load Preset"
+    bl_label = "Import Rig"
 
     filename_ext = ".json"
     filter_glob: bpy.props.StringProperty(default="*.json", options={"HIDDEN"})  # type: ignore
 
     def run(self, context):
-        armature = polled_character(context)
-        path = Path(bpy.path.abspath(self.filepath))
-        tables = read_preset(path)
+        armature, path = polled_character(context), Path(bpy.path.abspath(self.filepath))
+        tables = read_rig(path)
+        there = saved_rigs()[0].get(path.stem)
+        if there is not None and there.tables != tuple(tables):
+            raise OptionError(
+                f"there is a saved rig {shown(path.stem)} with other bones: forget it first, or rename the "
+                "file"
+            )
+        name = save_rig(path.stem, tables).stem
         try:
             for table in tables:
                 table.check(armature.data.bones)
         except HandModelError as error:
-            raise HandModelError(f"{shown(path)}: {error}") from error
+            self.report({"WARNING"}, f"{name} is saved, and does not fit {armature.name!r}: {error}")
+            return {"FINISHED"}
         for table in tables:
             keep_map(armature, table)
-        return f"Took over the {_hands(tables)} from {path.name}"
+        return f"Saved {name}, and took over the {_hands(tables)}"
 
 
 class MANIENT_OT_mark_frame(CharacterOperator, bpy.types.Operator):
@@ -167,6 +239,16 @@ class MANIENT_OT_mark_frame(CharacterOperator, bpy.types.Operator):
     def run(self, context):
         armature = polled_character(context)
         armature.manient.character.reference = context.scene.frame_current
+
+
+def _shown_tables(armature: bpy.types.Object) -> list[HandMap]:
+    """The tables of an armature's hands, of bones that are there. Raises HandModelError for none."""
+    tables = [table for side in SIDES if (table := table_of(armature, side)).mapped]
+    if not tables:
+        raise HandModelError("neither hand has a bone yet: choose some in the table first")
+    for table in tables:
+        table.check(armature.data.bones)
+    return tables
 
 
 def _hands(tables: Sequence[HandMap]) -> str:

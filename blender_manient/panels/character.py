@@ -9,6 +9,8 @@ import bpy
 from handfit_core.common.errors import HandfitError, HandModelError
 from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
 from handfit_core.retarget.hand_map import PALM_FINGERS
+from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
+from handfit_core.retarget.saved_rigs import saved_rigs
 
 from ..common.section import Section, fitted, sentence, split
 from ..common.wording import capitalised, counted
@@ -20,10 +22,13 @@ from ..scene.characters import (
     is_damaged,
     kept_map,
     recognised,
+    rig_used,
+    said_without_keys,
     source_of,
     sources_of,
     table_of,
     why_not_reachable,
+    without_keys,
 )
 from ..scene.onto_character import why_not_turned
 from ..scene.store import CapturedHand
@@ -100,6 +105,10 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             if told is not None:
                 text, alert = told
                 sentence(column, context, capitalised(text), "ERROR" if alert else "INFO")
+        data = armature.animation_data
+        if character.time_offset or (data is not None and (data.action is not None or len(data.nla_tracks))):
+            column.prop(character, "time_offset")
+            column.operator("manient.find_offset", icon="VIEWZOOM")
         column.prop(character, "contacts")
         if any(arms):
             self._arms(column, armature)
@@ -165,12 +174,22 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
             text = "Metacarpals" if finger == PALM_FINGERS[0] else finger.capitalize()
             block.prop_search(table, f"{finger}_palm", armature.data, "bones", text=text)
         block.prop(table, "fold", slider=True)
+        keyless = said_without_keys(without_keys(armature, table_of(armature, table.side)))
+        if keyless:
+            sentence(layout, context, capitalised(keyless), "INFO")
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
+        row = column.row(align=True)
+        row.operator("manient.save_rig", icon="FILE_TICK")
+        used = rig_used(armature, table.side)
+        if used is not None:
+            row.operator("manient.forget_rig", text="", icon="X").rig_name = used.name
         row = layout.row(align=True)
-        row.operator("manient.load_hand_preset", icon="FILE_FOLDER")
-        row.operator("manient.save_hand_preset", icon="FILE_TICK")
+        row.operator("manient.import_rig", icon="IMPORT")
+        row.operator("manient.export_rig", icon="EXPORT")
+        for trouble in saved_rigs()[1]:
+            sentence(layout, context, capitalised(trouble), "ERROR")
 
 
 def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:
@@ -194,15 +213,23 @@ def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list
         lacked = not wanted and table_of(armature, other_side(side)).mapped
         return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
     try:
-        rig = hand_map.rig or "Unknown rig"
-        if kept_map(armature, side) is not None:
+        rig, kept, used = hand_map.rig or "Unknown rig", kept_map(armature, side), rig_used(armature, side)
+        if kept is not None:
             told.append((f"{rig}, with your own table", "CHECKMARK"))
+        elif used is not None:
+            told.append((used.label, "CHECKMARK"))
         elif (sure := recognised(armature, side).sure) >= _SURE:
             told.append((f"{rig}, for sure", "CHECKMARK"))
+        elif sure < DOUBTFUL:
+            told.append(("This may be no hand: look at Bones below", "ERROR"))
         else:
             doubt = "likely" if sure >= _LIKELY else "perhaps"
             told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
         hand_map.check(armature.data.bones)
+        if keyless := without_keys(armature, hand_map).get(UNKNOWN):
+            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
+        if kept is None and used is None and (but := recognised(armature, side).but):
+            told.append((capitalised(but), "INFO"))
     except HandModelError as error:
         return [*told, (capitalised(str(error)), "ERROR")]
     if armature.manient.character.wrist == "FINGERS":

@@ -13,7 +13,8 @@ import bpy
 
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import SIDES, Side
-from handfit_core.retarget.hand_map import HandMap, SeveralHands
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import SeveralHands
 
 from ..common.plugins import failure_sentence, find_plugins, print_once
 from .character import ArmControls, Character, Found, bones_of

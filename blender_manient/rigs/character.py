@@ -12,7 +12,8 @@ import numpy as np
 
 from handfit_core.common.skeleton import Side
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import Found, HandMap
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import Found
 
 from .rig import PosedBones
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from handfit_core.common.skeleton import FINGER_JOINTS, Side
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import Found, HandMap
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import Found
 
 from ..common.blender_versions import channels, used_actions
-from .by_bones import NamedCharacter
+from .by_bones import AnyCharacter
 from .character import ArmControls, Character
 from .rig import bone_path
 
@@ -39,7 +40,7 @@ class RigifyCharacter(Character):
         """By what Rigify leaves in armatures that it generates."""
         if "rig_id" not in armature.data or not any(name.startswith("ORG-") for name in bones.names):
             return None
-        found = NamedCharacter.find(armature, bones, side)
+        found = AnyCharacter.find(armature, bones, side)
         if found is None:
             return None
         core = _core(found.hand_map)

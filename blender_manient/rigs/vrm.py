@@ -6,7 +6,8 @@ import bpy
 
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, Side
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, Found, HandMap
+from handfit_core.retarget.hand_map import USUAL_THUMB_ROLL, HandMap
+from handfit_core.retarget.recognition import Found
 
 from .character import Character
 

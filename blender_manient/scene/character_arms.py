@@ -275,7 +275,7 @@ def _capsules(armature: bpy.types.Object, target: TargetArm) -> Capsules:
     return Capsules.of(bones, np.array(points).reshape(-1, 3), np.array(owners, dtype=int), target)
 
 
-def _others(armature: bpy.types.Object) -> list:
+def unapplied_users(armature: bpy.types.Object) -> list:
     """What uses an action for an armature that was not made for captured arms."""
     muted = {strip for track in _tracks(armature) for strip in track.strips if track.mute or strip.mute}
     return [user for user in users_of(armature) if MARK not in user.action and user not in muted]
@@ -290,7 +290,7 @@ def _moved_range(armature: bpy.types.Object, names: Sequence[str]) -> tuple[floa
     where none does."""
     starts = tuple(f"{bone_path(name)}." for name in names)
     spans = []
-    for user in _others(armature):
+    for user in unapplied_users(armature):
         if any(curve.data_path.startswith(starts) for curve in curves_in(channels_of(user))):
             is_strip = isinstance(user, bpy.types.NlaStrip)
             spans.append((user.frame_start, user.frame_end) if is_strip else user.action.curve_frame_range)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,9 +12,12 @@ import numpy as np
 
 from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.common.skeleton import SIDES, Side
-from handfit_core.retarget.hand_map import Found, HandMap, empty_map
+from handfit_core.retarget.hand_map import HandMap, empty_map
+from handfit_core.retarget.recognition import DOUBTFUL, Found, left_out
+from handfit_core.retarget.saved_rigs import SavedRig, fitting_rig
 
 from ..rigs import found_hand, troubles
+from ..rigs.character import bones_of, driven_bones
 from .store import CapturedHand, captured_hands, hand_of, has_properties, is_in_hidden_capture
 
 
@@ -26,6 +30,8 @@ class CharacterObjects:
     side: None = None
     hand_maps: tuple[HandMap, ...] = ()
     """Tables of its hands that stand before those that are kept or recognised"""
+    imported: bool = False
+    """Whether the open scene is another program's file, which is to be written as a whole"""
 
     @classmethod
     def of(cls, armature: bpy.types.Object) -> CharacterObjects:
@@ -38,6 +44,13 @@ class CharacterObjects:
 def characters_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The armatures of a scene that are no captured hands, by name."""
     return sorted(filter(_is_character, scene.objects), key=lambda o: o.name)
+
+
+def only_character(armatures: Sequence[bpy.types.Object]) -> bpy.types.Object | None:
+    """The only one of some armatures, or the only one that deforms or carries a mesh; None for several."""
+    if len(armatures) > 1:
+        armatures = [one for one in armatures if CharacterObjects.of(one).meshes] or armatures
+    return armatures[0] if len(armatures) == 1 else None
 
 
 def character_of(obj: bpy.types.Object | None) -> bpy.types.Object | None:
@@ -106,9 +119,16 @@ def keep_map(armature: bpy.types.Object, hand_map: HandMap) -> None:
     getattr(armature.manient.character, hand_map.side).hand_map = hand_map.to_json()
 
 
+def rig_used(armature: bpy.types.Object, side: Side) -> SavedRig | None:
+    """The user's saved rig that says which bones a hand is; None where a kept table does, or none fits."""
+    return None if kept_map(armature, side) is not None else fitting_rig(armature.data.bones.keys(), side)
+
+
 def hand_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
-    """The kept table of a hand, else the one that is recognised. Raises HandModelError."""
-    kept = kept_map(armature, side)
+    """The kept table of a hand, else that of a saved rig that fits, else the one that is recognised. Raises
+    HandModelError."""
+    rig = rig_used(armature, side)
+    kept = kept_map(armature, side) if rig is None else rig.of(side)
     if kept is not None:
         return kept
     found = recognised(armature, side).hand_map
@@ -145,11 +165,44 @@ def _recognised(uid: int, side: Side, _names: Any, _heads: Any, _reported: Any) 
         return error
 
 
+def sure_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
+    """`hand_map_of`, where nobody is there to be asked. Raises HandModelError for what may be no hand."""
+    hand_map = hand_map_of(armature, side)
+    taught = kept_map(armature, side) is not None or rig_used(armature, side) is not None
+    if not taught and recognised(armature, side).sure < DOUBTFUL:
+        raise HandModelError(
+            f"the bones below {hand_map.bones[0]!r} may be no {side} hand: name its bones with --bones, or "
+            "choose them in the panel and save the rig or the character's file"
+        )
+    return hand_map
+
+
+def without_keys(armature: bpy.types.Object, hand_map: HandMap) -> dict[str, list[str]]:
+    """The deforming bones of a hand that get no keys, by why not; without those that follow others."""
+    bones, driven = armature.data.bones, driven_bones(armature)
+    if hand_map.bones[0] not in bones:
+        return {}
+    found = left_out(bones_of(armature), hand_map)
+    own = {bone.name for bone in bones if bone.use_deform} - driven
+    return {why: those for why, names in found.items() if (those := [name for name in names if name in own])}
+
+
+def said_without_keys(found: dict[str, list[str]]) -> str:
+    """What `without_keys` found, as a sentence; empty where it found nothing."""
+    some = {
+        why: ", ".join([*names[:3], *(["..."] if len(names) > 3 else [])]) for why, names in found.items()
+    }
+    return "; ".join(f"no keys for {len(names)} bones {why} ({some[why]})" for why, names in found.items())
+
+
 def recognise_again(armature: bpy.types.Object, side: Side) -> Found:
-    """Look anew, and let go of the kept table, unless nothing is recognised. Raises HandModelError then."""
+    """Look anew, and let go of the kept table, unless nothing is recognised, which raises HandModelError.
+    Where a saved rig fits, what was found is kept instead of it."""
     _recognised.cache_clear()
     found = recognised(armature, side)
     getattr(armature.manient.character, side).hand_map = ""
+    if rig_used(armature, side) is not None:
+        keep_map(armature, found.hand_map)
     return found
 
 

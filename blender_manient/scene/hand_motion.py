@@ -38,7 +38,7 @@ class BoneKeys:
     offset: np.ndarray | None = None
     """(3,) what is added to where that hand is, in the armature's space and units"""
     settings: tuple[float, ...] = ()
-    """Travel, smoothing and marked frame of that hand"""
+    """Travel, smoothing, marked frame and offset in time of that hand"""
     arm: bool = False
     """Whether the only bone is one of an arm"""
 
@@ -60,7 +60,13 @@ class WrittenKeys:
     offset: np.ndarray
     """(3,) what was added to the hand's location, in the armature's space and units"""
     settings: tuple[float, ...]
-    """the travel, smoothing and marked frame with which the keys were made"""
+    """the travel, smoothing, marked frame and offset in time with which the keys were made; files of earlier
+    versions lack the last"""
+
+    @property
+    def time_offset(self) -> int:
+        """scene frames by which the motion was put later"""
+        return int(self.settings[3]) if len(self.settings) > 3 else 0
 
     @property
     def placed(self) -> bool:

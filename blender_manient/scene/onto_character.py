@@ -25,6 +25,7 @@ from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.arms import CapturedArm
 from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import UNKNOWN
 from handfit_core.retarget.transfer import (
     SourceHand,
     TargetHand,
@@ -42,7 +43,7 @@ from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
 from .character_arms import MARK, Arm, ArmOptions, arm_of, keying_arm
-from .characters import why_not_reachable
+from .characters import said_without_keys, why_not_reachable, without_keys
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
@@ -57,6 +58,7 @@ from .keys import (
     remove_pose_keys,
     writing_pose_keys,
 )
+from .moving_body import check_moved_in_time
 from .sampling import posed_bones, rests, rotations_of, sampled_pose
 from .store import CapturedHand, timing_of
 from .timing import Timing, check_range, frame_rate
@@ -102,9 +104,10 @@ class Motion:
         arm = CapturedArm.of(hand.take, hand.track, numbers)
         return cls(source, frames, turns, places, Fingertips.of(hand.model(), hand.betas), arm)
 
-    def on(self, side: Side) -> Motion:
-        """The motion for a hand of that side, mirrored if need be."""
-        return self if self.source.side == side else self.mirrored()
+    def on(self, side: Side, later: float = 0.0) -> Motion:
+        """The motion for a hand of that side, mirrored if need be, so many scene frames later."""
+        moved = self if self.source.side == side else self.mirrored()
+        return replace(moved, frames=moved.frames + later)
 
     def mirrored(self) -> Motion:
         """The motion mirrored at x = 0, for the other side."""
@@ -133,6 +136,8 @@ class TransferOptions(ArmOptions):
     wrist: Wrist = "FINGERS"
     reference: float = 1.0
     """The scene frame in which the character's hand is as it is to be in the captured pose"""
+    time_offset: int = 0
+    """scene frames by which all motion comes later"""
     contacts: bool = True
     """Whether fingertips that touch do so on the character, too"""
     travel: float = 1.0
@@ -291,13 +296,17 @@ def computing(
 ) -> Generator[float, None, Computed]:
     """What `applying` writes, and raises; nothing is changed."""
     keys, applied = [], []
+    if onto.time_offset:
+        check_moved_in_time(armature, [motion.frames for _, motion in hands], onto.time_offset)
     for hand_map, captured in hands:
-        motion = captured.on(hand_map.side)
+        motion = captured.on(hand_map.side, onto.time_offset)
         of_arm: list[BoneKeys] = []
         arm, no_arm = _arm_of(armature, hand_map, motion) if onto.arms else (None, None)
         fingers_only = onto.wrist == "FINGERS" and arm is None
         target, keyed, left_alone = prepared(armature, hand_map, motion.source, fingers_only=fingers_only)
         left_alone += [no_arm] if no_arm is not None else []
+        keyless = without_keys(armature, hand_map).get(UNKNOWN)
+        left_alone += [said_without_keys({UNKNOWN: keyless})] if keyless else []
         kept = None
         if onto.contacts and motion.skins is not None:
             times = motion.frames / frame_rate(bpy.context.scene)
@@ -454,7 +463,7 @@ def _moving(
         basis = channels_of(bone, matrix, parents[row])
         quats[row, 0], locations[row] = basis.to_quaternion(), basis.to_translation()
     keys = PoseKeys.everywhere(motion.frames, quats, locations if located else None)
-    settings = onto.travel, onto.smoothing, onto.reference
+    settings = onto.travel, onto.smoothing, onto.reference, onto.time_offset
     return BoneKeys(CharacterBones(armature, [control]), keys, noted, offset, settings)
 
 
@@ -530,7 +539,8 @@ def is_adjusted(armature: bpy.types.Object) -> bool:
         if found is None:
             continue
         offset = onto.offsets.get(side, np.zeros(3)) if found.placed else np.zeros(3)
-        if found.settings != (onto.travel, onto.smoothing, onto.reference) or np.any(found.offset != offset):
+        settings = onto.travel, onto.smoothing, onto.reference
+        if found.settings[:3] != settings or np.any(found.offset != offset):
             return False
     return True
 
@@ -548,9 +558,11 @@ def adjusting(
             continue
         if not found.action.is_editable:
             raise OptionError(f"the action {found.action.name!r} is linked from another file")
-        motion = (yield from map_yields(reading_motion(hand), lambda: 0.0)).on(hand_map.side)
+        motion = yield from map_yields(reading_motion(hand), lambda: 0.0)
+        motion = motion.on(hand_map.side, found.time_offset)
         target, _, _ = prepared(armature, hand_map, motion.source, fingers_only=False)
-        one = yield from _moving(armature, target, motion, onto)
+        as_before = replace(onto, time_offset=found.time_offset)
+        one = yield from _moving(armature, target, motion, as_before)
         there = nearest(found.table[:, 0], one.keys.frames)[1]
         whole = replace(
             one.keys,

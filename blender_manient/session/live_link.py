@@ -114,8 +114,10 @@ step = _links.step
 
 
 def _show(armature: bpy.types.Object) -> None:
-    """Put the fingers where the captured hands show them now."""
+    """Put the fingers where the captured hands show them now, unless they show that at another time."""
     check_unlayered(armature)
+    if armature.manient.character.time_offset:
+        return
     for hand_map, hand in hands_to_move(armature, bpy.context):
         rest, shown = hand.rig.rest, shown_now(hand.armature)
         basis = rotations_of(shown.basis()[0][[shown.names.index(name) for name in hand.rig.bones]])
@@ -237,7 +239,7 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
     character, uid = armature.manient.character, armature.session_uid
     if _settling:
         return
-    _links.pop(uid, None)
+    before = _links.pop(uid, None)
     _troubles.pop(uid, None)
     if character.live:
         _settling = True
@@ -249,6 +251,8 @@ def on_settings_changed(group: bpy.types.PropertyGroup) -> None:
             if data is None or data.action is not character.action:
                 character.action = None
             _links[uid] = _Link(armature, shows=True)
+            if before is not None and before.steps is None:
+                _links[uid].written = before.written
         except HandfitError as error:
             _troubles[uid] = str(error)
         finally:

@@ -224,7 +224,7 @@ def live_transfer(
     """How motion that was seen live goes onto hands of a character: as its panel says, but for arms, which
     are not seen live; hands without an anchor are not turned."""
     its = {side: anchors[character, side] for side in sides if (character, side) in anchors}
-    how = TransferOptions.of(armature, into=into, arms=False, anchors=its)
+    how = TransferOptions.of(armature, into=into, arms=False, anchors=its, time_offset=0)
     return how if len(its) == len(sides) else TransferOptions(into=into, contacts=how.contacts)
 
 

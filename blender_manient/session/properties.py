@@ -538,6 +538,14 @@ class ManientCharacter(bpy.types.PropertyGroup):
         max=1000,
         **_OF_HAND_MOTION,
     )
+    time_offset: IntProperty(  # type: ignore
+        name="Time Offset",
+        description="Frames by which the captured motion comes later, for a character that moves already",
+        default=0,
+        soft_min=-1000,
+        soft_max=1000,
+        **_OF_CHARACTER,
+    )
     contacts: BoolProperty(  # type: ignore
         name="Keep Contacts",
         description="Where captured fingertips touch, the character's touch too: both fingers give way",

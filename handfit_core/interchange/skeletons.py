@@ -13,9 +13,8 @@ from handfit_core.hand_model.axes import REST_FROM_MODEL
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.hand_map import HandMap, the_surest
-from handfit_core.retarget.names import named_hands
-from handfit_core.retarget.structure import structured_hands
+from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import hands_in, the_surest
 from handfit_core.retarget.transfer import SourceHand, TargetHand, palm_frame, target_hand
 
 UP_AXES: Final = {
@@ -59,7 +58,7 @@ def hand_of_bones(animated: AnimatedBones, model: HandModel, up: np.ndarray) -> 
     shape is given. Raises HandModelError where several hands of the side are as likely.
     """
     bones, side = animated.bones, model.side
-    found = the_surest(named_hands(bones, side), bones) or the_surest(structured_hands(bones, side), bones)
+    found = the_surest(hands_in(bones, side), bones)
     if found is None:
         return None
     hand_map = found.hand_map

@@ -21,7 +21,7 @@ from handfit_core.common.skeleton import Side
 from handfit_core.geometry.rotations import rotmat_to_quat, rotvec_to_rotmat, skew
 from handfit_core.hand_model.axes import MIRROR_X, points_to_world
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.names import named_arm
+from handfit_core.retarget.recognition import named_arm
 from handfit_core.take import HandTrack, Take
 
 _FACING_ERROR = np.radians(20.0)

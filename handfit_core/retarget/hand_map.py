@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final, cast
-
-import numpy as np
 
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.files import read_file, shown, why
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINT_NAMES, NUM_JOINTS, SIDES, Side
-from handfit_core.retarget.bones import Bones
 
 PALM_FINGERS: Final = FINGERS[1:]
 """The fingers that have a metacarpal bone in some rigs, in the order of `HandMap.palm`"""
@@ -63,6 +60,11 @@ class HandMap:
         return tuple(dict.fromkeys([*folded, *self.mapped.values()]))
 
     @property
+    def named(self) -> tuple[str, ...]:
+        """All bones that it names, each once."""
+        return tuple(name for name in dict.fromkeys((*self.bones, *self.palm, self.control)) if name)
+
+    @property
     def moved_by(self) -> str:
         """The bone that moves the whole hand."""
         return self.control or self.bones[0]
@@ -78,8 +80,7 @@ class HandMap:
             raise HandModelError(f"no bone stands for the {self.side} hand itself: choose it in the table")
         if not self.mapped:
             raise HandModelError(f"no bone stands for a finger of the {self.side} hand: choose some")
-        named = [*self.bones, *self.palm, self.control]
-        missing = next((name for name in named if name and name not in there), None)
+        missing = next((name for name in self.named if name not in there), None)
         if missing is not None:
             raise HandModelError(f"there is no bone {shown(missing)!r}: choose another one in the table")
 
@@ -114,51 +115,6 @@ class HandMap:
                 raise HandModelError(f"{name} of this table of a hand's bones is {shown(str(value)[:40])!r}")
             values[name] = value
         return cls(**values)
-
-
-@dataclass(frozen=True)
-class Found:
-    """A hand that was recognised."""
-
-    hand_map: HandMap
-    sure: float
-    """0 (not at all) to 1"""
-
-
-class SeveralHands(HandModelError):
-    """There are hands of one side that are as sure as each other."""
-
-    def __init__(self, sentence: str, sure: float) -> None:
-        super().__init__(sentence)
-        self.sure = sure
-
-
-def the_surest(found: Sequence[Found], bones: Bones, driven: Collection[str] = ()) -> Found | None:
-    """The surest of the hands that were found on one side, the surest first; None where there are none.
-
-    Where several are of one hand, as a rig's controls and the bones that follow them, it is the one with the
-    fewest bones among `driven`, whose own keys would do nothing. Raises SeveralHands where two hands of the
-    side are as sure as each other, as where an armature holds two characters.
-    """
-    found = [one for one in found if one.sure > 0.8 * found[0].sure]
-    if not found:
-        return None
-    ends = np.array([[bones.heads[bones.index[name]] for name in _ends(one.hand_map)] for one in found])
-    sizes = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
-    there = np.linalg.norm(ends[:, 0] - ends[0, 0], axis=-1) < 0.5 * sizes[0]
-    if not there.all():
-        hands = dict.fromkeys(repr(shown(one.hand_map.bones[0])) for one in found)
-        raise SeveralHands(
-            f"there are several {found[0].hand_map.side} hands here, {', '.join(hands)}: choose the bones of "
-            "one in the table, or separate the characters into armatures of their own",
-            found[0].sure,
-        )
-    return min(found, key=lambda one: (sum(name in driven for name in one.hand_map.keyed), -one.sure))
-
-
-def _ends(hand_map: HandMap) -> tuple[str, str]:
-    """Where a palm begins and where it ends: bones."""
-    return hand_map.bones[0], hand_map.bones[next(j for j in (4, 1, 7, 10, 13) if hand_map.bones[j])]
 
 
 def to_preset(hand_maps: Iterable[HandMap]) -> str:

@@ -74,8 +74,9 @@ def empty_file():
 
 
 @pytest.fixture
-def registered(empty_file, tmp_path):
-    """The add-on, with its temporary files in a folder of the test's."""
+def registered(empty_file, tmp_path, monkeypatch):
+    """The add-on, with its temporary files, and what it keeps, in folders of the test's."""
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
     blender_manient.register()
     preferences.get().cache_folder = str(tmp_path / "cache")
     yield

@@ -17,6 +17,7 @@ from blender_manient.scene.store import hand_of
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.saved_rigs import fitting_rig, rigs_folder, saved_rigs
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, map_of, mixamo_names
@@ -179,7 +180,8 @@ def test_no_hand_among_the_bones(make_take):
     refused(apply, "no left hand was found")
     refused(lambda: bpy.ops.manient.recognise_hand(side="left"), "no left hand was found")
     refused(lambda: bpy.ops.manient.copy_hand_table(side="left"), "choose it in the table")
-    refused(lambda: bpy.ops.manient.save_hand_preset(filepath="/nowhere/x.json"), "choose some")
+    refused(lambda: bpy.ops.manient.export_rig(filepath="/nowhere/x.json"), "choose some")
+    refused(lambda: bpy.ops.manient.save_rig(rig_name="Mine"), "choose some")
 
 
 def test_two_hands_of_one_side(make_take):
@@ -195,6 +197,11 @@ def test_two_hands_of_one_side(make_take):
     keep_map(armature, HandMap("left", tuple(ours[j] for j in range(16))))
     assert apply() == {"FINISHED"}
     assert keyed_bones(armature) == {*ours.values()} - {ours[0]}
+    bpy.ops.manient.save_rig(rig_name="The second")
+    armature.manient.character.left.hand_map = ""
+    assert "The second, your rig" in said()
+    assert "several left hands" not in said().lower()
+    assert hand_map_of(armature, "left").bones[0] == ours[0]
 
 
 def test_bones_that_something_else_turns_are_named_before(make_take):
@@ -230,27 +237,78 @@ def test_of_several_opposite_bones_the_likest_name_wins():
         opposite(alone, map_of("left"))
 
 
-def test_a_preset_is_for_other_characters_of_the_kind(tmp_path):
-    armature, path = select(mixamo()), tmp_path / "preset.json"
+def test_a_rig_is_taught_once(make_take):
+    """What is set in the table counts for every later file with these bones, and for no other."""
+    captured(make_take)
+    select(mixamo())
+    table().side, table().thumb_roll, table().little_3 = "left", -12.0, ""
+    taught = hand_map_of(active_character(bpy.context), "left")
+    bpy.ops.manient.save_rig(rig_name="Our Hero")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    captured(make_take)
+    armature = select(mixamo(name="Later"))
+    assert said().count("Our Hero, your rig") == 2
+    assert kept_map(armature, "left") is None
+    assert hand_map_of(armature, "left") == taught
+    apply()
+    assert taught.rig == "Mixamo"
+    assert len(keyed_bones(armature)) == 29
+    table().side, table().thumb_roll = "left", 5.0
+    assert "Mixamo, with your own table" in said()
+    bpy.ops.manient.recognise_hand(side="left")
+    assert hand_map_of(armature, "left").mapped[9] == mixamo_names("left")[9]
+    other = select(mixamo(prefix="mixamorig1:", name="Other"))
+    assert "your rig" not in said()
+    assert hand_map_of(other, "left").thumb_roll != -12.0
+    select(mixamo(name="Third"))
+    bpy.ops.manient.forget_rig(rig_name="Our Hero")
+    assert said().count("Mixamo, for sure") == 2
+    refused(lambda: bpy.ops.manient.forget_rig(rig_name="Our Hero"), "there is no saved rig")
+    refused(lambda: bpy.ops.manient.save_rig(rig_name="../hero"), "give the rig a name")
+
+
+def test_a_rig_that_cannot_be_read_or_written_is_named(make_take):
+    captured(make_take)
+    select(mixamo())
+    folder = rigs_folder()
+    folder.mkdir(parents=True)
+    (folder / "bad.json").write_text("{")
+    assert "This saved rig is left out" in drawn(MANIENT_PT_character_bones).loud
+    assert said().count("Mixamo, for sure") == 2
+    (folder / "bad.json").unlink()
+    assert drawn(MANIENT_PT_character_bones).loud == ""
+    folder.rmdir()
+    folder.write_text("a file where the folder should be")
+    assert "cannot be" in drawn(MANIENT_PT_character_bones).loud
+    refused(lambda: bpy.ops.manient.save_rig(rig_name="Mine"), "cannot write here")
+
+
+def test_rigs_are_exported_and_imported(tmp_path):
+    armature, path = select(mixamo()), tmp_path / "hero.json"
     table().side = "left"
     table().thumb_roll = -12.0
-    bpy.ops.manient.save_hand_preset(filepath=str(path))
+    bpy.ops.manient.export_rig(filepath=str(path))
+    assert saved_rigs()[0] == {}
     other = select(mixamo(name="Other"))
-    bpy.ops.manient.load_hand_preset(filepath=str(path))
+    bpy.ops.manient.import_rig(filepath=str(path))
     for side in SIDES:
         assert kept_map(other, side) == hand_map_of(armature, side)
+    assert fitting_rig(armature.data.bones.keys(), "left").name == "hero"
     third = select(mixamo(prefix="mixamorig1:", name="Third"))
+    bpy.ops.manient.import_rig(filepath=str(path))
+    assert third.manient.character.left.hand_map == ""
     one = json.loads(hand_map_of(armature, "left").to_json())
     for content, why in (
-        (path.read_bytes(), "preset.json: there is no bone"),
-        (b"\xff\xfe\x00", "preset.json: "),
+        (json.dumps([{**one, "fold": 0.5}]).encode(), "with other bones: forget it first"),
+        (b"\xff\xfe\x00", "hero.json: "),
         (json.dumps([one, one]).encode(), "one table for a hand"),
+        (json.dumps([{**one, "bones": {}}]).encode(), "no bone stands for the left hand"),
     ):
         path.write_bytes(content)
-        refused(lambda: bpy.ops.manient.load_hand_preset(filepath=str(path)), why)
+        refused(lambda: bpy.ops.manient.import_rig(filepath=str(path)), why)
     path.unlink()
-    refused(lambda: bpy.ops.manient.load_hand_preset(filepath=str(path)), "No such file")
-    assert third.manient.character.left.hand_map == ""
+    refused(lambda: bpy.ops.manient.import_rig(filepath=str(path)), "No such file")
+    assert saved_rigs()[0]["hero"].of("left").thumb_roll == -12.0
 
 
 @pytest.mark.parametrize("into", ["NEW", "STRIP", "ACTION"])

@@ -21,6 +21,7 @@ from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES, Side, other_side
 from handfit_core.hand_model.poses import ready_poses
 from handfit_core.retarget.hand_map import to_preset
+from handfit_core.retarget.saved_rigs import rigs_folder, save_rig
 from handfit_core.take import Take
 from tests.conftest import ROOT
 
@@ -322,6 +323,31 @@ def test_presets_say_which_bones(clip, tmp_path):
     preset.write_text(to_preset(map_of(other_side(side)) for side in SIDES), encoding="utf-8")
     assert apply(tmp_path, clip, "--to", saved(tmp_path / "hero.blend"), "--bones", preset) == 0
     assert [hand["bones"] for hand in report(tmp_path)[0]["character"]["hands"]] == [15, 15]
+
+
+def test_a_saved_rig_is_used_without_a_word(clip, tmp_path, monkeypatch):
+    """Its change makes the files anew, and damaged ones are told of."""
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
+    character(keep=False)
+    path = saved(tmp_path / "hero.blend")
+    tables = [map_of(side) for side in SIDES]
+    save_rig(
+        "Heroes", [replace(tables[0], bones=(*tables[0].bones[:9], "", *tables[0].bones[10:])), tables[1]]
+    )
+    assert apply(tmp_path, clip, "--to", path) == 0
+    hands = report(tmp_path)[0]["character"]["hands"]
+    assert [(hand["rig"], hand["bones"]) for hand in hands] == [
+        ("Heroes, your rig", 14),
+        ("Heroes, your rig", 15),
+    ]
+    save_rig("Heroes", tables)
+    assert apply(tmp_path, clip, "--to", path, "--overwrite") == 0
+    assert [hand["bones"] for hand in report(tmp_path)[0]["character"]["hands"]] == [15, 15]
+    (rigs_folder() / "Heroes.json").write_text("[")
+    assert apply(tmp_path, clip, "--to", path, "--overwrite") == 0
+    (entry,) = report(tmp_path)
+    assert "this saved rig is left out, mend or remove it" in entry["warnings"][0]
+    assert "your rig" not in entry["character"]["hands"][0]["rig"]
 
 
 @pytest.mark.parametrize("into", ["strip", "action"])

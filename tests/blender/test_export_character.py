@@ -16,7 +16,7 @@ from handfit_core.common.skeleton import SIDES
 from tests.drawn import drawn
 
 from .characters import BoneSpec, build_armature, hand_specs, joint_name, mixamo_names, placed
-from .conftest import evaluated_vertices
+from .conftest import evaluated_vertices, shown_bones
 from .fbx_file import read_fbx
 from .importing import read_back
 from .looking import chosen
@@ -213,6 +213,26 @@ def test_rigify_leaves_its_controls_behind(generated, tmp_path):
     path = export(tmp_path / "x.fbx", rig, preset="UNREAL")
     assert nodes(path, "LimbNode") == set(tree)
     assert nodes(path, "Null") == {"root"}
+
+
+@pytest.mark.parametrize("fmt", ["fbx", "glb", "usdc"])
+def test_what_hangs_on_a_squeezed_bone_stays_at_its_end(tmp_path, fmt):
+    """As an IK arm is; Blender's importers connect bones that touch at rest, which then keep no places."""
+    ends = [(0, 0, 0), (0, 0, 1), (0.3, 0, 1), (0.6, 0, 1), (0.7, 0, 1)]
+    names = ["trunk", "upper", "lower", "palm"]
+    specs = [BoneSpec(*each) for each in zip(names, ["", *names], ends, ends[1:], strict=False)]
+    rig = build_armature(specs)
+    for name in names[2:]:
+        rig.data.bones[name].inherit_scale = "NONE"
+    moved(rig, names[2:])
+    upper = rig.pose.bones["upper"]
+    for frame, size in ((1, 1.0), (11, 0.97)):
+        upper.scale = (size**-0.5, size, size**-0.5)
+        upper.keyframe_insert("scale", frame=frame)
+    expected = [shown_bones(rig, frame)["palm"].head.copy() for frame in FRAMES]
+    read = rig_read_from(export(tmp_path / f"x.{fmt}", rig))
+    found = [read.matrix_world @ shown_bones(read, frame)["palm"].head for frame in FRAMES]
+    np.testing.assert_allclose(found, expected, atol=3e-4)
 
 
 @pytest.mark.parametrize(("preset", "moves"), [("PLAIN", True), ("UNITY", True), ("UNREAL", False)])

@@ -179,6 +179,55 @@ def test_it_comes_back_in_metres_out_of_other_units(make_take, tmp_path, fmt, pr
         np.testing.assert_allclose(evaluated_vertices(mesh), corners, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("fmt", "preset"),
+    [*((fmt, preset) for fmt in ("fbx", "glb") for preset in ("PLAIN", "UNITY", "UNREAL")), ("bvh", "PLAIN")],
+)
+@pytest.mark.parametrize("by", ["parent", "constraint"])
+def test_a_hand_that_something_carries_moves_in_the_world(make_take, tmp_path, fmt, preset, by):
+    """As one that was captured for the scene's camera, which drives past it."""
+    made, built = build(make_take(sides=("right",)))
+    armature, carrier = built.hands[0].armature, bpy.data.objects.new("carrier", None)
+    bpy.context.collection.objects.link(carrier)
+    carrier.location, carrier.rotation_euler = (1.0, 2.0, 3.0), (0.3, 0.2, -0.4)
+    carrier.keyframe_insert("location", frame=made.seen[0][1])
+    carrier.location.x = 2.0
+    carrier.keyframe_insert("location", frame=made.seen[-1][1])
+    if by == "parent":
+        armature.parent = carrier
+    else:
+        armature.constraints.new("CHILD_OF").target = carrier
+    expected = {}
+    for _, frame in made.seen[:: len(made.seen) - 1]:
+        bpy.context.scene.frame_set(frame)
+        expected[frame] = joint_heads(armature, "right")
+    before = snapshot()
+    path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
+    assert snapshot() == before
+    read_back(path, first=bpy.context.scene.frame_start)
+    for frame, heads in expected.items():
+        bpy.context.scene.frame_set(frame)
+        np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
+
+
+@pytest.mark.parametrize("fmt", ["fbx", "glb"])
+def test_what_blender_left_out_is_not_called_written(make_take, tmp_path, monkeypatch, fmt):
+    build(make_take(sides=("right",)))
+    there = tmp_path / f"a.{fmt}"
+    there.write_bytes(b"what was there")
+    for name, value, words in (
+        ("animations" if fmt == "glb" else "anim", False, "any motion"),
+        ("skins" if fmt == "glb" else None, False, "the bone 'wrist.R' and 15 others"),
+    ):
+        arguments = {"fbx": {"bake_anim": value}, "glb": {f"export_{name}": value}}[fmt]
+        if fmt == "fbx" and name is None:
+            arguments = {"object_types": {"MESH"}}
+        monkeypatch.setattr(EXPORTERS[fmt], "arguments", {**type(EXPORTERS[fmt]).arguments, **arguments})
+        with pytest.raises(RuntimeError, match=f"without {words}, so what was there is kept"):
+            write(there, file_format=fmt)
+        assert there.read_bytes() == b"what was there"
+
+
 def assert_same_take(found: Take, expected: Take) -> None:
     np.testing.assert_array_equal(found.frame_numbers, expected.frame_numbers)
     for one, other in zip(found.hands, expected.hands, strict=True):

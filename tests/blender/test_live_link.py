@@ -75,6 +75,17 @@ def alike(hand, target, frame):
     return directions_apart(*shown) < 0.1
 
 
+def test_an_offset_in_time_moves_all_keys(linked):
+    hand, target = linked
+    before = {curve: [frame for frame, _ in keys] for curve, keys in values(target).items()}
+    target.manient.character.time_offset = 4
+    settle()
+    after = {curve: [frame - 4.0 for frame, _ in keys] for curve, keys in values(target).items()}
+    assert after == before
+    shown = directions(target, NAMES, 12), directions(hand.armature, bone_names("right"), 8)
+    assert directions_apart(*shown) < 0.1
+
+
 def test_switched_on_it_shows_this_frame_before_it_keys_all(hand, monkeypatch):
     target = one_handed(bend=0.4, stretch=0.2)
     bpy.context.scene.frame_set(6)

@@ -10,21 +10,24 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_manient.panels.character import MANIENT_PT_character
+from blender_manient.panels.character import MANIENT_PT_character, MANIENT_PT_character_bones
 from blender_manient.rigs import found_hand, troubles
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.rigs.character import bones_of
 from blender_manient.rigs.vrm import VrmCharacter
 from blender_manient.scene.build import build_take
-from blender_manient.scene.onto_character import TransferOptions, putting
-from blender_manient.scene.store import hand_of
+from blender_manient.scene.characters import keep_map, sure_map_of, table_of
+from blender_manient.scene.onto_character import TransferOptions, putting, shortcomings
+from blender_manient.scene.store import captured_hands, hand_of
+from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES
 from handfit_core.common.slices import run_to_completion
 from handfit_core.retarget.hand_map import HandMap
 from handfit_core.retarget.transfer import SourceHand, target_hand
-from tests.core.retarget.rigs import Built, add_hand, body
+from tests.core.retarget.rigs import OTHERS, Built, add_hand, body, names_of
 from tests.drawn import drawn
 
+from .characters import BoneSpec, build_armature
 from .looking import angles, bones_at, directions, directions_apart, keyed_bones
 
 
@@ -199,3 +202,58 @@ def test_what_the_vrm_addon_has_noted_is_believed(version):
     assert (found.hand_map.bones, found.hand_map.rig, found.sure) == (tuple(names.values()), "VRM", 1.0)
     nodes[called("hand")].bone_name = ""
     assert VrmCharacter.find(armature, built.bones(), "left") is None
+
+
+def built_armature(built: Built) -> bpy.types.Object:
+    specs = []
+    for name, parent, head in zip(built.names, built.parents, built.heads, strict=True):
+        specs.append(
+            BoneSpec(name, built.names[parent] if parent >= 0 else "", head, head + [0.0, 0.0, 0.01])
+        )
+    return build_armature(specs)
+
+
+def test_bones_without_keys_are_named(registered, make_take):
+    """What is no finger's wherever keys are written, metacarpals and tips in the table."""
+    maya = next(rig for rig in OTHERS if rig.palm == "{}_01_L")
+    built = Built()
+    fore, place = body(built, "left")
+    add_hand(
+        built, "left", names_of(maya, "left"), np.random.default_rng(1), parent=fore, place=place, tips=True
+    )
+    hand = built.names.index("Wrist_L")
+    blade = built.add("weapon", hand, place - [0.0, 0.1, 0.0])
+    built.add("weapon_blade", blade, place - [0.0, 0.4, 0.0])
+    armature = built_armature(built)
+    build_take(make_take(sides=("left",)).take)
+    bpy.context.view_layer.objects.active = armature
+    said = "No keys for 2 bones not known as a finger's (weapon, weapon_blade)"
+    assert said in drawn(MANIENT_PT_character).said
+    bpy.context.scene.manient.hand_table.side = "left"
+    told = drawn(MANIENT_PT_character_bones).said
+    assert "4 bones between hand and fingers (Index_01_L, Middle_01_L, Ring_01_L, ...)" in told
+    assert "5 bones at the tips" in told
+    found = found_hand(armature, "left").hand_map
+    hand = hand_of(next(iter(captured_hands(bpy.context.scene))))
+    applied = run_to_completion(putting(armature, [(found, hand)], TransferOptions(contacts=False)))
+    assert [said.lower() in sentence.lower() for sentence in shortcomings(applied)] == [True]
+
+
+def test_what_may_be_no_hand_is_asked_for(registered):
+    """The end of a tail in five tips, say: an artist is asked, and a batch refuses."""
+    built = Built()
+    for part in range(4):
+        built.add(f"t{part}", part - 1, np.array([0.0, 0.2 * part, 1.0]))
+    for end in range(5):
+        at, last = 2.0 * np.pi * end / 5.0, 3
+        for part in range(3):
+            out = 0.1 * (part + 1) * np.array([np.cos(at), 0.0, np.sin(at)])
+            last = built.add(f"e{end}{part}", last, out + [0.0, 0.7 + 0.03 * part, 1.0])
+    armature = built_armature(built)
+    bpy.context.view_layer.objects.active = armature
+    assert "This may be no hand" in drawn(MANIENT_PT_character).said
+    (side,) = (side for side in SIDES if table_of(armature, side).mapped)
+    with pytest.raises(HandModelError, match=r"may be no (left|right) hand: name its bones"):
+        sure_map_of(armature, side)
+    keep_map(armature, table_of(armature, side))
+    assert sure_map_of(armature, side).mapped

@@ -20,7 +20,7 @@ from handfit_core.retarget.arms import (
     target_arm,
 )
 from handfit_core.retarget.bones import Bones
-from handfit_core.retarget.names import named_arm
+from handfit_core.retarget.recognition import named_arm
 from tests.takes import take_of, track_of, with_arms
 
 DOWN = {"T": 0.0, "A": 45.0, "bent": 30.0}

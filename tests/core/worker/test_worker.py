@@ -281,11 +281,13 @@ def test_cancel_of_what_runs_and_what_waits(warm: Worker, tmp_path: Path) -> Non
 
 def test_ends_in_the_middle_of_a_capture_when_blender_dies(tmp_path: Path) -> None:
     """Nobody says goodbye, and nothing half-written stays."""
+    pictures = sorted(map(str, FOLDER.glob("*.jpg"))) * 20  # which take a while
+    asked = capture_of(tmp_path, quality="best") | {"input": pictures}
     code = (
         "import os, sys\n"
         "from handfit_core.worker.client import Worker\n"
         "worker = Worker()\n"
-        f"worker.submit('capture', **{capture_of(tmp_path, quality='best')!r})\n"
+        f"worker.submit('capture', **{asked!r})\n"
         "while not any(e['event'] == 'progress' for e in worker.events(wait=0.1)): pass\n"
         "print(worker.pid, flush=True); os._exit(1)\n"
     )

@@ -10,6 +10,7 @@ import bpy
 from mathutils import Matrix, Vector
 from stage import ADDON
 
+from handfit_core.hand_model.files import OPEN_HAND, kept_model
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from scenarios import adding, live, views
 from scenarios.capturing import begin, capture, done, finish, hands, part
@@ -154,6 +155,49 @@ def onto_a_character(stage, folder, source, frame=8):
         space.region_3d.view_location = _wrist(armature) + Vector((-0.05, 0.0, 0.05))
         space.region_3d.view_distance = 0.55
         yield from _shown(stage, "character")
+
+
+def onto_a_body(stage, folder, source, side, turns, places, frame=75):
+    """A character whose hand moves as `turns` (T, 3, 3) and `places` (T, 3) of the filmed one say, by keys of
+    its own, gets the fingers of the film of a part of that."""
+    bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/body.blend")
+    with opened_by_default("MANIENT_PT_character"):
+        yield from rigify_character(stage)
+        rig, mark = bpy.context.active_object, side[0].upper()
+        control = rig.pose.bones[f"hand_ik.{mark}"]
+        middle = len(turns) // 2
+        bones, table = part("rigs.character").bones_of(rig), part("scene.characters").table_of(rig, side)
+        aligned = Matrix(
+            target_hand(
+                bones, table, SourceHand.of(kept_model(OPEN_HAND, side).shaped(), side)
+            ).aligned.tolist()
+        )
+        space = aligned @ Matrix(turns[middle]).transposed()
+        rest = control.bone.matrix_local.copy()
+        for row, (turn, place) in enumerate(zip(turns, places, strict=True)):
+            way = space @ (Vector(place) - Vector(places[middle]))
+            turned = (space @ Matrix(turn) @ aligned.transposed() @ rest.to_3x3()).to_4x4()
+            control.matrix = Matrix.Translation(rest.translation + 0.5 * way) @ turned
+            for channel in ("location", "rotation_quaternion"):
+                control.keyframe_insert(channel, frame=row + 1)
+        yield from capture(stage, f"//{source}")
+        part("operators.base").select_alone(bpy.context, rig)
+        yield from stage.open_sidebar()
+        yield from press(stage, "bpy.ops.manient.find_offset(")
+        yield from stage.until(lambda: rig.manient.character.time_offset, 120.0, "the offset")
+        yield from press(stage, "bpy.ops.manient.apply_to_character(")
+        yield from stage.until(lambda: rig.animation_data.nla_tracks, 60.0, "keys on the character")
+        yield 1.0
+        bpy.context.scene.frame_set(frame)
+        for collection in rig.data.collections_all:
+            collection.is_visible = collection.name == "DEF"
+        with stage.override():
+            bpy.ops.view3d.view_axis(type="FRONT")
+        space = stage.area().spaces[0]
+        space.overlay.show_extras = space.overlay.show_cursor = False
+        space.region_3d.view_location = rig.matrix_world @ rig.pose.bones[table.bones[0]].head
+        space.region_3d.view_distance = 0.9
+        yield from _shown(stage, "body")
 
 
 def _hold_beside(rig, armature):
