@@ -509,7 +509,7 @@ def left_out(bones: Bones, hand_map: HandMap) -> dict[str, list[str]]:
         if bone in keyed or hand not in bones.ancestors(bone):
             continue
         why = UNKNOWN
-        if bone in before or name in hand_map.palm:
+        if bone in before or name in hand_map.palm or _METACARPAL.search(parsed(name).words):
             why = "between hand and fingers"
         elif bones.parents[bone] in keyed - before:
             why = "at the tips"

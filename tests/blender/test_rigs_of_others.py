@@ -16,13 +16,14 @@ from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.rigs.character import bones_of
 from blender_manient.rigs.vrm import VrmCharacter
 from blender_manient.scene.build import build_take
-from blender_manient.scene.characters import keep_map, sure_map_of, table_of
+from blender_manient.scene.characters import keep_map, sure_map_of, table_of, without_keys
 from blender_manient.scene.onto_character import TransferOptions, putting, shortcomings
 from blender_manient.scene.store import captured_hands, hand_of
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_JOINTS, SIDES
 from handfit_core.common.slices import run_to_completion
 from handfit_core.retarget.hand_map import HandMap
+from handfit_core.retarget.recognition import UNKNOWN
 from handfit_core.retarget.transfer import SourceHand, target_hand
 from tests.core.retarget.rigs import OTHERS, Built, add_hand, body, names_of
 from tests.drawn import drawn
@@ -63,6 +64,7 @@ def test_rigify_generated(check, generated, side):
     end = side[0].upper()
     assert hand.bones[1:4] == (f"f_index.01.{end}", f"f_index.02.{end}", f"f_index.03.{end}")
     assert hand.control == f"hand_ik.{end}"
+    assert UNKNOWN not in without_keys(rig, hand)
     rig.pose.bones[f"upper_arm_parent.{end}"]["IK_FK"] = 1.0
     assert found_hand(rig, side).hand_map.control == f"hand_fk.{end}"
     # The skin follows what deforms: it is to point as the controls do.
