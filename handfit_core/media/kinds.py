@@ -26,6 +26,7 @@ _KINDS: Final = {
     CONTAINERS: "a clip that is cut off, damaged or of an unusual kind; if it plays in a viewer, convert it "
     "to .mp4 (H.264)",
     rb"RIFF....WAVE|ID3|\xff[\xfb\xf3\xf2]|fLaC": f"a sound; {_CHOOSE}",
+    rb"PK\x03\x04.{26,99}\.npy": "an archive of NumPy, as hand takes are; have its name end with .npz",
     rb"PK\x03\x04|Rar!|7z\xbc\xaf|\x1f\x8b|\x28\xb5\x2f\xfd": f"packed data; unpack it and {_CHOOSE}",
     rb"BLENDER": "a Blender file; render it and choose the pictures",
     rb"\x7fELF|MZ": f"a program; {_CHOOSE}",

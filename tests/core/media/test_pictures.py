@@ -219,6 +219,7 @@ def test_what_files_are(tmp_path):
     for data, said in (
         (b"%PDF-1.7", "a PDF"),
         (b"PK\3\4abc", "packed"),
+        (b"PK\3\4" + bytes(26) + b"frames.npy", "an archive of NumPy"),
         (b"<!doctype html><html>", "a web page"),
         (b"hello", "a text"),
         (b"BLENDER-v402", "a Blender file"),
