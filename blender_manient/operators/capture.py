@@ -175,6 +175,7 @@ def new_job(
     only = source_info.shown_frame(context, source) if only_frame else None
     view = None if only_frame or bare else _second_view(settings, source)
     cameras = _full_path(settings.cameras) if view else None
+    clip = source_info.camera_clip(settings, source)
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
         raise OptionError("the scene has no active camera: choose another camera setting")
     return jobs.Job(
@@ -217,8 +218,9 @@ def new_job(
             controls=settings.add_controls,
             matching=settings.matching,
             render_setup=settings.render_setup,
-            retimed=_retimed(context, only_frame) if target == "NEW" else None,
+            retimed=_retimed(context, only_frame) if target == "NEW" and clip is None else None,
             camera=BlockReference.of("objects", camera) if camera else None,
+            clip=clip,
         ),
         bare=bare,
         ask_if_many=ask_if_many and source.kind == "photo" and settings.target == "NEW",
