@@ -324,6 +324,7 @@ def _plate_taken(capture: bpy.types.Collection) -> list[bpy.types.Image]:
     backgrounds = camera.data.background_images
     for background in [b for b in backgrounds if b.image == plate][::-1]:
         drive_offset(background.image_user, "")
+        background.image = None  # which Blender would else count as used by nobody
         backgrounds.remove(background)
     return [] if plate.users or plate.use_fake_user else [plate]
 
