@@ -111,8 +111,9 @@ def has_strips(scene: bpy.types.Scene) -> bool:
 def select_bones(armature: bpy.types.Object) -> None:
     """Select all bones of an armature, unless some are selected or it cannot be changed; up to Blender 4.5
     its data hold what is selected."""
-    owner: Any = armature if hasattr(bpy.types.PoseBone, "select") else armature.data
-    bones = owner.pose.bones if owner is armature else owner.bones
+    in_pose = "select" in bpy.types.PoseBone.bl_rna.properties
+    owner: Any = armature if in_pose else armature.data
+    bones = armature.pose.bones if in_pose else armature.data.bones
     if owner.is_editable and not any(bone.select for bone in bones):
         for bone in bones:
             bone.select = True

@@ -17,6 +17,7 @@ from handfit_core.media.lenses import saved_lens
 from ..common import preferences, screen
 from ..common.block_reference import BlockReference
 from ..scene.camera import lens_of_camera
+from ..scene.camera_clip import part_of_frame
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
@@ -290,5 +291,8 @@ def lens_of(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, floa
     if settings.camera == "FOCAL":
         return settings.focal_length / 36.0, 0.5, 0.5
     if settings.camera == "ACTIVE":
-        return lens_of_camera(scene.camera, scene)
+        focal, x, y = lens_of_camera(scene.camera, scene)
+        clip = source_info.camera_clip(settings, source_info.of(settings).files)
+        width, height = part_of_frame(scene, clip) if clip else (1.0, 1.0)
+        return focal / width, 0.5 + (x - 0.5) / width, 0.5 + (y - 0.5) / height
     return None

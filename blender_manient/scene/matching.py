@@ -124,7 +124,7 @@ def scene_sentence(
     what it has done. `render_setup`: whether a matched scene is made ready to render, too."""
     if footage is not None and footage.placed is not None:
         first = footage.placed.offset + footage.placed.scale * footage.first
-        return f"Hand {'comes' if done is None else 'came'} at frame {first:g}, where the camera has the clip"
+        return f"Hand {'comes' if done is None else 'came'} at frame {first:g}, with the camera's clip"
     matched = matches(scene, choice, footage) if done is None else done
     if matched:
         news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)
