@@ -126,7 +126,8 @@ def _row(layout, enabled: bool, scale: float = 1.0):
 def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
     """What capturing the source does to the scene, and what else capturing its current frame alone does."""
     text = _scene_message(context.scene, info)
-    if info.files is None or info.files.kind == "photo":
+    placed = source_info.camera_clip(context.scene.manient, info.files) is not None
+    if info.files is None or info.files.kind == "photo" or placed:
         return text, ""
     own = _scene_message(context.scene, info, only=source_info.shown_frame(context, info.files))
     return text, "" if text.startswith(own) else own

@@ -14,8 +14,9 @@ from bpy_extras.object_utils import world_to_camera_view
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.source import MANIENT_PT_source
+from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
-from blender_manient.session import jobs, shared_worker
+from blender_manient.session import jobs, shared_worker, source_info
 from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import FINGERS
 from tests.capturing import needs_capture
@@ -313,6 +314,8 @@ def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camer
     assert (settings.source, settings.camera) == (str(path), "ACTIVE")
     assert "Camera's Clip" in drawn(MANIENT_PT_source).rows
     assert f"Hand comes at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
+    if kind == "MOVIE":
+        assert source_info.dropped_footage(settings, path).placed.offset == first - 1
     settings.matching = "MATCH"  # which the scene is not, since the clip is in it
     capture()
     (job,) = jobs.jobs()
@@ -332,6 +335,19 @@ def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camer
     ]
     settings.source = str(SAMPLE)
     assert settings.camera == "SOLVE", "it was the camera's clip that was seen by it"
+
+
+@needs_capture
+def test_a_hand_that_is_there_moves_when_the_camera_shows_it(settings, own_camera, photo, tmp_path):
+    settings.source = str(photo)
+    capture()
+    put_behind(own_camera, pictures(tmp_path, "SEQUENCE"), 101)
+    bpy.ops.manient.use_background_clip()
+    settings.target = "ANIMATION"
+    bpy.context.scene.frame_set(150)
+    capture()
+    (hand,) = hands()
+    assert read_pose_keys(hand.rig).frames.tolist() == [1, *range(101, 111)]
 
 
 def solved(path: Path):
