@@ -67,7 +67,7 @@ def part_of_frame(scene: bpy.types.Scene, clip: CameraClip) -> tuple[float, floa
         still = bpy.data.images.load(str(clip.path))  # a sequence has no size before it was drawn
         width, height = np.multiply(still.size, block.display_aspect)
         bpy.data.images.remove(still)
-        if not width:  # Blender cannot read it
+        if not width or background.rotation:  # unreadable, or turned, as `show_behind` does to the full width
             break
         frame = render.resolution_x * render.pixel_aspect_x / (render.resolution_y * render.pixel_aspect_y)
         ratio = 1.0 if background.frame_method == "STRETCH" else width / height / frame

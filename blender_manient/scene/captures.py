@@ -313,7 +313,7 @@ def _plate_taken(capture: bpy.types.Collection) -> list[bpy.types.Image]:
     """Take the picture that a capture has put behind the artist's camera from there, unless another capture
     is seen before it, which has it from then on. Returns it where nobody else uses it."""
     plate, camera = capture.manient.plate, capture.manient.camera
-    if plate is None or camera is None:
+    if plate is None or camera is None or camera.type != "CAMERA":  # any file can name another object
         return []
     capture.manient.plate = None
     others = [c for c in bpy.data.collections if c != capture and c.manient.is_capture]
