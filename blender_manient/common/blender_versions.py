@@ -108,6 +108,17 @@ def has_strips(scene: bpy.types.Scene) -> bool:
     return editor is not None and len(editor.strips if hasattr(editor, "strips") else editor.sequences) > 0
 
 
+def select_bones(armature: bpy.types.Object) -> None:
+    """Select all bones of an armature, unless some are selected or it cannot be changed; up to Blender 4.5
+    its data hold what is selected."""
+    in_pose = "select" in bpy.types.PoseBone.bl_rna.properties
+    owner: Any = armature if in_pose else armature.data
+    bones = armature.pose.bones if in_pose else armature.data.bones
+    if owner.is_editable and not any(bone.select for bone in bones):
+        for bone in bones:
+            bone.select = True
+
+
 def has_operator(name: str) -> bool:
     """Whether this Blender has the operator `module.name`; some builds lack USD and Alembic."""
     module, _, operator = name.partition(".")

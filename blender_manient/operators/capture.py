@@ -17,6 +17,7 @@ from handfit_core.media.lenses import saved_lens
 from ..common import preferences, screen
 from ..common.block_reference import BlockReference
 from ..scene.camera import lens_of_camera
+from ..scene.camera_clip import part_of_frame
 from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
@@ -175,6 +176,7 @@ def new_job(
     only = source_info.shown_frame(context, source) if only_frame else None
     view = None if only_frame or bare else _second_view(settings, source)
     cameras = _full_path(settings.cameras) if view else None
+    clip = source_info.camera_clip(settings, source)
     if settings.camera == "ACTIVE" and (camera is None or camera.type != "CAMERA"):
         raise OptionError("the scene has no active camera: choose another camera setting")
     return jobs.Job(
@@ -217,8 +219,9 @@ def new_job(
             controls=settings.add_controls,
             matching=settings.matching,
             render_setup=settings.render_setup,
-            retimed=_retimed(context, only_frame) if target == "NEW" else None,
+            retimed=_retimed(context, only_frame) if target == "NEW" and clip is None else None,
             camera=BlockReference.of("objects", camera) if camera else None,
+            clip=clip,
         ),
         bare=bare,
         ask_if_many=ask_if_many and source.kind == "photo" and settings.target == "NEW",
@@ -288,5 +291,8 @@ def lens_of(settings, scene: bpy.types.Scene) -> Lens | tuple[float, float, floa
     if settings.camera == "FOCAL":
         return settings.focal_length / 36.0, 0.5, 0.5
     if settings.camera == "ACTIVE":
-        return lens_of_camera(scene.camera, scene)
+        focal, x, y = lens_of_camera(scene.camera, scene)
+        clip = source_info.camera_clip(settings, source_info.of(settings).files)
+        width, height = part_of_frame(scene, clip) if clip else (1.0, 1.0)
+        return focal / width, 0.5 + (x - 0.5) / width, 0.5 + (y - 0.5) / height
     return None

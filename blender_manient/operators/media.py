@@ -14,6 +14,7 @@ from handfit_core.take import Take
 from ..common import preferences, screen
 from ..common.section import props, sentence
 from ..scene.build import build_take
+from ..scene.camera_clip import camera_clips
 from ..scene.captures import becomes_active
 from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..session import jobs, source_info
@@ -191,26 +192,26 @@ class MANIENT_FH_take(bpy.types.FileHandler):
 
 
 class MANIENT_OT_use_background_clip(ManientOperator, bpy.types.Operator):
-    """Capture the hands in the movie clip behind the scene's camera."""
+    """Capture the hands in the clip behind the scene's camera, or in the tracked one that moves it."""
 
-    bl_label = "Camera's Background Clip"
+    bl_label = "Camera's Clip"
 
     @classmethod
     def poll_reason(cls, context):
-        return None if _background_clip(context.scene.camera) else "The scene's camera has no background clip"
+        none = "The scene's camera has no background clip, and no tracked clip moves it"
+        return None if camera_clips(context.scene) else none
 
     def run(self, context):
-        clip, settings = _background_clip(context.scene.camera), context.scene.manient
-        assert clip is not None
-        path = Path(bpy.path.abspath(clip.filepath, library=clip.library))
-        if not path.is_file():
-            raise InputError(f"{path}: the clip's file is not there any more; find it again")
-        settings.source, settings.as_sequence = str(path), clip.source == "SEQUENCE"
-
-
-def _background_clip(camera: bpy.types.Object | None) -> bpy.types.MovieClip | None:
-    backgrounds = camera.data.background_images if camera is not None and camera.type == "CAMERA" else ()
-    return next((each.clip for each in backgrounds if each.source == "MOVIE_CLIP" and each.clip), None)
+        clips, settings = camera_clips(context.scene), context.scene.manient
+        shown = [clip for clip in clips if clip.is_shown]
+        chosen = [clip for clip in shown if clip.is_solved] or shown or clips
+        if len(chosen) > 1:
+            name, count = context.scene.camera.name, len(chosen)
+            raise InputError(f"{name} has {count} clips: hide all but one in its Background Images")
+        if not chosen[0].path.exists():
+            raise InputError(f"{chosen[0].path}: the clip's file is not there any more; find it again")
+        settings.source, settings.as_sequence = str(chosen[0].path), chosen[0].is_sequence
+        settings.camera = "ACTIVE"
 
 
 MENUS = {("TOPBAR_MT_file_import", "append"): _menu_entry}

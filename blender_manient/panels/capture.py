@@ -37,7 +37,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         info = source_info.of(settings)
         own = ""
         if settings.target == "NEW":
-            column.prop(settings, "matching")
+            if source_info.camera_clip(settings, info.files) is None:
+                column.prop(settings, "matching")
             text, own = _scene_messages(context, info)
             sentence(layout, context, text, "SCENE_DATA")
         searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
@@ -93,8 +94,9 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 name = fitted(context, job.name, ": Waiting", buttons=1)
                 row.label(text=f"{name}: Waiting", icon=_ICONS["waiting"], translate=False)
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
-            elif job.undone:
-                sentence(box, context, f"{fitted(context, job.name, ': Undone')}: Undone", "LOOP_BACK")
+            elif job.gone:
+                said = f": {job.gone}"
+                sentence(box, context, fitted(context, job.name, said) + said, "LOOP_BACK")
             else:
                 text = f"{fitted(context, job.name, ':')}: {job.message}"
                 sentence(box, context, text, _ICONS[job.state])
@@ -124,7 +126,8 @@ def _row(layout, enabled: bool, scale: float = 1.0):
 def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
     """What capturing the source does to the scene, and what else capturing its current frame alone does."""
     text = _scene_message(context.scene, info)
-    if info.files is None or info.files.kind == "photo":
+    placed = source_info.camera_clip(context.scene.manient, info.files) is not None
+    if info.files is None or info.files.kind == "photo" or placed:
         return text, ""
     own = _scene_message(context.scene, info, only=source_info.shown_frame(context, info.files))
     return text, "" if text.startswith(own) else own

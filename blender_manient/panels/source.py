@@ -76,6 +76,9 @@ class MANIENT_PT_source(Section, bpy.types.Panel):
         layout = self.layout
         assert info.files is not None
         kind, icon = _KINDS[info.files.kind]
+        clip = None if name else source_info.camera_clip(context.scene.manient, info.files)
+        if clip is not None:
+            kind = "Tracked Clip" if clip.is_solved else "Camera's Clip"
         lines = [name or kind]
         if info.files.kind != "data" and info.width:
             lines.append(f"{info.width} × {info.height} px")

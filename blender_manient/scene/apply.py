@@ -33,7 +33,7 @@ from .keys import (
     write_pose_keys,
 )
 from .store import CapturedHand, captured_take, clip_timing, hand_of, scene_frames, timing_of
-from .timing import in_scene
+from .timing import Timing, in_scene
 
 Mode = Literal["ANIMATION", "POSE"]
 
@@ -47,14 +47,16 @@ def apply_track(
     *,
     source_frame: int | None = None,
     wrist: bool | None = None,
+    timing: Timing | None = None,
 ) -> int:
     """Key a captured hand of a take on the captured hand `obj`. Returns how many frames were keyed.
 
     ANIMATION replaces the keys from the source's first frame to its last, and none outside. A take of the
-    target's own pictures keeps their timing; any other one begins at the scene's `frame`, at the speed at
-    which it was filmed. POSE keys one frame of the take, the one nearest to `source_frame` (None: the
-    first with a hand), at the scene's `frame`. `wrist` says whether the wrist's place and rotation are
-    applied too; None means yes, except for poses from other pictures, which would make the hand jump.
+    target's own pictures keeps their timing; any other one lies where `timing` says, or begins at the scene's
+    `frame`, at the speed at which it was filmed. POSE keys one frame of the take, the one nearest to
+    `source_frame` (None: the first with a hand), at the scene's `frame`. `wrist` says whether the wrist's
+    place and rotation are applied too; None means yes, except for poses from other pictures, which would make
+    the hand jump.
 
     Raises OptionError and HandModelError.
     """
@@ -68,7 +70,10 @@ def apply_track(
         wanted = numbers[0] if source_frame is None else source_frame
         rows, frames = rows[[int(np.argmin(np.abs(numbers - wanted)))]], np.array([frame])
     else:
-        take, track, frames = _in_scene(hand, take, track, frame, own=own)
+        if own or timing is None:
+            take, track, frames = _in_scene(hand, take, track, frame, own=own)
+        else:
+            frames = timing.scene_frames(take.frame_numbers)
         rows = np.flatnonzero(track.present)
         if len(rows) == 0:
             raise OptionError(

@@ -99,6 +99,8 @@ class BuildOptions:
     """How the meshes end"""
     frame: float | None = None
     """None: the current one"""
+    timing: Timing | None = None
+    """Where the clip's frames lie in the scene's time, instead of at `frame` and at its rate"""
     camera: bpy.types.Object | None = None
     """One that is there already: the hands hang on it, and its lens and the scene's size stay"""
     data: bytes | None = None
@@ -216,8 +218,8 @@ class _Build:
         self.shapes = [self.models[track.side].shaped(track.betas) for track in take.hands]
 
     def _choose_times(self) -> None:
-        self.timing = self.clip = Timing()
-        if not self.how.match_scene:
+        self.timing = self.clip = self.how.timing or Timing()
+        if not self.how.match_scene and self.how.timing is None:
             self.take, self.timing, self.clip = in_scene(self.scene, self.captured, self.how.frame)
         check_range(self.take, self.timing)
         self.progress = _Progress(self.take, self.models, self.how.pose_correctives)
@@ -333,7 +335,8 @@ class _Build:
             yield from self.progress.counting(keeping_take(self.collection, self.take))
 
     def _describe(self) -> None:
-        rate = _rate(self.scene, self.captured, self.how.match_scene)
+        placed = self.how.timing is not None  # it plays with the artist's plate, at any rate
+        rate = 0.0 if placed else _rate(self.scene, self.captured, self.how.match_scene)
         describe_capture(self.collection, self.camera, self.timing, rate)
         if self.view is not None and has_properties():
             self.collection.manient.view_camera = self.view.camera
@@ -345,7 +348,7 @@ class _Build:
         """The scene gets the collection, and where it is matched the take's times, size and camera."""
         how, scene, take = self.how, self.scene, self.take
         if how.camera is not None and self.plate is not None:
-            self.warnings += _show_behind_own(how.camera, self.plate, take, scene)
+            self.warnings += self._show_behind_own(how.camera, self.plate)
         captures.add(scene, self.collection, in_front=how.in_front)
         if how.match_scene:
             if len(take.frame_numbers) > 1:  # one picture has no rate, and is no reason to shorten a timeline
@@ -357,6 +360,23 @@ class _Build:
             note_matched(scene, Footage.of_take(take, own_camera=how.camera is not None))
         if self.stage:
             put_in_force(scene, self.stage)
+
+    def _show_behind_own(self, camera: bpy.types.Object, plate: Plate) -> list[str]:
+        """Put the picture behind the artist's own camera, unless that shows it already."""
+        path = Path(self.take.source.files[0])
+        for background in camera.data.background_images:
+            shown = background.image
+            if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path.absolute():
+                bpy.data.images.remove(plate.image)
+                return []
+        if not camera.data.is_editable:
+            bpy.data.images.remove(plate.image)
+            linked = f"the camera {camera.name} is linked from another file"
+            return [f"{linked}, so no picture is shown behind the hands"]
+        show_behind(camera.data, plate, self.take, self.scene)
+        if has_properties():
+            self.collection.manient.plate = plate.image
+        return []
 
     def _link_hands(self) -> Generator[None, None, None]:
         for hand in self.hands:
@@ -471,23 +491,6 @@ def _remove(made: Sequence[bpy.types.ID]) -> None:
             continue
         there.append(block)
     bpy.data.batch_remove(there)
-
-
-def _show_behind_own(camera: bpy.types.Object, plate: Plate, take: Take, scene: bpy.types.Scene) -> list[str]:
-    """Put the picture behind the artist's own camera, unless that shows it already."""
-    path = Path(take.source.files[0])
-    for background in camera.data.background_images:
-        shown = background.image
-        if shown is not None and Path(bpy.path.abspath(shown.filepath)) == path.absolute():
-            bpy.data.images.remove(plate.image)
-            return []
-    if not camera.data.is_editable:
-        bpy.data.images.remove(plate.image)
-        return [
-            f"the camera {camera.name} is linked from another file, so no picture is shown behind the hands"
-        ]
-    show_behind(camera.data, plate, take, scene)
-    return []
 
 
 def _rate(scene: bpy.types.Scene, take: Take, matched: bool) -> float:

@@ -17,11 +17,13 @@ import bpy
 from handfit_core.common.errors import TakeError
 from handfit_core.take.views import Verdict
 
+from .background import drive_offset
 from .camera import frame_scene
+from .confidence import is_marked, mark_doubtful
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
 from .render_setup import OURS, follow_camera
 from .simplify import DENSE
-from .store import captured_hands, clip_timing, has_properties, kept_take
+from .store import captured_hands, clip_timing, hand_of, has_properties, kept_take
 from .timing import Timing, set_timing
 
 _facts: dict[str, str] = {}
@@ -154,7 +156,8 @@ def _activate(scene: bpy.types.Scene, capture: bpy.types.Collection, alone: bool
 
 
 def remove(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
-    """Take a capture out of the scene, with its hands, their actions, its camera, lights and picture.
+    """Take a capture out of the scene, with its hands, their actions and markers, its camera, lights and
+    picture, also behind a camera of the artist's.
 
     What the artist has put into its collection moves to the scene's own, as do copies of hands; that and what
     hangs on its objects elsewhere stands where it stood. Hands that another collection holds as well stay
@@ -274,6 +277,9 @@ def _unlink(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
 def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
     _show(capture, scene)  # of what is hidden nobody knows where it stands
     _layer_of(scene).update()
+    for hand in filter(None, map(hand_of, capture.objects)):
+        if is_marked(scene, hand):
+            mark_doubtful(scene, hand, False)
     own = [thing for thing in capture.objects if _is_own(thing, capture)]
     kept = [thing for thing in capture.objects if thing not in own]
     shared = {thing for thing in own if len(thing.users_collection) > 1}
@@ -294,13 +300,40 @@ def _delete(scene: bpy.types.Scene, capture: bpy.types.Collection) -> None:
         if child not in scene.collection.children.values():
             scene.collection.children.link(child)
     _unlink(scene, capture)
-    blocks: list[bpy.types.ID] = list(gone)
+    blocks: list[bpy.types.ID] = [*gone, *_plate_taken(capture)]
     if any(thing.manient.is_hand for thing in (*shared, *kept)):  # their take is here
         for thing in list(capture.objects):
             capture.objects.unlink(thing)
     else:
         blocks.append(capture)
     bpy.data.batch_remove([*blocks, *_left_behind(blocks)])
+
+
+def _plate_taken(capture: bpy.types.Collection) -> list[bpy.types.Image]:
+    """Take the picture that a capture has put behind the artist's camera from there, unless another capture
+    is seen before it, which has it from then on. Returns it where nobody else uses it."""
+    plate, camera = capture.manient.plate, capture.manient.camera
+    if plate is None or camera is None or camera.type != "CAMERA":  # any file can name another object
+        return []
+    capture.manient.plate = None
+    others = [c for c in bpy.data.collections if c != capture and c.manient.is_capture]
+    heir = next((c for c in others if c.manient.camera == camera and _files(c) & _files(capture)), None)
+    if heir is not None:
+        heir.manient.plate = plate
+        return []
+    backgrounds = camera.data.background_images
+    for background in [b for b in backgrounds if b.image == plate][::-1]:
+        drive_offset(background.image_user, "")
+        background.image = None  # which Blender would else count as used by nobody
+        backgrounds.remove(background)
+    return [] if plate.users or plate.use_fake_user else [plate]
+
+
+def _files(capture: bpy.types.Collection) -> set[str]:
+    try:
+        return set(kept_take(capture).source.files)
+    except TakeError:
+        return set()
 
 
 def _is_own(thing: bpy.types.Object, capture: bpy.types.Collection) -> bool:

@@ -21,7 +21,7 @@ from handfit_core.take import Take
 from ..common.blender_versions import has_strips
 from ..common.wording import capitalised
 from .store import has_properties
-from .timing import frame_rate, has_rate, is_retimed, nearest_rate
+from .timing import Timing, frame_rate, has_rate, is_retimed, nearest_rate
 
 Choice = Literal["AUTO", "MATCH", "KEEP"]
 
@@ -59,12 +59,14 @@ class Footage:
     height: int = 0
     timed: bool = True
     """Whether it has a rate of its own; photos and image sequences have none"""
+    placed: Timing | None = None
+    """Where its frames lie in the scene's time, which stays: those of the clip of the scene's own camera"""
 
     @classmethod
-    def of_take(cls, take: Take, *, own_camera: bool = False) -> Footage:
+    def of_take(cls, take: Take, *, own_camera: bool = False, placed: Timing | None = None) -> Footage:
         """What `build_take` gives to a scene."""
         numbers, size = take.frame_numbers, (0, 0) if own_camera else (take.width, take.height)
-        return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, timed=has_rate(take))
+        return cls(take.fps, int(numbers[0]), int(numbers[-1]), *size, has_rate(take), placed)
 
     def is_applied_to(self, scene: bpy.types.Scene) -> bool:
         """Whether a clip's rate, range and size are the scene's already."""
@@ -84,6 +86,8 @@ class Footage:
 
 def matches(scene: bpy.types.Scene, choice: Choice, footage: Footage | None = None) -> bool:
     """Whether the scene is matched to the footage under this choice."""
+    if footage is not None and footage.placed is not None:
+        return False
     return choice == "MATCH" or (choice == "AUTO" and not why_kept(scene, footage))
 
 
@@ -118,6 +122,9 @@ def scene_sentence(
 ) -> str:
     """A sentence about what a capture does to the scene; with `done`, whether the scene was matched, about
     what it has done. `render_setup`: whether a matched scene is made ready to render, too."""
+    if footage is not None and footage.placed is not None:
+        first = footage.placed.offset + footage.placed.scale * footage.first
+        return f"Hand {'comes' if done is None else 'came'} at frame {first:g}, with the camera's clip"
     matched = matches(scene, choice, footage) if done is None else done
     if matched:
         news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)

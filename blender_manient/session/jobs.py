@@ -25,11 +25,13 @@ from handfit_core.fit.solvers import SOLVERS
 from handfit_core.media.source import Source
 from handfit_core.take import Take
 
+from ..common.blender_versions import select_bones
 from ..common.block_reference import BlockReference
 from ..common.wording import capitalised, counted, without_name
 from ..scene.apply import apply_track, track_for
 from ..scene.build import BuildOptions, BuiltTake, building
-from ..scene.captures import becomes_active
+from ..scene.camera_clip import CameraClip
+from ..scene.captures import becomes_active, captures
 from ..scene.controls import add_controls
 from ..scene.matching import Choice, Footage, clear_view, matches, scene_sentence
 from ..scene.store import hand_of
@@ -60,6 +62,8 @@ class Building:
     """Frames per second of the scene that a clip of another rate will be retimed to"""
     camera: BlockReference | None = None
     """An existing camera to look through instead of a new one"""
+    clip: CameraClip | None = None
+    """That camera's own, if it is what is captured"""
 
 
 @dataclass(eq=False)
@@ -112,6 +116,8 @@ class Job:
     _views_done: int = 0
     _take_path: Path | None = None
     _builder: Generator[float, None, Any] | None = None
+    _capture: BlockReference | None = None
+    """The collection of the new hands"""
     _stopping: bool = False
     _replaces: tuple[Job, ...] = ()
     """Failures that were shown when it was asked for; once it succeeds they are old"""
@@ -135,9 +141,17 @@ class Job:
         return ("Stopping", False) if self._stopping else ("Stop", True)
 
     @property
-    def undone(self) -> bool:
-        """Whether an undo has taken back what came of it."""
-        return self.state == "done" and not any(self.key in _captured(scene) for scene in bpy.data.scenes)
+    def gone(self) -> str:
+        """What has become of its result where that is there no more, in a word: an undo took it back, or the
+        artist has removed it; else empty."""
+        if self.state != "done":
+            return ""
+        if not any(self.key in _captured(scene) for scene in bpy.data.scenes):
+            return "Undone"
+        if self._capture is None:
+            return ""
+        capture = self._capture.find()
+        return "" if any(capture in captures(scene) for scene in bpy.data.scenes) else "Removed"
 
     @property
     def rate(self) -> float:
@@ -368,7 +382,9 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         target = plan.hand.find()
         if target is not None and hand_of(target) is not None:
             yield 0.5
-            apply_track(target, take, track_for(take, target.manient.side), plan.target, plan.frame)
+            timing = plan.clip.timing if plan.clip else None
+            track = track_for(take, target.manient.side)
+            apply_track(target, take, track, plan.target, plan.frame, timing=timing)
             return (target.name,), _verdict(job, take), _summary(job, take)
         warnings.append(f"the hand {plan.hand.name} is gone, so new hands were built")
     scene = plan.scene.find()
@@ -379,7 +395,10 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
     if scene is None:
         warnings.append(f"the scene {plan.scene.name} is gone, so the hands were built in the open one")
     job.message = ""
-    footage = Footage.of_take(take, own_camera=plan.camera is not None)
+    camera = plan.camera.find() if plan.camera else None
+    clip = plan.clip if scene is not None and camera is not None else None
+    timing = clip.timing if clip else None
+    footage = Footage.of_take(take, own_camera=plan.camera is not None, placed=timing)
     frame = plan.frame if scene is not None else float(bpy.context.scene.frame_current)
     job.matched = scene is not None and not warnings and matches(scene, plan.matching, footage)
     job.in_front = scene is not None and becomes_active(scene, plan.matching, job.matched)
@@ -389,10 +408,13 @@ def _builder(job: Job) -> Generator[float, None, tuple[tuple[str, ...], list[str
         pose_correctives=plan.pose_correctives,
         match_scene=job.matched,
         frame=frame,
+        timing=timing,
+        picture=clip is None or not clip.is_shown,
         render_setup=plan.render_setup,
-        camera=plan.camera.find() if plan.camera else None,
+        camera=camera,
     )
     built = yield from building(take, how)
+    job._capture = BlockReference.of("collections", built.collection)
     for hand in built.hands:
         hand.armature.manient.smoothing = job.options.smoothing
     for hand in filter(None, (hand_of(h.armature) for h in built.hands if plan.controls)):
@@ -441,9 +463,12 @@ def _pack_cached_pictures(take: Take) -> None:
 
 
 def _make_active(hands: tuple[str, ...]) -> None:
-    """Select what was built, unless the artist is in the middle of something else."""
+    """Select what was built, unless the artist is in the middle of something else. Bones are selected anyway,
+    since the Timeline shows keys of selected ones alone."""
     layer = bpy.context.view_layer
     armatures = [o for name in hands if (o := layer.objects.get(name)) is not None]
+    for armature in armatures:
+        select_bones(armature)
     if bpy.context.mode != "OBJECT" or not armatures:
         return
     for other in layer.objects.selected:

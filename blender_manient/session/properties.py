@@ -696,6 +696,9 @@ class ManientCapture(bpy.types.PropertyGroup):
     view_camera: PointerProperty(  # type: ignore
         type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
     )
+    plate: PointerProperty(  # type: ignore
+        type=bpy.types.Image, description="The picture that it put behind the artist's own camera"
+    )
     rendered: BoolProperty(  # type: ignore
         default=True, description="Whether renders showed it before it was hidden (scene/captures.py)"
     )

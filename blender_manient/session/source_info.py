@@ -38,6 +38,7 @@ from handfit_core.take import is_take
 
 from ..common import preferences, screen
 from ..common.wording import capitalised, without_name
+from ..scene.camera_clip import CameraClip, camera_clips
 from ..scene.matching import Footage
 from ..scene.store import captures_of, clip_timing
 from . import cache, jobs, shared_worker
@@ -177,7 +178,8 @@ def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage |
     """What a scene would be matched to by capturing the panel's source, or `only` one frame of it; None while
     nobody knows."""
     width, height = settings.picture_size if info.unsized else (info.width, info.height)
-    if info.files is None or not (width and height):
+    clip = camera_clip(settings, info.files)
+    if info.files is None or not (clip or (width and height)):
         return None
     first, last = info.first, info.last
     if info.files.kind != "photo" and settings.use_frames:
@@ -186,13 +188,24 @@ def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage |
         first = last = max(only, 0)
     if settings.camera == "ACTIVE":
         width = height = 0
-    return Footage(info.fps, first, last, width, height, info.files.kind in ("video", "data"))
+    timed, placed = info.files.kind in ("video", "data"), clip.timing if clip else None
+    return Footage(info.fps, first, last, width, height, timed, placed)
+
+
+def camera_clip(settings, files: SourceFiles | None) -> CameraClip | None:
+    """The clip of the scene's camera, if it is what the panel's source names and that camera is used."""
+    if files is None or settings.camera != "ACTIVE" or files.kind not in ("video", "sequence"):
+        return None
+    return next((clip for clip in camera_clips(settings.id_data) if clip.is_of(files.files)), None)
 
 
 def shown_frame(context: bpy.types.Context, files: SourceFiles) -> int:
     """The source's frame at the scene's current frame: that which a capture of it shows there, else the one
     of that number."""
     frame = context.scene.frame_current
+    clip = camera_clip(context.scene.manient, files)
+    if clip is not None:
+        return int(clip.timing.source_frames(np.array([frame]))[0])
     with contextlib.suppress(HandfitError):  # a take that cannot be read
         for capture in captures_of(context, files.kind, files.files):
             (frame,) = shown_numbers(clip_timing(capture).source_frames(np.array([frame]))).tolist()
@@ -217,7 +230,9 @@ def dropped_footage(settings, path: Path) -> Footage | None:
         return None
     try:
         size = (0, 0) if settings.camera == "ACTIVE" else tuple(clip.size)
-        return Footage(clip.fps, 1, clip.frame_duration, size[0], size[1]) if clip.size[0] else None
+        own = [one.timing for one in camera_clips(bpy.context.scene) if one.is_of((str(path),))]
+        footage = Footage(clip.fps, 1, clip.frame_duration, *size, placed=next(iter(own), None))
+        return footage if clip.size[0] else None
     finally:
         bpy.data.movieclips.remove(clip)
 
@@ -244,12 +259,22 @@ def _ask(
 
 
 def source_chosen(settings) -> None:
-    """Another source, to which the former one's keypoints, size and second view do not belong; undo brings
-    all back by itself."""
-    if "source" not in _known or _known["source"].path != settings.source:
+    """Another source, to which the former one's keypoints, size and second view do not belong, and which the
+    scene's camera saw if it is that camera's clip; undo brings all back by itself."""
+    former = _known.get("source")
+    source_changed(settings)
+    if former is None or former.path != settings.source:
         for name in ("keypoints", "picture_size", "second_view"):
             settings.property_unset(name)
-    source_changed(settings)
+        if _is_of_camera(settings, of(settings)):
+            settings.camera = "ACTIVE"
+        elif former is not None and settings.camera == "ACTIVE" and _is_of_camera(settings, former):
+            settings.property_unset("camera")
+
+
+def _is_of_camera(settings, info: SourceInfo) -> bool:
+    files = info.files
+    return files is not None and any(clip.is_of(files.files) for clip in camera_clips(settings.id_data))
 
 
 def view_chosen(settings) -> None:

@@ -13,8 +13,10 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture
+from blender_manient.panels.source import MANIENT_PT_source
+from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
-from blender_manient.session import jobs, shared_worker
+from blender_manient.session import jobs, shared_worker, source_info
 from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import FINGERS
 from tests.capturing import needs_capture
@@ -238,20 +240,210 @@ def test_settings_become_the_options_of_the_worker(settings):
         assert {name: value for name, value in options.items() if name in others} == expected
 
 
-def test_the_cameras_background_clip_as_source(settings, tmp_path):
+@pytest.fixture
+def own_camera():
+    """The scene's camera, an artist's that moves."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    assert not bpy.ops.manient.use_background_clip.poll()
+    bpy.context.scene.collection.objects.link(camera)
     bpy.context.scene.camera = camera
-    camera.data.background_images.new().image = bpy.data.images.new("Beside", 8, 8)
-    assert not bpy.ops.manient.use_background_clip.poll()
-    picture = Path(shutil.copy(SAMPLE / "hand.0002.jpg", tmp_path))
+    for frame, place in ((90, (0.0, -3.0, 1.0)), (140, (1.0, -2.0, 1.5))):
+        camera.location = place
+        camera.keyframe_insert("location", frame=frame)
+    return camera
+
+
+def put_behind(camera, path: Path, first: int):
+    """Have the camera show a Movie Clip from a scene frame on."""
     background = camera.data.background_images.new()
-    background.source, background.clip = "MOVIE_CLIP", bpy.data.movieclips.load(str(picture))
-    assert bpy.ops.manient.use_background_clip() == {"FINISHED"}
-    assert settings.source == str(picture)
-    picture.unlink()
+    background.source, background.clip = "MOVIE_CLIP", bpy.data.movieclips.load(str(path))
+    background.clip.frame_start = first
+    return background
+
+
+def pictures(folder: Path, kind: str) -> Path:
+    """Ten pictures of a hand, as a sequence from number 2 on or as a clip of 12 frames per second."""
+    files = [SAMPLE / f"hand.{number:04}.jpg" for number in range(2, 12)]
+    if kind != "MOVIE":
+        return min([Path(shutil.copy(file, folder)) for file in files])
+    cv2 = pytest.importorskip("cv2")
+    read = [cv2.imread(str(file)) for file in files]
+    path = folder / "clip.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 12.0, read[0].shape[1::-1])
+    for picture in read:
+        writer.write(picture)
+    writer.release()
+    return path
+
+
+def test_what_is_no_clip_of_the_cameras(settings, own_camera, tmp_path):
+    """No clip, three of them, or one whose file is gone: a sentence, and the source stays."""
+    settings.source = str(SAMPLE)
+    own_camera.data.background_images.new().image = bpy.data.images.new("Beside", 8, 8)
+    assert not bpy.ops.manient.use_background_clip.poll()
+    made = [Path(shutil.copy(SAMPLE / "hand.0001.jpg", tmp_path / f"{name}.jpg")) for name in "abc"]
+    backgrounds = [put_behind(own_camera, path, 1) for path in made]
+    with pytest.raises(RuntimeError, match="Camera has 3 clips: hide all but one"):
+        bpy.ops.manient.use_background_clip()
+    for background in backgrounds[1:]:
+        background.show_background_image = False
+    made[0].unlink()
     with pytest.raises(RuntimeError, match="not there any more"):
         bpy.ops.manient.use_background_clip()
+    assert (settings.source, settings.camera) == (str(SAMPLE), "SOLVE")
+
+
+@needs_capture
+@pytest.mark.parametrize("kind", ["MOVIE", "SEQUENCE", "IMAGES"])
+def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camera, tmp_path, kind):
+    scene, path, camera = bpy.context.scene, pictures(tmp_path, kind), own_camera
+    scene.render.fps, scene.render.resolution_x, scene.render.resolution_y = 30, 640, 480
+    scene.frame_set(150)
+    if kind == "IMAGES":
+        background = camera.data.background_images.new()
+        background.image = bpy.data.images.load(str(path))
+        background.image.source = "SEQUENCE"
+        user = background.image_user
+        user.frame_start, user.frame_offset, user.frame_duration = 101, 4, 20
+        background.frame_method, background.scale = "FIT", 0.5
+        scene.render.resolution_x = 1280
+        first, part = 98, np.array([0.25, 0.5])  # picture 2: on 101 it shows 5
+    else:
+        put_behind(camera, path, 101).clip.frame_offset = 3
+        first, part = 98, np.ones(2)  # the first file's
+    assert bpy.ops.manient.use_background_clip() == {"FINISHED"}
+    assert (settings.source, settings.camera) == (str(path), "ACTIVE")
+    assert "Camera's Clip" in drawn(MANIENT_PT_source).rows
+    assert f"Hand comes at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
+    if kind == "MOVIE":
+        assert source_info.dropped_footage(settings, path).placed.offset == first - 1
+    settings.matching = "MATCH"  # which the scene is not, since the clip is in it
+    capture()
+    (job,) = jobs.jobs()
+    assert (job.matched, job.warnings) == (False, [])
+    (hand,) = hands()
+    assert hand.armature.animation_data.action.frame_range[:] == (first, first + 9)
+    assert (scene.frame_current, scene.render.fps, len(camera.data.background_images)) == (150, 30, 1)
+    for row in range(10):
+        scene.frame_set(first + row)
+        wrist = hand.armature.matrix_world @ hand.armature.pose.bones["wrist.R"].head
+        seen = world_to_camera_view(scene, camera, wrist)
+        expected = hand.track.keypoints_2d[row, 0] / (hand.take.width, hand.take.height) - 0.5
+        assert [seen.x - 0.5, 0.5 - seen.y] == pytest.approx(list(expected * part), abs=0.03)
+    assert bpy.ops.manient.capture(only_frame=True) == {"FINISHED"}
+    assert [n.take.frame_numbers.tolist() for n in hands() if len(n.take.frame_numbers) == 1] == [
+        [hand.take.frame_numbers[-1]]
+    ]
+    settings.source = str(SAMPLE)
+    assert settings.camera == "SOLVE", "it was the camera's clip that was seen by it"
+
+
+@needs_capture
+def test_a_hand_that_is_there_moves_when_the_camera_shows_it(settings, own_camera, photo, tmp_path):
+    settings.source = str(photo)
+    capture()
+    put_behind(own_camera, pictures(tmp_path, "SEQUENCE"), 101)
+    bpy.ops.manient.use_background_clip()
+    settings.target = "ANIMATION"
+    bpy.context.scene.frame_set(150)
+    capture()
+    (hand,) = hands()
+    assert read_pose_keys(hand.rig).frames.tolist() == [1, *range(101, 111)]
+
+
+def solved(path: Path):
+    """A Movie Clip in which Blender's tracker has found a camera that moves aside."""
+    clip = bpy.data.movieclips.load(str(path))
+    focal, (width, height) = clip.tracking.camera.focal_length_pixels, clip.size
+    for number, place in enumerate(np.random.default_rng(0).uniform(-1, 1, (12, 3)) + [0, 0, 5]):
+        track = clip.tracking.tracks.new(name=f"track {number}", frame=1)
+        for frame in range(1, 6):
+            x, y, depth = place - [0.2 * frame, 0.05 * frame, 0.0]
+            co = (0.5 + focal * x / depth / width, 0.5 + focal * y / depth / height)
+            track.markers.insert_frame(frame, co=co)
+    clip.tracking.objects[0].keyframe_a, clip.tracking.objects[0].keyframe_b = 1, 5
+    area = bpy.context.screen.areas[0]
+    area.type = "CLIP_EDITOR"
+    area.spaces.active.clip = clip
+    with bpy.context.temp_override(window=bpy.context.window, area=area, region=area.regions[-1]):
+        assert bpy.ops.clip.solve_camera() == {"FINISHED"}
+    return clip
+
+
+@needs_capture
+@pytest.mark.parametrize("how", ["animated", "solver"])
+def test_a_tracked_clip_is_the_scene_cameras(settings, own_camera, tmp_path, how):
+    """Without it in the background, too; the picture that is put there goes with the capture."""
+    path = pictures(tmp_path, "SEQUENCE")
+    own_camera.data.background_images.new().image = bpy.data.images.new("Beside", 8, 8)
+    clip = solved(path)
+    clip.frame_start = 101
+    if how == "solver":
+        own_camera.animation_data_clear()
+        settings.source = str(path)
+        assert settings.camera == "SOLVE", "the camera stands, and has nothing to do with the clip"
+        settings.source = ""
+        own_camera.constraints.new("CAMERA_SOLVER").clip = clip
+    settings.source, settings.as_sequence = str(path), True
+    assert settings.camera == "ACTIVE"
+    assert "Tracked Clip" in drawn(MANIENT_PT_source).rows
+    capture()
+    (hand,) = hands()
+    assert hand.armature.animation_data.action.frame_range[:] == (101, 110)
+    _, background = own_camera.data.background_images
+    assert (background.image_user.frame_start, background.image_user.frame_offset) == (101, 1)
+    assert bpy.ops.manient.remove_capture(capture=hand.collection.name) == {"FINISHED"}
+    assert [each.image.name for each in own_camera.data.background_images] == ["Beside"]
+    assert [image.name for image in bpy.data.images] == ["Beside"]
+    path.unlink()
+    with pytest.raises(RuntimeError, match="not there any more"):
+        bpy.ops.manient.use_background_clip()
+
+
+@needs_capture
+def test_removing_takes_the_picture_from_the_artists_camera(settings, own_camera, photo):
+    """But not from another capture before it; nor does it mind that the camera is gone."""
+    settings.source, settings.camera = str(photo), "ACTIVE"
+    for _ in range(2):
+        capture()
+    first, second = (hand.collection for hand in hands())
+    assert len(own_camera.data.background_images) == 1
+    assert bpy.ops.manient.remove_capture(capture=first.name) == {"FINISHED"}
+    assert len(own_camera.data.background_images) == 1
+    assert [job.gone for job in jobs.jobs()] == ["Removed", ""]
+    assert "Removed" in drawn(MANIENT_PT_capture).said
+    assert bpy.ops.manient.remove_capture(capture=second.name) == {"FINISHED"}
+    assert (len(own_camera.data.background_images), len(bpy.data.images)) == (0, 0)
+    capture()
+    (hand,) = hands()
+    bpy.data.objects.remove(own_camera)
+    assert bpy.ops.manient.remove_capture(capture=hand.collection.name) == {"FINISHED"}
+    assert not bpy.data.armatures
+
+
+@needs_capture
+def test_bones_are_selected_for_the_timeline(settings, photo):
+    settings.source = str(photo)
+    capture()
+    (hand,) = hands()
+
+    timeline = next(area for area in bpy.context.screen.areas if area.type == "DOPESHEET_EDITOR")
+    with bpy.context.temp_override(area=timeline, region=timeline.regions[-1]):
+        assert timeline.spaces.active.dopesheet.show_only_selected
+        keyed = {curve.data_path.split('"')[1] for curve in bpy.context.visible_fcurves}
+    assert keyed == set(hand.rig.bones)
+
+    def selected() -> list[str]:
+        bpy.ops.object.mode_set(mode="POSE")
+        names = [bone.name for bone in bpy.context.selected_pose_bones]
+        bpy.ops.object.mode_set(mode="OBJECT")
+        return names
+
+    bones = hand.armature.pose.bones
+    for bone in bones if hasattr(bones[0], "select") else hand.armature.data.bones:
+        bone.select = bone.name == "wrist.R"
+    settings.target = "POSE"
+    capture()
+    assert selected() == ["wrist.R"], "the artist's selection"
 
 
 @needs_capture

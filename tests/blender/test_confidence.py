@@ -284,3 +284,7 @@ def test_operators(hand):
     assert bpy.ops.manient.jump_doubtful(direction="NEXT") == {"CANCELLED"}
     assert bpy.ops.manient.jump_doubtful(direction="PREVIOUS", hand=name) == {"FINISHED"}
     assert scene.frame_current == 8
+
+    bpy.ops.manient.mark_doubtful(hand=name)
+    assert bpy.ops.manient.remove_capture(capture=hand.collection.name) == {"FINISHED"}
+    assert markers() == [], "a capture takes its markers along"

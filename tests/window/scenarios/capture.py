@@ -247,7 +247,7 @@ def _said_of(job) -> tuple[int, bool, str, str]:
     source that the panel tells of."""
     settings = bpy.context.scene.manient
     shown = Path(part("session.source_info").of(settings).path).name
-    return len(hands()), job.undone, Path(settings.source).name, shown
+    return len(hands()), bool(job.gone), Path(settings.source).name, shown
 
 
 def arms_added(stage, source):
