@@ -50,7 +50,7 @@ _FINGER: Final = re.compile(
 _GLUED: Final = re.compile(rf"[lr](?=(?:hand|wrist|finger|carpal|{_FINGER.pattern})$)")
 """A side that stands before a word without anything between, as in lindex"""
 _METACARPAL: Final = re.compile("carpal|meta(?!rig)|palm|inhand")
-_TIP: Final = re.compile("(?:tip|end|nub|leaf|null|先)$")
+_TIP: Final = re.compile("(?:tip|end|nub|leaf|null|先)(?:joint|jnt|bone)?$")
 _FILLERS: Final = re.compile(
     "finger|fing|handstart|hand|wrist|metacarpal|carpal|meta|palm|proximal|intermediate|medial|middle|distal"
     "|phalanx|base|start|joint|jnt|bone"
@@ -58,7 +58,7 @@ _FILLERS: Final = re.compile(
 """What is said of a finger's bone beside which finger it is"""
 _HAND: Final = re.compile("hand|wrist|palm|thumb|finger|mitt|手|指")
 """Of which a name needs one for two chains to be a mitten: ears, legs and straps come in pairs, too"""
-_HELPER: Final = re.compile("twist|roll|helper|hlp|corrective|offset|sdk|捩")
+_HELPER: Final = re.compile("twist|(?<![ct])roll|helper|hlp|corrective|offset|sdk|捩")
 """What lies beside or between a finger's bones"""
 _PROP: Final = re.compile("weapon|prop|item|attach|socket|slot|hold|grip|sleeve|twist|roll|ik$")
 """What hangs on hands beside fingers"""
@@ -371,7 +371,7 @@ class _Reading:
             few = 1.5 if last < first + 2 else 0.0
             return (
                 abs(np.log(reach / usual))
-                + 4.0 * max(0.0, np.log(max(fans, 1e-3) / 0.7))
+                + 6.0 * max(0.0, np.log(max(fans, 1e-3) / 0.6))
                 + few
                 + against / len(owns)
             )
@@ -486,7 +486,7 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
     # Never as sure as a rig's own notes
     sure = 0.98 * (0.6 + 0.08 * min(len(chains), 5)) * (0.6 + 0.4 * share)
     sure *= 1.0 if share == 1.0 else min(1.0, likely / 0.9)
-    sure *= 1.0 if min(outwards) > 0.2 and together > 0.2 and reading.is_row else 0.4
+    sure *= 1.0 if min(outwards) > 0.0 and together > 0.2 and reading.is_row else 0.4
     sure *= 1.0 if 0.4 < palm_size < 4.0 and max(reach) < 3.0 * min(reach) else 0.4
     sure *= 1.0 if max(lengths) == min(lengths) and not reading.close else 0.75
     above = [parsed(bones.names[bone]) for bone in bones.ancestors(hand)]
