@@ -490,9 +490,11 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
     sure *= 1.0 if 0.4 < palm_size < 4.0 and max(reach) < 3.0 * min(reach) else 0.4
     sure *= 1.0 if max(lengths) == min(lengths) and not reading.close else 0.75
     above = [parsed(bones.names[bone]) for bone in bones.ancestors(hand)]
-    around = names if _is_hand(names[0]) else [*names, *above[:2]]
-    if any(_NO_HAND.search(name.words) for name in around) and "thumb" not in [name.finger for name in names]:
-        sure *= 0.1
+    if "thumb" not in [name.finger for name in names]:
+        around = [names[0], *(() if _is_hand(names[0]) else above[:2])]
+        elsewhere = [i for i, start in enumerate(reading.starts) if _NO_HAND.search(reading.words(start))]
+        if 2 * len(elsewhere) >= len(chains) or any(_NO_HAND.search(name.words) for name in around):
+            sure *= 0.1
     named = next((name.side for name in (*names, *above) if name.side is not None), None)
     lean = leaning(bones, hand_map)
     # Bend of the fingers, see `leaning`, below which it does not tell the side
