@@ -222,9 +222,8 @@ def test_toes_are_no_fingers(foot, toes):
     for number, toe in enumerate(toes):
         last = ball
         for part in range(2 if number == 0 else 3):
-            at = np.array(
-                [0.085 + 0.013 * number, -0.115 + 0.005 * number - 0.02 * part, 0.015 - 0.004 * part]
-            )
+            forward = 0.12 + 0.02 * part + 0.005 * (2 - abs(number - 2))
+            at = np.array([0.085 + 0.013 * number, -forward, 0.015 - 0.004 * part * (part > 1)])
             last = built.add(f"{toe}{part}", last, at)
     found = [one for side in SIDES for one in hands_in(built.bones(), side)]
     assert all(one.sure < DOUBTFUL for one in found)
@@ -234,13 +233,15 @@ def test_hands_without_side_beside_paired_wings():
     bones = two_hands(np.random.default_rng(1))
     built = Built([*bones.names], [*bones.parents], [*bones.heads])
     for side, sign in (("L", 1.0), ("R", -1.0)):
-        wing = built.add(f"wing.{side}", 1, np.array([sign * 0.9, 0.2, 1.8]))
+        wing = built.add(f"w.{side}", 1, np.array([sign * 0.9, 0.2, 1.8]))
         for finger in range(4):
             last, turn = wing, np.radians(10.0 - 35.0 * finger)
             out = np.array([sign * np.cos(turn), 0.0, np.sin(turn)])
             for part in range(3):
                 head = built.heads[wing] + (0.02 + 0.3 * part) * out
                 last = built.add(f"u{finger}{part}.{side}", last, head)
+        claw = built.add(f"v0.{side}", wing, built.heads[wing] + [0.02 * sign, 0.0, 0.03])
+        built.add(f"v1.{side}", claw, built.heads[wing] + [0.04 * sign, -0.03, 0.06])
     for side in SIDES:
         assert hand_in(built.bones(), side).hand_map.bones[0] == numbered(side)[0]
 
