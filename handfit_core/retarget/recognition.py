@@ -49,8 +49,8 @@ _FINGER: Final = re.compile(
 """What fingers are called"""
 _GLUED: Final = re.compile(rf"[lr](?=(?:hand|wrist|finger|carpal|{_FINGER.pattern})$)")
 """A side that stands before a word without anything between, as in lindex"""
-_METACARPAL: Final = re.compile("carpal|meta|palm|inhand")
-_TIP: Final = re.compile("(?:tip|end|nub|leaf|null|先)$")
+_METACARPAL: Final = re.compile("carpal|meta(?!rig)|palm|inhand")
+_TIP: Final = re.compile("(?:tip|end|nub|leaf|null|先)(?:joint|jnt|bone)?$")
 _FILLERS: Final = re.compile(
     "finger|fing|handstart|hand|wrist|metacarpal|carpal|meta|palm|proximal|intermediate|medial|middle|distal"
     "|phalanx|base|start|joint|jnt|bone"
@@ -58,9 +58,11 @@ _FILLERS: Final = re.compile(
 """What is said of a finger's bone beside which finger it is"""
 _HAND: Final = re.compile("hand|wrist|palm|thumb|finger|mitt|手|指")
 """Of which a name needs one for two chains to be a mitten: ears, legs and straps come in pairs, too"""
+_HELPER: Final = re.compile("twist|(?<![ct])roll|helper|hlp|corrective|offset|sdk|捩")
+"""What lies beside or between a finger's bones"""
 _PROP: Final = re.compile("weapon|prop|item|attach|socket|slot|hold|grip|sleeve|twist|roll|ik$")
 """What hangs on hands beside fingers"""
-_NO_HAND: Final = re.compile("toe|foot|hair|skirt|wing|tail|cloth|feather|足|髪|スカート")
+_NO_HAND: Final = re.compile("toe|foot|ankle|paw|claw|hair|skirt|wing|tail|cloth|feather|足|髪|スカート")
 
 _FINGERS_FOLLOWED: Final = {
     4: (("index",), ("middle",), ("ring",), ("little",)),
@@ -220,7 +222,7 @@ def hands_in(bones: Bones, side: Side) -> list[Found]:
 
     def paired(one: Found) -> bool:
         own = [parsed(name) for name in one.hand_map.bones if name]
-        return all((name.left, name.copy) in mirrored for name in own)
+        return all(name.side is None or (name.left, name.copy) in mirrored for name in own)
 
     ordered = sorted(found.values(), key=lambda one: -one.sure)
     return [one for one in ordered if paired(one)] or ordered
@@ -233,10 +235,11 @@ class _Chain:
     stem: tuple[int, ...]
     """Bones between hand and finger that it shares with others"""
     own: tuple[int, ...]
-    """Its own ones, from the hand on, without those that are called tips"""
+    """Its own ones, from the hand on, without those that are called tips or helpers"""
 
     @classmethod
     def of(cls, bones: Bones, stem: Sequence[int], own: Sequence[int]) -> _Chain:
+        own = [bone for bone in own if not _HELPER.search(parsed(bones.names[bone]).words)] or [*own]
         end = len(own)
         while end > 2 and _TIP.search(parsed(bones.names[own[end - 1]]).words):
             end -= 1
@@ -246,10 +249,11 @@ class _Chain:
 def _fans(bones: Bones) -> Iterator[tuple[int, list[_Chain]]]:
     """The bones from which chains hang like fingers, and these."""
     count = len(bones.names)
-    depth, size = np.ones(count, dtype=int), np.ones(count, dtype=int)
+    depth = np.array([not _HELPER.search(parsed(name).words) for name in bones.names], dtype=int)
+    alone, size = depth.copy(), np.ones(count, dtype=int)
     for bone in range(count - 1, -1, -1):
         if (parent := bones.parents[bone]) >= 0:
-            depth[parent] = max(depth[parent], depth[bone] + 1)
+            depth[parent] = max(depth[parent], depth[bone] + alone[parent])
             size[parent] += size[bone]
 
     def following(bone: int) -> list[int]:
@@ -309,8 +313,8 @@ def _chosen(bones: Bones, chains: list[_Chain]) -> list[_Chain]:
     chains = [chain for chain in chains if names[chain].finger or not _PROP.search(names[chain].words)]
     if len(chains) < 6:
         return chains
-    (family, _), *_ = Counter(names[chain].family for chain in chains).most_common(1)
-    return [chain for chain in chains if names[chain].family == family]
+    family, count = Counter(names[chain].family for chain in chains).most_common(1)[0]
+    return [chain for chain in chains if count < 3 or names[chain].family == family]
 
 
 class _Reading:
@@ -320,13 +324,13 @@ class _Reading:
         """Raises HandModelError where bones lie in one place."""
         self.bones, self.hand, self.chains = bones, hand, chains
         self.wrist = bones.heads[hand]
+        self.close = False
         lengths = Counter(len(chain.own) for chain in chains)
         self.begins = {length: self._beginning(length) for length in lengths}
-        self.starts = [chain.own[self.begins[len(chain.own)]] for chain in chains]
-        self.ends = [chain.own[-1] for chain in chains]
+        self.fingers = [chain.own[self.begins[len(chain.own)] :] for chain in chains]
+        self.starts = [own[0] for own in self.fingers]
         self.rays = np.array([unit(self.at(start) - self.wrist) for start in self.starts])
-        spans = zip(self.starts, self.ends, strict=True)
-        self.along = np.array([unit(self.at(end) - self.at(start)) for start, end in spans])
+        self.along = np.array([unit(self.at(own[:2][-1]) - self.at(own[0])) for own in self.fingers])
         self.apart = np.array([self._apart(i) for i in range(len(chains))])
 
     def at(self, bone: int) -> np.ndarray:
@@ -340,9 +344,13 @@ class _Reading:
     def words(self, bone: int) -> str:
         return parsed(self.bones.names[bone]).words
 
-    def reach(self, first: int, third: int) -> float:
-        """How far from the wrist a chain begins, by how long it is up to its third bone."""
-        return self.far(first) / max(float(np.linalg.norm(self.at(third) - self.at(first))), 1e-9)
+    def long(self, own: Sequence[int]) -> float:
+        """How long the way is from where the first of these bones begins to where the last one does."""
+        return float(np.linalg.norm(np.diff(self.bones.heads[list(own)], axis=0), axis=-1).sum())
+
+    def reach(self, own: Sequence[int]) -> float:
+        """How far from the wrist these bones begin, by how long they are."""
+        return self.far(own[0]) / max(self.long(own), 1e-9)
 
     def _beginning(self, length: int) -> int:
         """Which bone of the chains with so many begins at a knuckle: those before are metacarpals."""
@@ -353,22 +361,24 @@ class _Reading:
         def doubt(first: int) -> float:
             last = min(first + 2, length - 1)
             usual = _REACH["finger"] * (1.0 if last == first + 2 else 1.7)
-            reach = max(float(np.median([self.reach(own[first], own[last]) for own in owns])), 1e-3)
-            said = sum(bool(_METACARPAL.search(self.words(bone))) for own in owns for bone in own[:first])
-            unsaid = sum(bool(_METACARPAL.search(self.words(bone))) for own in owns for bone in own[first:])
+            reach = max(float(np.median([self.reach(own[first : last + 1]) for own in owns])), 1e-3)
+            said = [[bool(_METACARPAL.search(self.words(bone))) for bone in own] for own in owns]
+            against = sum(row[i] != (i < first) for row in said for i in range(length) if any(row))
             heads = np.array([[self.at(bone) for bone in own] for own in owns])
-            spread = np.linalg.norm(heads - heads.mean(axis=0), axis=-1).mean(axis=0)
+            spread = np.median(np.linalg.norm(heads - np.median(heads, axis=0), axis=-1), axis=0)
             # Metacarpals fan out; the first bones of fingers hardly do.
             fans = spread[first - 1] / max(spread[first], 1e-9) if first and len(owns) > 2 else 0.65
             few = 1.5 if last < first + 2 else 0.0
             return (
                 abs(np.log(reach / usual))
-                + 2.0 * max(0.0, np.log(max(fans, 1e-3) / 0.65))
+                + 6.0 * max(0.0, np.log(max(fans, 1e-3) / 0.6))
                 + few
-                + ((unsaid - said) / len(owns))
+                + against / len(owns)
             )
 
-        return min(range(length - 1), key=doubt)
+        doubts = [doubt(first) for first in range(length - 1)]
+        self.close |= len(doubts) > 1 and np.diff(sorted(doubts))[0] < 0.2
+        return int(np.argmin(doubts))
 
     def _apart(self, i: int) -> float:
         """How much a chain stands apart as thumbs do."""
@@ -376,8 +386,8 @@ class _Reading:
         usual = float(np.median([self.far(self.starts[j]) for j in others]))
         if not usual > 0.0:
             raise HandModelError("two bones begin in one place")
-        shortest = min(len(chain.own) for chain in self.chains)
-        near = self.far(own[0]) / usual if len(own) == shortest else 1.0
+        shortest = all(len(own) < len(self.chains[j].own) for j in others)
+        near = self.far(own[0] if shortest else self.starts[i]) / usual
         aside = unit(self.at(own[-1]) - self.at(own[0])) @ unit(self.along[others].sum(axis=0))
         return 2.0 * max(1.0 - near, 0.0) + float(np.arccos(np.clip(aside, -1.0, 1.0))) / (0.5 * np.pi)
 
@@ -388,7 +398,7 @@ class _Reading:
         rays = self.rays[others]
         _, sizes, axes = np.linalg.svd(rays - rays.mean(axis=0))
         self.is_row, row = bool(np.all(sizes[1:2] < 0.6 * sizes[0])), axes[0]
-        middle = 0.5 * (self.at(self.chains[thumb].own[0]) + self.at(self.ends[thumb]))
+        middle = 0.5 * (self.at(self.chains[thumb].own[0]) + self.at(self.chains[thumb].own[-1]))
         row = row * np.sign(row @ (unit(middle - self.wrist) - rays.mean(axis=0)))
         order = np.argsort(-rays @ row)
         return [others[i] for i in order], (rays @ row)[order]
@@ -408,12 +418,12 @@ class _Reading:
     def thumb_bones(self, thumb: int, behind: int) -> tuple[int, ...]:
         """Which bones of the thumb's chain are its own, where so many hang at the ends of other fingers."""
         own = self.chains[thumb].own
-        if len(own) == 3:
-            return own[:2] if behind and self.reach(own[0], own[2]) > 0.9 else own
+        if len(own) == 2 + behind and self.reach(own[:3]) > 0.9:
+            return own[:2]
 
         def doubt(first: int) -> float:
-            reach = max(self.reach(own[first], own[first + 2]), 1e-3)
-            return 0.5 * abs(np.log(reach / _REACH["thumb"])) + 0.5 * (len(own) - 3 - first != behind)
+            reach = max(self.reach(own[first : first + 3]), 1e-3)
+            return 0.5 * abs(np.log(reach / _REACH["thumb"])) + 0.25 * (len(own) - 3 - first != behind)
 
         first = min(range(len(own) - 2), key=doubt, default=0)
         return own[first : first + 3]
@@ -450,8 +460,7 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
     slots[0] = bones.names[hand]
     lengths, behind = [], []
     for i, followed in list(zip(others, fingers, strict=True))[:4]:
-        chain, begin = chains[i], reading.begins[len(chains[i].own)]
-        own, before = chain.own[begin:], chain.own[:begin] or chain.stem
+        own, before = reading.fingers[i], chains[i].own[: -len(reading.fingers[i])] or chains[i].stem
         lengths.append(min(len(own), 3))
         behind.append(max(len(own) - 3, 0))
         if before and not any(before[-1] in (*chains[j].stem, *chains[j].own) for j in others if j != i):
@@ -471,21 +480,22 @@ def _hand(bones: Bones, hand: int, chains: list[_Chain]) -> Found | None:
 
     outwards = [float(reading.rays[i] @ reading.along[i]) for i in others]
     together = min(float(reading.rays[i] @ reading.rays[j]) for i in others for j in others)
-    reach = [
-        float(np.linalg.norm(reading.at(reading.ends[i]) - reading.at(reading.starts[i]))) for i in others
-    ]
+    reach = [reading.long(reading.fingers[i]) for i in others]
     palm_size = np.median([reading.far(reading.starts[i]) for i in others]) / max(np.median(reach), 1e-9)
     share = agreed / len(chains)
     # Never as sure as a rig's own notes
     sure = 0.98 * (0.6 + 0.08 * min(len(chains), 5)) * (0.6 + 0.4 * share)
-    sure *= 1.0 if share == 1.0 else min(1.0, likely / 0.8)
-    sure *= 1.0 if min(outwards) > 0.2 and together > 0.2 and reading.is_row else 0.4
+    sure *= 1.0 if share == 1.0 else min(1.0, likely / 0.9)
+    sure *= 1.0 if min(outwards) > 0.0 and together > 0.2 and reading.is_row else 0.4
     sure *= 1.0 if 0.4 < palm_size < 4.0 and max(reach) < 3.0 * min(reach) else 0.4
-    sure *= 1.0 if max(lengths) == min(lengths) else 0.8
-    if not agreed and any(_NO_HAND.search(name.words) for name in names):
-        sure *= 0.1
-    above = [parsed(bones.names[bone]).side for bone in bones.ancestors(hand)]
-    named = next((side for side in (*(name.side for name in names), *above) if side is not None), None)
+    sure *= 1.0 if max(lengths) == min(lengths) and not reading.close else 0.75
+    above = [parsed(bones.names[bone]) for bone in bones.ancestors(hand)]
+    if "thumb" not in [name.finger for name in names]:
+        around = [names[0], *(() if _is_hand(names[0]) else above[:2])]
+        elsewhere = [i for i, start in enumerate(reading.starts) if _NO_HAND.search(reading.words(start))]
+        if 2 * len(elsewhere) >= len(chains) or any(_NO_HAND.search(name.words) for name in around):
+            sure *= 0.1
+    named = next((name.side for name in (*names, *above) if name.side is not None), None)
     lean = leaning(bones, hand_map)
     # Bend of the fingers, see `leaning`, below which it does not tell the side
     if abs(lean) < 0.02:

@@ -322,14 +322,14 @@ def leaning(bones: Bones, hand_map: HandMap) -> float:
     lines = {f: [heads[j] for j in FINGER_JOINTS[f] if j in heads] for f in hand_map.fingers}
     knuckles = {finger: head for finger, (head, _) in _knuckles(bones, hand_map).items()}
     frame, size = palm_frame(heads[0], knuckles, "left")
-    outwards = np.zeros(3)
+    lean, bend = 0.0, np.cross(frame[:, 2], frame[:, 0])
     for finger, line in lines.items():
         if finger == "thumb":
             others = [own[0] for other, own in lines.items() if other != finger]
-            outwards += (np.mean(others, axis=0) - line[-1]) / size
+            lean += float(frame[:, 2] @ (np.mean(others, axis=0) - line[-1])) / size
         elif len(line) == 3:
-            outwards += 0.5 * (unit(line[1] - line[0]) - unit(line[2] - line[1]))
-    return float(frame[:, 2] @ outwards)
+            lean += 0.5 * float(bend @ np.cross(unit(line[1] - line[0]), unit(line[2] - line[1])))
+    return lean
 
 
 def finger_end(bones: Bones, chain: list[int]) -> np.ndarray:

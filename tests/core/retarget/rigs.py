@@ -16,8 +16,8 @@ from handfit_core.hand_model import axes, load_model
 from handfit_core.retarget.bones import Bones
 from handfit_core.retarget.transfer import SourceHand
 
-CURLED = {"left": -0.25, "right": 0.25}
-"""radians about Z by which a relaxed hand's fingers bend towards the palm"""
+CURLED = {"left": 0.25, "right": -0.25}
+"""radians about Y by which a relaxed hand's fingers bend towards the palm"""
 
 
 @dataclass(frozen=True)
@@ -194,10 +194,12 @@ def add_hand(
     place: np.ndarray | None = None,
     bend: float = 0.0,
     stretch: float = 0.0,
+    curl: float = 1.0,
     tips: bool = False,
     without: tuple[int, ...] = (),
 ) -> None:
-    """A hand with rest bends up to `bend` (radians) and proportions up to `stretch`.
+    """A hand with rest bends up to `bend` (radians) and proportions up to `stretch`, `curl` times as curled
+    as a relaxed one.
 
     It has metacarpals and tips where `names` has them (from 16 and from 20 on), other bones at the `tips`,
     and none for joints `without`.
@@ -215,8 +217,8 @@ def add_hand(
         for joint in joints:
             length = 1.0 + rng.uniform(-stretch, stretch)
             head = head + turned @ (length * (rest[joint] - rest[PARENTS[joint]]))
-            curl = np.array([0.0, 0.0, CURLED[side] if finger != "thumb" else 0.0])
-            turned = turned @ rotvec_to_rotmat(curl + rng.uniform(-1.0, 1.0, 3) * bend / np.sqrt(3.0))
+            usual = np.array([0.0, CURLED[side] if finger != "thumb" else 0.0, 0.0])
+            turned = turned @ rotvec_to_rotmat(curl * usual + rng.uniform(-1.0, 1.0, 3) * bend / np.sqrt(3.0))
             if joint not in without:
                 last = built.add(names[joint], last, head)
         if (tips or TIPS + number in names) and last != index[0]:

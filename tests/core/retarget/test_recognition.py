@@ -79,6 +79,40 @@ def test_finds_bones_by_place(seed, palm, tips):
         assert found.palm == tuple(names[slot] if palm else "" for slot in PALM)
 
 
+@pytest.mark.parametrize("palm", [False, True], ids=["", "palm"])
+@pytest.mark.parametrize("tips", [False, True], ids=["", "tips"])
+@pytest.mark.parametrize("curl", [-1.0, 0.0, 3.0, 5.5])
+def test_finds_bones_of_fists(curl, palm, tips):
+    """And of fingers that are bent backwards."""
+    bones = two_hands(np.random.default_rng(1), palm=palm, tips=tips, curl=curl)
+    for side in SIDES:
+        names = numbered(side, palm)
+        assert hand_in(bones, side).hand_map.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
+        assert hand_in(bones, side).sure > DOUBTFUL
+
+
+@pytest.mark.parametrize("more", [1, 2])
+@pytest.mark.parametrize("palm", [False, True], ids=["", "palm"])
+@pytest.mark.parametrize("where", ["tip", "root", "twist"])
+def test_bones_of_which_some_fingers_have_more(where, palm, more):
+    """Tips of the thumb alone, a bone before its metacarpal as Oculus' hands have, twists beside bones."""
+    names = numbered("left", palm)
+    built, whole = Built(), Built()
+    add_hand(built, "left", names, np.random.default_rng(1), place=np.array([0.6, 0.0, 1.4]))
+    place: dict[int, int] = {}
+    for bone, (name, above, head) in enumerate(zip(built.names, built.parents, built.heads, strict=True)):
+        parent = place.get(above, -1)
+        if where == "root" and name == names[13]:
+            parent = whole.add("more", parent, 0.7 * built.heads[0] + 0.3 * head)
+        place[bone] = last = whole.add(name, parent, head)
+        if where == "twist" or (where == "tip" and name == names[15]):
+            for part in range(more):
+                on = head - built.heads[above]
+                last = whole.add(f"{where}_{name}_{part}", last, head + 0.3 * (part + 1) * on)
+    found = hand_in(whole.bones(), "left").hand_map
+    assert found.bones == tuple(names[joint] for joint in range(NUM_JOINTS))
+
+
 def test_thumb_on_metacarpal():
     """As Rigify's first one does."""
     bones = two_hands(np.random.default_rng(2), palm=True)
@@ -168,6 +202,62 @@ def test_feet_and_hair_are_no_hands():
             hair = built.add(f"h{strand}{part}", hair, root - [0.0, 0.0, 0.1 * part])
     bones = built.bones()
     assert [*hands_in(bones, "left"), *hands_in(bones, "right")] == []
+
+
+@pytest.mark.parametrize(
+    ("foot", "toes"),
+    [
+        ("foot_l", ["BigToe", "IndexToe", "MidToe", "RingToe", "PinkyToe"]),
+        ("foot_l", ["finger1_", "finger2_", "finger3_", "finger4_", "finger5_"]),
+        ("左足首", ["左足指1_", "左足指2_", "左足指3_", "左足指4_", "左足指5_"]),
+        ("paw_l", ["a", "b", "c", "d", "e"]),
+        ("x", ["a", "b", "c", "d", "e"]),
+    ],
+)
+def test_toes_are_no_fingers(foot, toes):
+    """However they are called."""
+    built = Built()
+    last = built.add(foot, built.add("y", -1, np.array([0.1, 0.0, 0.5])), np.array([0.1, 0.02, 0.08]))
+    ball = built.add("z", last, np.array([0.1, -0.1, 0.02]))
+    for number, toe in enumerate(toes):
+        last = ball
+        for part in range(2 if number == 0 else 3):
+            forward = 0.12 + 0.02 * part + 0.005 * (2 - abs(number - 2))
+            at = np.array([0.085 + 0.013 * number, -forward, 0.015 - 0.004 * part * (part > 1)])
+            last = built.add(f"{toe}{part}", last, at)
+    found = [one for side in SIDES for one in hands_in(built.bones(), side)]
+    assert all(one.sure < DOUBTFUL for one in found)
+
+
+def test_hands_without_side_beside_paired_wings():
+    bones = two_hands(np.random.default_rng(1))
+    built = Built([*bones.names], [*bones.parents], [*bones.heads])
+    for side, sign in (("L", 1.0), ("R", -1.0)):
+        wing = built.add(f"w.{side}", 1, np.array([sign * 0.9, 0.2, 1.8]))
+        for finger in range(4):
+            last, turn = wing, np.radians(10.0 - 35.0 * finger)
+            out = np.array([sign * np.cos(turn), 0.0, np.sin(turn)])
+            for part in range(3):
+                head = built.heads[wing] + (0.02 + 0.3 * part) * out
+                last = built.add(f"u{finger}{part}.{side}", last, head)
+        claw = built.add(f"v0.{side}", wing, built.heads[wing] + [0.02 * sign, 0.0, 0.03])
+        built.add(f"v1.{side}", claw, built.heads[wing] + [0.04 * sign, -0.03, 0.06])
+    for side in SIDES:
+        assert hand_in(built.bones(), side).hand_map.bones[0] == numbered(side)[0]
+
+
+def test_six_fingers_of_another_language():
+    words = "Daumen Zeigefinger Mittelfinger Ringfinger Kleinfinger".split()
+    built = Built()
+    names = {0: "Hand_L"}
+    for word, joints in zip(words, FINGER_JOINTS.values(), strict=True):
+        names |= {joint: f"{word}_{part}_L" for part, joint in enumerate(joints)}
+    add_hand(built, "left", names, np.random.default_rng(1))
+    last = 0
+    for part in range(3):
+        ring, little = (built.heads[built.names.index(names[joint + part])] for joint in (10, 7))
+        last = built.add(f"Sechster_{part}_L", last, 1.9 * little - 0.9 * ring)
+    assert hand_in(built.bones(), "left").hand_map.bones == tuple(names[j] for j in range(NUM_JOINTS))
 
 
 @pytest.mark.parametrize(
