@@ -229,9 +229,9 @@ def dropped_footage(settings, path: Path) -> Footage | None:
     except (InputError, RuntimeError):
         return None
     try:
-        size = (0, 0) if settings.camera == "ACTIVE" else tuple(clip.size)
+        width, height = (0, 0) if settings.camera == "ACTIVE" else clip.size
         own = [one.timing for one in camera_clips(bpy.context.scene) if one.is_of((str(path),))]
-        footage = Footage(clip.fps, 1, clip.frame_duration, *size, placed=next(iter(own), None))
+        footage = Footage(clip.fps, 1, clip.frame_duration, width, height, placed=next(iter(own), None))
         return footage if clip.size[0] else None
     finally:
         bpy.data.movieclips.remove(clip)
