@@ -55,6 +55,8 @@ def _operator(name: str) -> Any:
     return getattr(getattr(bpy.ops, module), operator)
 
 
+_NODE = b"\0\x01Model"
+"""What stands behind the name of each of an FBX file's nodes"""
 _SMALL = 0.1
 """An armature of less than this scale came out of a file in centimetres"""
 
@@ -113,7 +115,12 @@ class FbxExporter(BlenderFormat, Exporter):
     def lacks(self, path: Path, bones: Sequence[str], /) -> str:
         """Names and curves stand in the file as they are."""
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            gone = [bone for bone in bones if content.find(bone.encode() + b"\0\x01") < 0]
+            named, at = {bone.encode() for bone in bones}, content.find(_NODE)
+            sizes, there = {len(name) for name in named}, set[bytes]()
+            while at >= 0:  # once over the file, however many bones there are
+                there |= {content[max(at - size, 0) : at] for size in sizes}
+                at = content.find(_NODE, at + 1)
+            gone = [bone for bone in bones if bone.encode() not in there]
             return _missing(gone, moves=content.find(b"AnimCurve") >= 0)
 
     @contextlib.contextmanager

@@ -179,12 +179,19 @@ def sure_map_of(armature: bpy.types.Object, side: Side) -> HandMap:
 
 def without_keys(armature: bpy.types.Object, hand_map: HandMap) -> dict[str, list[str]]:
     """The deforming bones of a hand that get no keys, by why not; without those that follow others."""
-    bones, driven = armature.data.bones, driven_bones(armature)
+    bones = armature.data.bones
     if hand_map.bones[0] not in bones:
         return {}
-    found = left_out(bones_of(armature), hand_map)
-    own = {bone.name for bone in bones if bone.use_deform} - driven
+    found = _left_out(armature.session_uid, hand_map, tuple(bones.keys()))
+    own = {bone.name for bone in bones if bone.use_deform} - driven_bones(armature) if found else set()
     return {why: those for why, names in found.items() if (those := [name for name in names if name in own])}
+
+
+@functools.lru_cache(maxsize=32)
+def _left_out(uid: int, hand_map: HandMap, _names: Any) -> dict[str, list[str]]:
+    """Kept, because panels ask at every redraw."""
+    armature = next(obj for obj in bpy.data.objects if obj.session_uid == uid)
+    return left_out(bones_of(armature), hand_map)
 
 
 def said_without_keys(found: dict[str, list[str]]) -> str:

@@ -322,12 +322,12 @@ class _Reading:
 
     def __init__(self, bones: Bones, hand: int, chains: list[_Chain]) -> None:
         """Raises HandModelError where bones lie in one place."""
-        self.bones, self.hand, self.chains = bones, hand, chains
+        self.bones, self.chains = bones, chains
         self.wrist = bones.heads[hand]
         self.close = False
         lengths = Counter(len(chain.own) for chain in chains)
-        self.begins = {length: self._beginning(length) for length in lengths}
-        self.fingers = [chain.own[self.begins[len(chain.own)] :] for chain in chains]
+        begins = {length: self._beginning(length) for length in lengths}
+        self.fingers = [chain.own[begins[len(chain.own)] :] for chain in chains]
         self.starts = [own[0] for own in self.fingers]
         self.rays = np.array([unit(self.at(start) - self.wrist) for start in self.starts])
         self.along = np.array([unit(self.at(own[:2][-1]) - self.at(own[0])) for own in self.fingers])

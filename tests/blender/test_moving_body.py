@@ -26,6 +26,7 @@ from .characters import BoneSpec, build_armature, hand_specs, mixamo_names
 from .looking import angles, bones_at, chosen, directions, directions_apart, keyed_bones
 
 NAMES = mixamo_names("right")
+AS_BLEND = ("--format", "blend", "--no-contacts")
 COUNT, START = 260, 90
 """frames of the filmed movement, and of them before the capture begins"""
 
@@ -238,17 +239,7 @@ def test_batches_leave_a_body_in_its_time(movement, tmp_path, said, rate):
     path, clip = str(tmp_path / "body.blend"), tmp_path / "clip.take.npz"
     replace(captured(movement), source=Source("data", ("a clip",))).save(clip)
     bpy.ops.wm.save_as_mainfile(filepath=path)
-    words = [
-        "apply",
-        str(clip),
-        "--to",
-        path,
-        "-o",
-        str(tmp_path / "out"),
-        "--format",
-        "blend",
-        "--no-contacts",
-    ]
+    words = ["apply", str(clip), "--to", path, "-o", str(tmp_path / "out"), *AS_BLEND]
     assert command.main([*words, "--time-offset", said]) == 0
     (entry,) = json.loads((tmp_path / "out" / "report.json").read_text())["inputs"]
     if said == "auto":
@@ -275,17 +266,7 @@ def test_batches_find_the_offset_in_a_file_of_another_program(movement, tmp_path
     replace(captured(movement), source=Source("data", ("a clip",))).save(clip)
     bpy.ops.export_scene.fbx(filepath=path, object_types={"ARMATURE"}, bake_anim_simplify_factor=0.0)
     before = [np.array(bones_at(armature, f)[NAMES[0]].matrix.to_quaternion()) for f in (1, 100, COUNT)]
-    words = [
-        "apply",
-        str(clip),
-        "--to",
-        path,
-        "-o",
-        str(tmp_path / "out"),
-        "--format",
-        "blend",
-        "--no-contacts",
-    ]
+    words = ["apply", str(clip), "--to", path, "-o", str(tmp_path / "out"), *AS_BLEND]
     assert command.main([*words, "--time-offset", "auto"]) == 0
     (entry,) = json.loads((tmp_path / "out" / "report.json").read_text())["inputs"]
     offset = entry["character"]["offset"]["frames"]
