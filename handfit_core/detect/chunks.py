@@ -24,7 +24,7 @@ from handfit_core.detect.clips import (
 )
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import DetectorSettings, InChunks, Region
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.regions import detect_frame
@@ -40,7 +40,7 @@ class Chunk:
 
     numbers: list[int]
     """Numbers of its frames: fewer than `chunk_frames` at the clip's end"""
-    frames: list[tuple[HandDetection, ...]]
+    frames: list[tuple[Detections, ...]]
     tracked: list[TrackedHand]
     """The hands of its last frame"""
     counts: list[int]
@@ -122,7 +122,7 @@ class ClipDetector(InChunks[Chunk]):
                 if not any(is_same_hand(hand, other.last) for other in going)
             ]
             for tracked in new:
-                past = reader.back_from(start, whole=tracked.last.shown, cuts=cuts)
+                past = reader.back_from(start, whole=bool(tracked.last.shown.all()), cuts=cuts)
                 for row, rgb in past:
                     if rgb is not None and not extend_track(self._networks, tracked, rgb, row, frames):
                         break

@@ -16,7 +16,7 @@ from handfit_core.common.skeleton import Side
 from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import (
     MATCHING,
     distance,
@@ -75,7 +75,7 @@ TRACKING: Final = TrackingSettings()
 class TrackedHand:
     """A hand that was seen, and what is known of its motion."""
 
-    last: HandDetection
+    last: Detections
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
     """(2,) pixels per frame"""
     min_presence: float = 0.0
@@ -88,22 +88,22 @@ class TrackedHand:
     """Whether it was lost where another hand is"""
 
     @classmethod
-    def of(cls, hand: HandDetection, threshold: float, velocity: np.ndarray | None = None) -> TrackedHand:
+    def of(cls, hand: Detections, threshold: float, velocity: np.ndarray | None = None) -> TrackedHand:
         """Begin to track a hand that was found with that threshold of presence; one that a person has shown
         needs less of it."""
-        min_presence = SEARCH.box_min_presence if hand.shown else threshold
+        min_presence = SEARCH.box_min_presence if hand.shown.all() else threshold
         return cls(hand, np.zeros(2) if velocity is None else velocity, min_presence)
 
-    def update(self, hand: HandDetection) -> None:
+    def update(self, hand: Detections) -> None:
         """Take in its detection in the next frame."""
-        self.velocity = hand.keypoints_2d.mean(axis=0) - self.last.keypoints_2d.mean(axis=0)
+        self.velocity = hand.centroid[0] - self.last.centroid[0]
         self.last = hand
 
     def expected(self) -> np.ndarray:
         """(21, 2) pixels where its landmarks are expected in the next frame."""
-        speed, slow = float(np.linalg.norm(self.velocity)), TRACKING.min_speed * self.last.extent
+        speed, slow = float(np.linalg.norm(self.velocity)), TRACKING.min_speed * float(self.last.extent[0])
         moving = max(0.0, 1.0 - slow / max(speed, 1e-9))
-        return self.last.keypoints_2d + moving * self.velocity
+        return self.last.keypoints_2d[0] + moving * self.velocity
 
     def search_failed(self) -> None:
         """Count a failed search, and wait longer for the next one."""
@@ -127,8 +127,8 @@ class ClipFinder(Detector):
 
     def __init__(self, settings: DetectorSettings, networks: Networks, *, whole_past: bool = False) -> None:
         """`whole_past`: a new hand is tracked back to the first frame, not only for a second."""
-        self._frames: list[tuple[HandDetection, ...]] = []
-        self._cross_checks: list[tuple[int, HandDetection, Future[HandDetection]]] = []
+        self._frames: list[tuple[Detections, ...]] = []
+        self._cross_checks: list[tuple[int, Detections, Future[Detections]]] = []
         """The hands of the last frame, with the frame's index, on which `cross_check` runs"""
         self.cuts: list[int] = []
         """Indices of frames that begin another shot"""
@@ -149,7 +149,7 @@ class ClipFinder(Detector):
         self._search_wait = 0
 
     @property
-    def frames(self) -> list[tuple[HandDetection, ...]]:
+    def frames(self) -> list[tuple[Detections, ...]]:
         """The hands of every frame so far."""
         for index, hand, future in self._cross_checks:
             self._frames[index] = tuple(future.result() if h is hand else h for h in self._frames[index])
@@ -158,17 +158,17 @@ class ClipFinder(Detector):
 
     def detect_in_box(
         self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
-    ) -> HandDetection | None:
+    ) -> Detections | None:
         """The hand in a box of the last frame (see `Detector`), which is tracked from there, both ways."""
         index = len(self.frames) - 1
         checked = dict(zip(self.tracked, self.frames[index], strict=True))
-        tracked = hand_of_box((t.last for t in self.tracked), box)
-        hand = next((h for t, h in checked.items() if t.last is tracked), None)
-        hand = hand or self._searching.detect_in_box(rgb, box)
+        row = hand_of_box(Detections.of([[t.last for t in self.tracked]]), box)
+        tracked = None if row is None else self.tracked[row]
+        hand = self._searching.detect_in_box(rgb, box) if tracked is None else checked[tracked]
         if hand is None:
             return None
-        hand = replace(self._networks.with_keypoints_2020(rgb, hand), shown=True, given_side=side)
-        known = [t for t in self.tracked if t.last is tracked or is_same_hand(hand, t.last)]
+        hand = self._networks.with_keypoints_2020(rgb, hand).shown_by_person(side)
+        known = [t for t in self.tracked if t is tracked or is_same_hand(hand, t.last)]
         self.tracked = [t for t in self.tracked if t not in known]
         self.frames[index] = (*(checked[t] for t in self.tracked), hand)
         self._start_track(hand)
@@ -176,13 +176,13 @@ class ClipFinder(Detector):
             self._track_back(self.tracked[-1], index, islice(self._past.backwards(), 1, None))
         return hand
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:  # noqa: ARG002
         """The hands of the next frame (see `Detector`); `frames` may have more of it later."""
         index = len(self._frames)
         self._frames.append(())
         if rgb is None:
             self._past.append(None)
-            return ()
+            return Detections.of([[]])
         thumbnail = Thumbnail.of(rgb)
         cut = bool(self.thumbnails) and thumbnail.is_cut_from(self.thumbnails[-1])
         self.thumbnails[1:] = [thumbnail]
@@ -205,7 +205,7 @@ class ClipFinder(Detector):
             self._past.clear()  # Nothing is added to frames that show all hands that are wanted.
         else:
             self._past.append(rgb)
-        return self._frames[index]
+        return Detections.of([self._frames[index]])
 
     def _submit_cross_checks(self, rgb: np.ndarray, index: int) -> None:
         for tracked in self.tracked:
@@ -234,7 +234,7 @@ class ClipFinder(Detector):
             )
         return lost
 
-    def _is_known(self, hand: HandDetection) -> bool:
+    def _is_known(self, hand: Detections) -> bool:
         return any(is_same_hand(hand, tracked.last) for tracked in self.tracked)
 
     def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[TrackedHand]:
@@ -245,10 +245,9 @@ class ClipFinder(Detector):
                 lost.wait -= 1
             elif not self._full:
                 hand = lost.last
-                centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
-                crop = Crop.of_square(
-                    centre, TRACKING.search_span * max(hand.extent, 8.0), NETWORK.palm_input_px
-                )
+                centre = (hand.box_min[0] + hand.box_max[0]) / 2.0
+                span = TRACKING.search_span * max(float(hand.extent[0]), 8.0)
+                crop = Crop.of_square(centre, span, NETWORK.palm_input_px)
                 self._start_tracks(self._detect_new(rgb, [crop]), new)
                 lost.search_failed()
         self._lost = [
@@ -268,18 +267,18 @@ class ClipFinder(Detector):
                 self._search_wait = min(TRACKING.first_wait * 2**self._searches, TRACKING.max_wait)
         return new
 
-    def _detect_new(self, rgb: np.ndarray, crops: list[Crop]) -> list[HandDetection]:
+    def _detect_new(self, rgb: np.ndarray, crops: list[Crop]) -> list[Detections]:
         known = [tracked.last for tracked in self.tracked]
         return self._searching.detect_new(rgb, self._searching.detect_palms(rgb, crops), known)
 
-    def _start_tracks(self, hands: list[HandDetection], new: list[TrackedHand]) -> None:
+    def _start_tracks(self, hands: list[Detections], new: list[TrackedHand]) -> None:
         """Begin to track those hands that are not tracked yet, and add them to the new ones."""
         for hand in hands:
             if not self._full and not self._is_known(hand):
                 new.append(self._start_track(hand))
                 self._searches, self._search_wait = 0, TRACKING.first_wait
 
-    def _start_track(self, hand: HandDetection) -> TrackedHand:
+    def _start_track(self, hand: Detections) -> TrackedHand:
         self.tracked.append(TrackedHand.of(hand, self._threshold))
         return self.tracked[-1]
 
@@ -291,45 +290,45 @@ class ClipFinder(Detector):
                 return
 
 
-def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> HandDetection | None:
+def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Detections | None:
     """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
     there. None where it is lost."""
     expected = tracked.expected()
     prediction = networks.predict(rgb, crop_around(expected))
-    off = np.linalg.norm(prediction.hand.keypoints_2d - expected, axis=-1).mean()
-    if prediction.presence >= tracked.min_presence and off > TRACKING.max_shift * prediction.hand.extent:
-        prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints))
+    off = np.linalg.norm(prediction.hand.keypoints_2d[0] - expected, axis=-1).mean()
+    if prediction.presence >= tracked.min_presence and off > TRACKING.max_shift * prediction.hand.extent[0]:
+        prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints[0]))
     if prediction.presence < tracked.min_presence:
         return None
     hand = prediction.hand
-    crops = list(augmented_crops(hand.keypoints))[1:] if networks.quality == "best" else []
+    crops = list(augmented_crops(hand.keypoints[0]))[1:] if networks.quality == "best" else []
     return replace(
         _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence), shown=tracked.last.shown
     )
 
 
-def cross_check(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> HandDetection:
+def cross_check(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Detections:
     """Add what the landmark network of December 2020 sees of a hand. In quality `standard`, where the
     networks disagree on a hand with a single prediction, the mirrored crop is averaged in."""
     hand = networks.with_keypoints_2020(rgb, tracked.last)
     if networks.quality != "standard" or hand.keypoints_2020 is None or hand.spread is not None:
         return hand
-    apart = disagreement(hand.keypoints[None], hand.keypoints_2020[None])[0]
-    mirrored = list(augmented_crops(hand.keypoints))[len(NETWORK.augmentation_turns)]
+    apart = disagreement(hand.keypoints, hand.keypoints_2020)[0]
+    mirrored = list(augmented_crops(hand.keypoints[0]))[len(NETWORK.augmentation_turns)]
     crops = [mirrored] if apart > TRACKING.max_disagreement else []
     return _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
 
 
 def _mean_with_crops(
-    networks: Networks, rgb: np.ndarray, hand: HandDetection, crops: Sequence[Crop], min_presence: float
-) -> HandDetection:
+    networks: Networks, rgb: np.ndarray, hand: Detections, crops: Sequence[Crop], min_presence: float
+) -> Detections:
     """The mean of a hand and its predictions in more crops, where these have enough presence."""
     more = [networks.predict(rgb, crop) for crop in crops]
     hands = [hand, *(prediction.hand for prediction in more if prediction.presence >= min_presence)]
-    return replace(mean_detection(hands), shown=hand.shown) if len(hands) > 1 else hand
+    return replace(mean_detection(Detections.of([hands])), shown=hand.shown) if len(hands) > 1 else hand
 
 
-def overlaps(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
+def overlaps(hand: Detections, others: Iterable[Detections]) -> bool:
     """Whether all of a hand lies where another one is: hands that cross share a place, but not with all their
     points."""
     return any(distance(hand, other) < MATCHING.same_hand_distance for other in others)
@@ -340,7 +339,7 @@ def extend_track(
     tracked: TrackedHand,
     rgb: np.ndarray,
     row: int,
-    frames: list[tuple[HandDetection, ...]],
+    frames: list[tuple[Detections, ...]],
 ) -> bool:
     """Track a hand into the frame `row` with that picture, and add it to the frame's hands. False where it is
     lost, or is one of them."""

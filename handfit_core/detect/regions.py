@@ -8,27 +8,25 @@ from collections.abc import Sequence
 import numpy as np
 
 from handfit_core.detect.detector import Detector, Region
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.media.source import Frame
 
 log = logging.getLogger("handfit")
 
 
-def detect_frame(
-    detector: Detector, frame: Frame, regions: Sequence[Region], *, first: bool
-) -> tuple[HandDetection, ...]:
+def detect_frame(detector: Detector, frame: Frame, regions: Sequence[Region], *, first: bool) -> Detections:
     """Detect the hands of the next frame and of the regions that name it; regions without a frame number are
     those of the `first` one."""
     found = detector.find(frame.rgb, frame.time)
     for region in regions:
         if region.frame == frame.number or (first and region.frame is None):
-            found = (*found, *detect_region(detector, frame.rgb, region))
+            found = Detections.of([[found, detect_region(detector, frame.rgb, region)]])
     return found
 
 
-def detect_region(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
-    """The hand of a region of the picture that `find` was given last; () and a warning where there is
-    none."""
+def detect_region(detector: Detector, rgb: np.ndarray | None, region: Region) -> Detections:
+    """The hand of a region of the picture that `find` was given last; no row and a warning where there
+    is none."""
     box = (region.x, region.y, region.width, region.height)
     hand = None if rgb is None else detector.detect_in_box(rgb, box, region.side)
     if hand is None:
@@ -37,4 +35,4 @@ def detect_region(detector: Detector, rgb: np.ndarray | None, region: Region) ->
             "it, or lay a hand there yourself with Add Hand in Blender",
             *box,
         )
-    return () if hand is None else (hand,)
+    return Detections.of([[]]) if hand is None else hand

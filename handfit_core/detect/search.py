@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.crops import Crop, downscale
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection
 from handfit_core.detect.networks import (
     NETWORK,
@@ -122,7 +122,7 @@ SEARCH: Final = SearchSettings()
 class Candidate:
     """What may be a hand."""
 
-    hand: HandDetection
+    hand: Detections
     presence: float
     """Mean presence over the predictions, 0..1"""
     palm_score: float
@@ -174,7 +174,7 @@ class Search:
         self._min_palm_score = SEARCH.plain_min_palm_score if plain else SEARCH.min_palm_score
         self._crop_count = 1 if plain or networks.quality == "draft" else NETWORK.augmentation_crops
 
-    def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
+    def detect_all(self, rgb: np.ndarray) -> list[Detections]:
         """The hands of a picture, the likeliest first."""
         longest = max(rgb.shape[:2])
         block = max(1, longest // SEARCH.max_palm_search_px)
@@ -182,7 +182,7 @@ class Search:
         height, width = small.shape[:2]
         found: list[Candidate] = []
         for divisor in self._divisors:
-            largest = max((c.hand.extent for c in found if self._accepts(c)), default=0.0)
+            largest = max((float(c.hand.extent[0]) for c in found if self._accepts(c)), default=0.0)
             # Hands so small that only these tiles show them are not expected beside the largest one.
             if largest * SEARCH.tile_to_smallest_hand * (divisor - 1) > longest * SEARCH.max_size_ratio:
                 break
@@ -201,21 +201,19 @@ class Search:
             if neighbours:
                 found = self._extend(rgb, self.detect_palms(rgb, neighbours), found)
         return [
-            replace(candidate.hand, certainty=candidate.probability)
+            replace(candidate.hand, certainty=np.array([candidate.probability]))
             for candidate in self._verify(rgb, found)
             if self._accepts(candidate)
         ]
 
-    def detect_new(
-        self, rgb: np.ndarray, palms: Palms, known: Sequence[HandDetection]
-    ) -> list[HandDetection]:
+    def detect_new(self, rgb: np.ndarray, palms: Palms, known: Sequence[Detections]) -> list[Detections]:
         """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
         have."""
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
         found = self._extend(rgb, palms, sure, augment_all=False)
         return [c.hand for c in found if self._accepts(c) and c not in sure]
 
-    def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+    def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> Detections | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
         most rotated crops agree on. None where there is none."""
         corner, size = np.array(box[:2]), np.array(box[2:])
@@ -230,7 +228,7 @@ class Search:
         best = max(augmented, key=lambda each: each[0].presence * (1 + each[1]), default=None)
         if best is None or best[0].presence < SEARCH.box_min_presence:
             return None
-        return replace(best[0].hand, certainty=best[0].probability)
+        return replace(best[0].hand, certainty=np.array([best[0].probability]))
 
     def _accepts(self, candidate: Candidate) -> bool:
         return candidate.probability >= self._threshold
@@ -250,12 +248,12 @@ class Search:
             kept.append(candidate)
         return sorted(kept, key=lambda c: c.probability, reverse=True)
 
-    def _neighbour_crops(self, hands: Sequence[HandDetection], longer: int) -> Iterator[Crop]:
+    def _neighbour_crops(self, hands: Sequence[Detections], longer: int) -> Iterator[Crop]:
         """Crops about the first hands in which others of about their size would be seen, in a picture with
         that longer side: the second hand of a pair often has a palm that no tile shows."""
         begun: list[tuple[np.ndarray, float]] = []
         for hand in hands:
-            centre, span = hand.keypoints_2d.mean(axis=0), SEARCH.neighbour_span * hand.extent
+            centre, span = hand.centroid[0], SEARCH.neighbour_span * float(hand.extent[0])
             searched = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in begun)
             inside = span < SEARCH.whole_picture_crops[-1][0] * longer
             if not searched and inside and len(begun) < SEARCH.max_neighbour_searches:
@@ -265,9 +263,9 @@ class Search:
 
     def _with_rotation_recall(self, rgb: np.ndarray, candidate: Candidate) -> Candidate:
         """The candidate with its rotation recall, or with a bound of it that already rules the hand out."""
-        points, count = candidate.hand.keypoints_2d, 0
-        middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
-        rotated = self._predict_rotated(rgb, middle, candidate.hand.extent, SEARCH.recall_spans)
+        hand, count = candidate.hand, 0
+        middle, side = (hand.box_min[0] + hand.box_max[0]) / 2.0, float(hand.extent[0])
+        rotated = self._predict_rotated(rgb, middle, side, SEARCH.recall_spans)
         for tried, prediction in enumerate(rotated, start=1):
             count += prediction is not None and _is_same(prediction.hand, candidate.hand)
             best = (count + SEARCH.rotations - tried) / SEARCH.rotations
@@ -275,12 +273,12 @@ class Search:
                 break
         return replace(candidate, rotation_recall=count / SEARCH.rotations)
 
-    def _context_score(self, rgb: np.ndarray, hand: HandDetection) -> float:
+    def _context_score(self, rgb: np.ndarray, hand: Detections) -> float:
         """Best score of a hand's palm in crops that show much around it; 0 where it is not detected."""
-        centre, _, upright = square_around(hand.keypoints)
+        centre, _, upright = square_around(hand.keypoints[0])
         best = 0.0
         turns = (0.0, upright, *(upright + more for more in SEARCH.context_turns))
-        span = SEARCH.context_span * hand.extent
+        span = SEARCH.context_span * float(hand.extent[0])
         crops = [Crop.of_square(centre, span, NETWORK.palm_input_px, turn=turn) for turn in turns]
         min_score = SEARCH.context_min_palm_score
         for palms in self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, min_score), crops):
@@ -330,23 +328,25 @@ class Search:
                 likely = first.probability > SEARCH.doubtful_probability[1]
                 enough = likely and not augment_all
                 found.append(first if enough else self._augment(rgb, prediction, palm_score))
-        kept: list[Candidate] = []
-        for candidate in sorted(found, key=lambda c: c.probability, reverse=True):
-            if not any(is_same_hand(candidate.hand, other.hand) for other in kept):
-                kept.append(candidate)
-        return kept
+        found.sort(key=lambda c: c.probability, reverse=True)
+        hands = Detections.of([[candidate.hand for candidate in found]])
+        kept: list[int] = []
+        for row, hand in enumerate(hands):
+            if not is_same_hand(hand, hands.select(np.array(kept, dtype=int))).any():
+                kept.append(row)
+        return [found[row] for row in kept]
 
     def _augment(self, rgb: np.ndarray, first: Prediction, palm_score: float) -> Candidate:
         """The mean of test-time augmentation about a prediction; unlikely ones are given up early."""
         predictions, candidate = [first], Candidate(first.hand, first.presence, palm_score)
-        crops = list(islice(augmented_crops(first.hand.keypoints), 1, self._crop_count))
+        crops = list(islice(augmented_crops(first.hand.keypoints[0]), 1, self._crop_count))
         for prediction in self._networks.map(lambda n, crop: n.predict(rgb, crop), crops):
             predictions.append(prediction)
             candidate = replace(candidate, presence=float(np.mean([p.presence for p in predictions])))
             unlikely = candidate.probability < SEARCH.min_early_probability
             if unlikely and len(predictions) == SEARCH.early_crops:
                 break
-        return replace(candidate, hand=mean_detection([p.hand for p in predictions]))
+        return replace(candidate, hand=mean_detection(Detections.of([[p.hand for p in predictions]])))
 
 
 def refine(
@@ -358,23 +358,22 @@ def refine(
     for _ in range(SEARCH.max_passes - 1):
         if prediction.presence < SEARCH.min_first_presence:
             return None
-        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.hand.keypoints))
+        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.hand.keypoints[0]))
         sure = min(before.presence, prediction.presence) > SEARCH.converged_presence
         if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
             break
     return prediction if prediction.presence >= min_presence else None
 
 
-def _is_same(a: HandDetection, b: HandDetection) -> bool:
-    """Whether two predictions are of one candidate."""
-    return distance(a, b) < SEARCH.same_candidate_distance
+def _is_same(a: Detections, b: Detections) -> bool:
+    """True if two predictions are of one candidate."""
+    return bool(distance(a, b) < SEARCH.same_candidate_distance)
 
 
-def _fits_box(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
+def _fits_box(hand: Detections, middle: np.ndarray, size: np.ndarray) -> bool:
     """Whether a hand lies in a box with that middle and size, and is about as large."""
-    low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
-    off, longer = np.abs((low + high) / 2.0 - middle), float(size.max())
-    return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent / longer < 2.0
+    off, longer = np.abs((hand.box_min[0] + hand.box_max[0]) / 2.0 - middle), float(size.max())
+    return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent[0] / longer < 2.0
 
 
 def _logit(probability: float) -> float:

@@ -24,7 +24,7 @@ from handfit_core.common.values import Unfit, listed, number
 from handfit_core.detect.clips import TrackedHand, overlaps, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.networks import NETWORK, Networks, Palms
 from handfit_core.detect.search import Search, tiles
 from handfit_core.fit.fast import fitter_of
@@ -298,9 +298,9 @@ class LiveDetector:
                 self.tracks.append(_Track(TrackedHand.of(hand, self._threshold)))
 
 
-def _inside(hand: HandDetection, rgb: np.ndarray, margin: float = 0.0) -> float:
+def _inside(hand: Detections, rgb: np.ndarray, margin: float = 0.0) -> float:
     """Share of a hand's keypoints that lie in the picture, `margin` pixels away from its edges."""
-    points, size = hand.keypoints_2d, np.array(rgb.shape[1::-1])
+    points, size = hand.keypoints_2d[0], np.array(rgb.shape[1::-1])
     return float(((points >= margin) & (points <= size - margin)).all(axis=1).mean())
 
 
