@@ -30,7 +30,7 @@ from handfit_core.common.errors import (
 from handfit_core.common.registry import Registry
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.detector import DETECTORS, Backend, Detector
-from handfit_core.detect.keypoints import HandDetection, Track
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.solvers import SOLVERS, Solver, TrackSolver, get_solver
 from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.similarity import align
@@ -216,7 +216,7 @@ def test_frames_per_second_that_are_used(numbers, rate):
 def test_filled_frames_have_a_pose_but_nothing_seen():
     truth = Take.load(SAMPLE / "truth.take.npz").hands[0]
     keypoints = np.concatenate([truth.keypoints_2d[0], np.zeros((21, 1))], axis=1)
-    found = HandDetection("right", 0.9, keypoints, np.zeros((21, 3)))
+    found = Detections.hand("right", 0.9, keypoints, np.zeros((21, 3)))
     rows = [np.array(a[:3]) for a in (truth.global_orient, truth.hand_pose, truth.transl)]
     for row in rows:
         row[2] = np.nan
@@ -295,7 +295,7 @@ def test_what_cannot_be_captured(options, error, said, tmp_path, monkeypatch):
         capture(PHOTO, **options)
 
 
-SEEN = HandDetection(
+SEEN = Detections.hand(
     "right",
     0.9,
     np.random.default_rng(0).uniform(100, 200, (21, 3)),
@@ -320,8 +320,8 @@ def finding(monkeypatch: pytest.MonkeyPatch, find: Callable[[float], object]) ->
 
 
 def test_hands_without_numbers_are_left_out_and_their_stretch_is_kept(monkeypatch, caplog):
-    lost = replace(SEEN, world=np.full((21, 3), np.nan))
-    finding(monkeypatch, lambda time: (lost if 0.05 < time < 0.2 else SEEN,))
+    lost = replace(SEEN, world=np.full((1, 21, 3), np.nan))
+    finding(monkeypatch, lambda time: lost if 0.05 < time < 0.2 else SEEN)
     (hand,) = capture(PATTERN, frames="1-8", detector="toy").hands
     np.testing.assert_array_equal(hand.detected, [True] * 2 + [False] * 3 + [True] * 3)
     assert hand.present.all()
@@ -333,7 +333,7 @@ def test_hands_without_numbers_are_left_out_and_their_stretch_is_kept(monkeypatc
     ("find", "said"),
     [
         (lambda _: 1 / 0, "ZeroDivisionError: division by zero"),
-        (lambda _: (replace(SEEN, world=np.zeros((20, 3))),), "ValueError"),
+        (lambda _: replace(SEEN, world=np.zeros((1, 20, 3))), "ValueError"),
     ],
 )
 def test_what_fails_in_a_detector_of_others_names_it(monkeypatch, find, said):
