@@ -14,14 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from handfit_core.detect.clips import (
-    TRACKING,
-    ClipFinder,
-    PastFrames,
-    PastJpegs,
-    TrackedHand,
-    extend_track,
-)
+from handfit_core.detect.clips import TRACKING, ClipFinder, PastFrames, PastJpegs
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import DetectorSettings, InChunks, Region
 from handfit_core.detect.keypoints import Detections
@@ -29,6 +22,7 @@ from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.regions import detect_frame
 from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.detect.tracker import TrackedHand, extend_track
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Frame, Media

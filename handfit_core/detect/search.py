@@ -206,7 +206,7 @@ class Search:
             if self._accepts(candidate)
         ]
 
-    def detect_new(self, rgb: np.ndarray, palms: Palms, known: Sequence[Detections]) -> list[Detections]:
+    def detect_new(self, rgb: np.ndarray, palms: Palms, known: Detections) -> list[Detections]:
         """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
         have."""
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
