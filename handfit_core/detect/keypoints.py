@@ -134,6 +134,12 @@ class Detections(Batch):
         columns: dict[str, Any] = {name: _joined(name, spec, hands) for name, spec in declared(cls).items()}
         return cls(**columns | {"frame": np.repeat(rows, np.array([len(each) for each in hands], dtype=int))})
 
+    def at_frames(self, frames: np.ndarray) -> Self:
+        """A hand's detections in those `frames` (K,) of its clip, in any order, which count as 0 to K - 1."""
+        rows = np.minimum(np.searchsorted(self.frame, frames), max(len(self) - 1, 0))
+        there = np.flatnonzero(self.frame[rows] == frames) if len(self) else rows[:0]
+        return replace(self.select(rows[there]), frame=there)
+
     def shown_by_person(self, side: Side | None) -> Self:
         """These hands as ones that a person has seen, and says to be of that side."""
         given = -1 if side is None else SIDES.index(side)

@@ -41,7 +41,7 @@ def readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tup
         yield turned, True
     if len(second.take.hands) == 1 and not sides[0] & sides[1]:
         side = first.take.hands[0].side
-        yield _refitted(second, options, lambda hand: (side, hand.detections())), False
+        yield _refitted(second, options, lambda hand: (side, hand.detections)), False
 
 
 def _turned_back(clip: Clip, options: CaptureOptions) -> Clip:
@@ -51,7 +51,7 @@ def _turned_back(clip: Clip, options: CaptureOptions) -> Clip:
     mirror = np.array([-1.0, 1.0, 1.0])
 
     def mirrored(hand: HandTrack) -> tuple[Side, Detections]:
-        found = hand.detections()
+        found = hand.detections
         there = np.array([take.width, 0.0, 0.0])
         older = found.keypoints_2020
         return SIDES[1 - SIDES.index(hand.side)], replace(
