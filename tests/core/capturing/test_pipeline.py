@@ -42,6 +42,7 @@ from handfit_core.media.opening import open_media
 from handfit_core.tasks import report
 from tests.conftest import ROOT
 from tests.core.fit.detections import track_of
+from tests.takes import seen_as
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
 PATTERN, PHOTO = str(SAMPLE / "hand.%04d.jpg"), SAMPLE / "hand.0001.jpg"
@@ -99,7 +100,7 @@ def test_a_take_is_consistent(take):
     np.testing.assert_allclose(hand.reprojection_error, errors)
     assert np.all(hand.score > 0.5)
     assert hand_summaries(take)[0]["mean_reprojection_error_px"] == pytest.approx(errors.mean())
-    nowhere = replace(hand, detected=np.zeros(6, dtype=bool))
+    nowhere = seen_as(hand, detected=np.zeros(6, dtype=bool))
     assert hand_summaries(replace(take, hands=(nowhere,)))[0]["mean_reprojection_error_px"] is None
 
 
@@ -172,7 +173,7 @@ def test_a_take_keeps_what_the_solver_was_given(two_right_hands, monkeypatch):
     take = capture(two_right_hands, hands="both")
     assert [hand.side for hand in take.hands] == ["right", "left"]
     for hand, track in zip(take.hands, given, strict=True):
-        detected, kept = track.detections, hand.detections()
+        detected, kept = track.detections, hand.detections
         assert kept.side == detected.side == [SIDES.index("right")]
         assert (kept.score, kept.right_side) == (detected.score, detected.right_side)
         np.testing.assert_array_equal(kept.keypoints, detected.keypoints)
@@ -230,10 +231,9 @@ def test_filled_frames_have_a_pose_but_nothing_seen():
         assert np.isfinite(seen_only[0]).all()
         assert np.isnan(seen_only[1:]).all()
     assert track.doubtful is None  # nobody looked
-    assert track.keypoints_depth is not None
-    assert track.right_side is not None
-    assert np.isnan(track.keypoints_depth[1:]).all()
-    assert np.isnan(track.right_side).all()  # nobody judged
+    assert track.refinable
+    assert track.detections.frame.tolist() == [0]
+    assert np.isnan(track.detections.right_side).all()  # nobody judged
 
 
 @pytest.mark.parametrize("detector", ["direct", "mediapipe", "other"])

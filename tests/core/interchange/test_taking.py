@@ -244,10 +244,10 @@ def test_a_take_of_such_keypoints_is_refitted_as_it_was_fitted() -> None:
     model = model_of("right")
     track = Track("right", found.hands, 30, 30.0)
     kept = hand_track(model, track, get_solver("fast")(model, track, DETECTOR, lambda: None), DETECTOR)
-    assert kept.overlapped is not None
-    assert np.array_equal(kept.overlapped, np.isnan(points[..., 0]))
+    assert kept.rows.overlapped is not None
+    assert np.array_equal(kept.rows.overlapped, np.isnan(points[..., 0]))
     nothing = np.full((30, 21, 2), np.nan), np.zeros(NUM_JOINTS, dtype=bool), OPEN_HAND
-    hand = RefineHand("right", kept.betas, *kept.pose, DETECTOR, kept.detections(), *nothing)
+    hand = RefineHand("right", kept.betas, *kept.pose, DETECTOR, kept.detections, *nothing)
     again = refit_range(hand)
     apart = np.linalg.norm(model.keypoints(again.betas, *again.pose) - kept.joints_3d, axis=-1)
     assert apart.mean() < 0.002
