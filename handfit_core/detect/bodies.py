@@ -97,7 +97,7 @@ def find_bodies(
     if not len(hands):
         return ()
     seen = np.stack(hands)
-    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), camera)
+    clip = _HandsInClip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), camera)
     if not clip.wanted.any():
         return ()
     with _BodyDetector(media, clip) as detector:
@@ -108,7 +108,7 @@ def find_bodies(
 
 
 @dataclass(frozen=True, eq=False)
-class _Clip:
+class _HandsInClip:
     """H hands in T frames, and the camera."""
 
     numbers: list[int]
@@ -150,7 +150,7 @@ class _Part:
 class _BodyDetector(InChunks[_Part]):
     """Finds the bodies of a clip's hands. Use it as a context manager."""
 
-    def __init__(self, media: Media, clip: _Clip) -> None:
+    def __init__(self, media: Media, clip: _HandsInClip) -> None:
         self.media = media
         self._clip = clip
         self._rows = {number: row for row, number in enumerate(clip.numbers)}
@@ -186,7 +186,7 @@ class _BodyDetector(InChunks[_Part]):
 class _Following:
     """Follows bodies through the frames of a chunk."""
 
-    def __init__(self, networks: BodyNetworks, clip: _Clip) -> None:
+    def __init__(self, networks: BodyNetworks, clip: _HandsInClip) -> None:
         self.people: list[_Followed] = []
         """All that were followed"""
         self.cuts: list[int] = []
@@ -287,7 +287,7 @@ def _sees_arm(body: Body) -> bool:
     return bool((body.visibility[arms].min(axis=1) > FOLLOWING.min_visibility).any())
 
 
-def _joined(clip: _Clip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
+def _joined(clip: _HandsInClip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
     """The people of all chunks, by the hands that they have."""
     people = [person for part in parts for person in part.people]
     body_of = np.full(clip.extents.shape, -1)

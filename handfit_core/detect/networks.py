@@ -132,16 +132,6 @@ class Palms:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """The landmark network's output for one crop."""
-
-    presence: float
-    """Probability that the crop shows a hand"""
-    hand: Detections
-    """In pixels of the picture; its score is that of the side"""
-
-
 def crop_around(keypoints: np.ndarray) -> Crop:
     """The crop in which the landmark network finds landmarks (21, 2 or more) again."""
     # All but the outer landmarks of the fingers
@@ -323,8 +313,10 @@ class Networks(Runner):
             points=(numbers[:, 2:] - crop.offset) @ inverse.T,
         )
 
-    def predict(self, rgb: np.ndarray, crop: Crop) -> Prediction:
-        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB."""
+    def predict(self, rgb: np.ndarray, crop: Crop) -> Detections:
+        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB: one
+        hand, whose `certainty` is its presence, the probability that the crop shows a hand, and whose `score`
+        is that of the side."""
         pixels = crop.render(rgb)
         if self.is_draft:
             return self._predict_2020(pixels, crop)
@@ -335,8 +327,9 @@ class Networks(Runner):
             score=max(right, 1.0 - right),
             keypoints=_with_depth(landmarks),
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
+            certainty=float(presence[0]),
         )
-        return Prediction(float(presence[0]), crop.to_picture(hand))
+        return crop.to_picture(hand)
 
     def with_keypoints_2020(self, rgb: np.ndarray, hand: Detections) -> Detections:
         """Add to a hand of a picture (H, W, 3) uint8 RGB the keypoints of the landmark network of December
@@ -356,7 +349,7 @@ class Networks(Runner):
         self._background = self._background or ThreadPoolExecutor(1, "handfit-background")
         return self._background.submit(function)
 
-    def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Prediction:
+    def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Detections:
         """The prediction of the landmark network of December 2020 for a crop and its rendered pixels. World
         landmarks are its keypoints at the size of an average hand."""
         landmarks, presence, handedness = self._run(self._hand_2020, pixels)
@@ -366,7 +359,7 @@ class Networks(Runner):
         side = "right" if right >= 0.5 else "left"
         hand = crop.to_picture(Detections.hand(side, max(right, 1.0 - right), keypoints, world))
         odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-NETWORK.presence_bias_2020)
-        return Prediction(float(odds / (1.0 + odds)), replace(hand, keypoints_2020=hand.keypoints))
+        return replace(hand, keypoints_2020=hand.keypoints, certainty=np.array([odds / (1.0 + odds)]))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:

@@ -18,7 +18,6 @@ from handfit_core.detect.networks import (
     NETWORK,
     Networks,
     Palms,
-    Prediction,
     augmented_crops,
     crop_around,
     square_around,
@@ -218,10 +217,10 @@ class Search:
         most rotated crops agree on. None where there is none."""
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
-        groups: list[list[Prediction]] = []
+        groups: list[list[Detections]] = []
         for prediction in self._predict_rotated(rgb, middle, side, SEARCH.box_spans):
-            if prediction is not None and _fits_box(prediction.hand, middle, size):
-                same = next((g for g in groups if _is_same(g[0].hand, prediction.hand)), None)
+            if prediction is not None and _fits_box(prediction, middle, size):
+                same = next((g for g in groups if _is_same(g[0], prediction)), None)
                 groups.append([prediction]) if same is None else same.append(prediction)
         likely = sorted(groups, key=len, reverse=True)[: SEARCH.box_candidates]
         augmented = [(self._augment(rgb, group[0], 0.5), len(group)) for group in likely]
@@ -267,7 +266,7 @@ class Search:
         middle, side = (hand.box_min[0] + hand.box_max[0]) / 2.0, float(hand.extent[0])
         rotated = self._predict_rotated(rgb, middle, side, SEARCH.recall_spans)
         for tried, prediction in enumerate(rotated, start=1):
-            count += prediction is not None and _is_same(prediction.hand, candidate.hand)
+            count += prediction is not None and _is_same(prediction, candidate.hand)
             best = (count + SEARCH.rotations - tried) / SEARCH.rotations
             if not self._accepts(replace(candidate, rotation_recall=best)):
                 break
@@ -287,7 +286,7 @@ class Search:
 
     def _predict_rotated(
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
-    ) -> Iterator[Prediction | None]:
+    ) -> Iterator[Detections | None]:
         """The refined predictions for crops of all rotations about a box with that middle and longer side."""
         turns = np.arange(SEARCH.rotations) * (2.0 * np.pi / SEARCH.rotations)
         crops = [
@@ -308,7 +307,7 @@ class Search:
         """The known candidates and the hands of those palms after non-maximum suppression, the likeliest
         first. Unless `augment_all`, likely ones have one prediction only."""
         found = list(known)
-        predictions: dict[int, Prediction | None] = {}
+        predictions: dict[int, Detections | None] = {}
         for i in range(len(palms)):
             palm_score = float(palms.score[i])
             same = next((c for c in found if palms.is_of(i, c.hand)), None)
@@ -320,11 +319,11 @@ class Search:
                 predictions |= dict(zip(ahead, refined, strict=True))
             prediction = None if same is not None else predictions[i]
             if prediction is not None:
-                same = next((c for c in found if _is_same(c.hand, prediction.hand)), None)
+                same = next((c for c in found if _is_same(c.hand, prediction)), None)
             if same is not None and palm_score > same.palm_score:
                 found.append(replace(same, palm_score=palm_score))
             elif same is None and prediction is not None:
-                first = Candidate(prediction.hand, prediction.presence, palm_score)
+                first = Candidate(prediction, float(prediction.certainty[0]), palm_score)
                 likely = first.probability > SEARCH.doubtful_probability[1]
                 enough = likely and not augment_all
                 found.append(first if enough else self._augment(rgb, prediction, palm_score))
@@ -336,33 +335,33 @@ class Search:
                 kept.append(row)
         return [found[row] for row in kept]
 
-    def _augment(self, rgb: np.ndarray, first: Prediction, palm_score: float) -> Candidate:
+    def _augment(self, rgb: np.ndarray, first: Detections, palm_score: float) -> Candidate:
         """The mean of test-time augmentation about a prediction; unlikely ones are given up early."""
-        predictions, candidate = [first], Candidate(first.hand, first.presence, palm_score)
-        crops = list(islice(augmented_crops(first.hand.keypoints[0]), 1, self._crop_count))
+        predictions, candidate = [first], Candidate(first, float(first.certainty[0]), palm_score)
+        crops = list(islice(augmented_crops(first.keypoints[0]), 1, self._crop_count))
         for prediction in self._networks.map(lambda n, crop: n.predict(rgb, crop), crops):
             predictions.append(prediction)
-            candidate = replace(candidate, presence=float(np.mean([p.presence for p in predictions])))
+            candidate = replace(candidate, presence=float(np.mean([p.certainty[0] for p in predictions])))
             unlikely = candidate.probability < SEARCH.min_early_probability
             if unlikely and len(predictions) == SEARCH.early_crops:
                 break
-        return replace(candidate, hand=mean_detection(Detections.of([[p.hand for p in predictions]])))
+        return replace(candidate, hand=mean_detection(Detections.of([predictions])))
 
 
 def refine(
     networks: Networks, rgb: np.ndarray, crop: Crop, min_presence: float = SEARCH.min_presence
-) -> Prediction | None:
+) -> Detections | None:
     """Predict in a crop and then in the crops around the landmarks found, until these stay where they are.
     None where there is no hand."""
     prediction = networks.predict(rgb, crop)
     for _ in range(SEARCH.max_passes - 1):
-        if prediction.presence < SEARCH.min_first_presence:
+        if prediction.certainty[0] < SEARCH.min_first_presence:
             return None
-        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.hand.keypoints[0]))
-        sure = min(before.presence, prediction.presence) > SEARCH.converged_presence
-        if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
+        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.keypoints[0]))
+        sure = min(before.certainty[0], prediction.certainty[0]) > SEARCH.converged_presence
+        if sure and distance(before, prediction) < SEARCH.converged_distance:
             break
-    return prediction if prediction.presence >= min_presence else None
+    return prediction if prediction.certainty[0] >= min_presence else None
 
 
 def _is_same(a: Detections, b: Detections) -> bool:

@@ -155,13 +155,12 @@ def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Detec
     """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
     there. None where it is lost."""
     expected = tracked.expected()
-    prediction = networks.predict(rgb, crop_around(expected))
-    off = np.linalg.norm(prediction.hand.keypoints_2d[0] - expected, axis=-1).mean()
-    if prediction.presence >= tracked.min_presence and off > TRACKER.max_shift * prediction.hand.extent[0]:
-        prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints[0]))
-    if prediction.presence < tracked.min_presence:
+    hand = networks.predict(rgb, crop_around(expected))
+    off = np.linalg.norm(hand.keypoints_2d[0] - expected, axis=-1).mean()
+    if hand.certainty[0] >= tracked.min_presence and off > TRACKER.max_shift * hand.extent[0]:
+        hand = networks.predict(rgb, crop_around(hand.keypoints[0]))
+    if hand.certainty[0] < tracked.min_presence:
         return None
-    hand = prediction.hand
     crops = list(augmented_crops(hand.keypoints[0]))[1:] if networks.quality == "best" else []
     hand = _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
     return replace(hand, shown=tracked.last.shown)
@@ -184,7 +183,7 @@ def _mean_with_crops(
 ) -> Detections:
     """The mean of a hand and its predictions in more crops, where these have enough presence."""
     more = [networks.predict(rgb, crop) for crop in crops]
-    hands = [hand, *(prediction.hand for prediction in more if prediction.presence >= min_presence)]
+    hands = [hand, *(other for other in more if other.certainty[0] >= min_presence)]
     return replace(mean_detection(Detections.of([hands])), shown=hand.shown) if len(hands) > 1 else hand
 
 

@@ -90,8 +90,8 @@ def test_hand_and_picture_show_the_same_moment(take, rate):
         (row,) = store.rows_at(built.collection, hand.take, np.array([frame]))
         if frame in keys and captured.detected[number - FRAMES[0]]:
             for seen in ("keypoints_2d", "keypoints_2020"):
-                theirs = getattr(captured, seen)[number - FRAMES[0]]
-                np.testing.assert_array_equal(getattr(hand.track, seen)[row], theirs)
+                theirs = getattr(captured.rows, seen)[number - FRAMES[0]]
+                np.testing.assert_array_equal(getattr(hand.track.rows, seen)[row], theirs)
     # Poses are those that the clip's own keys have between them.
     matched = build_take(take, match_scene=True)
     rows, there = moments(keys, rate) - FRAMES[0], captured.present

@@ -11,7 +11,7 @@ from handfit_core.capturing.fitting import hand_track
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.retiming import sampled
 from handfit_core.capturing.views.pairing import PairingAttempt
-from handfit_core.capturing.views.readings import Clip, track_of
+from handfit_core.capturing.views.readings import ViewTake, track_of
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.keypoints import Detections
 from handfit_core.fit.fast import Guess, fit_observed, fitter_of
@@ -27,7 +27,7 @@ from handfit_core.take.views import Cameras, SeenHand, Verdict, View
 
 def fitted_to_both(
     attempt: PairingAttempt,
-    first: Clip,
+    first: ViewTake,
     options: CaptureOptions,
     verdict: Verdict,
     on_step: Callable[[], None],
@@ -98,7 +98,9 @@ def _fit(
     return fit, second.rows[near * min(first.fps, second.fps) < 1.0 - 1e-6]
 
 
-def _filled(fit: HandMotion, first: Clip, at: int, attempt: PairingAttempt) -> tuple[HandMotion, np.ndarray]:
+def _filled(
+    fit: HandMotion, first: ViewTake, at: int, attempt: PairingAttempt
+) -> tuple[HandMotion, np.ndarray]:
     """The motion with the second view's hand, turned into the first camera's frame, where the first view has
     none, and the second view's rows (K,) that gave it. Next to frames that both views have, it is turned and
     moved by what lies between them, and so on up to the next such frames."""

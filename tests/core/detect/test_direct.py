@@ -78,13 +78,13 @@ def test_landmarks_are_those_of_the_graph(networks):
             rgb = picture(number)
             expected = graph.find(rgb, number / 25)
             prediction = networks.predict(rgb, as_the_graph_cuts(crop_around(before.keypoints[0])))
-            found = prediction.hand.keypoints[0] - [0.5, 0.5, 0.0]
+            found = prediction.keypoints[0] - [0.5, 0.5, 0.0]
             found[:, :2] += np.linalg.inv(crop_around(before.keypoints[0]).linear) @ [0.5, 0.5]
             assert np.abs(found - expected.keypoints).max() < 2e-3 * expected.extent
-            assert np.abs(prediction.hand.world - expected.world).max() < 2e-4  # metres
-            assert prediction.hand.score == pytest.approx(expected.score, abs=1e-3)
-            assert prediction.hand.side == expected.side
-            assert prediction.presence > 0.9
+            assert np.abs(prediction.world - expected.world).max() < 2e-4  # metres
+            assert prediction.score == pytest.approx(expected.score, abs=1e-3)
+            assert prediction.side == expected.side
+            assert prediction.certainty > 0.9
             before = expected
 
 

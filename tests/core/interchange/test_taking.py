@@ -12,7 +12,7 @@ import pytest
 from handfit_core.capturing.fitting import hand_track
 from handfit_core.common.arrays import check_arrays
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
-from handfit_core.detect.correction.corrected import TRUST, landmarked
+from handfit_core.detect.correction.corrected import BLEND, landmarked
 from handfit_core.detect.keypoints import Track
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.refit import refit_range
@@ -197,7 +197,7 @@ def test_missing_points_are_guessed_and_believed_less() -> None:
     np.testing.assert_array_equal(found.overlapped, gone)
     plain = landmarked(replace(found, overlapped=None), "right")
     doubted = landmarked(found, "right").pixel_sigma[gone]
-    assert np.allclose(doubted, TRUST.overlapped * plain.pixel_sigma[gone])
+    assert np.allclose(doubted, BLEND.overlapped * plain.pixel_sigma[gone])
 
 
 def test_points_that_the_program_doubts_are_believed_less() -> None:
