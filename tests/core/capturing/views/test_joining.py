@@ -35,6 +35,7 @@ from tests.core.capturing.views.filmed import (
     take_of,
     takes,
 )
+from tests.takes import seen_as
 
 PAIR = "two_cameras/apart75"
 
@@ -167,7 +168,7 @@ def test_frames_that_the_second_view_alone_has():
         for name, value in vars(hand).items()
         if isinstance(value, np.ndarray) and value.shape[:1] == (FRAMES,)
     }
-    gap = replace(first, take=replace(first.take, hands=(replace(hand, **seen),)))
+    gap = replace(first, take=replace(first.take, hands=(seen_as(replace(hand, **seen), detected=~lost),)))
     whole, take = (joined(each, second, CaptureOptions()).hands[0] for each in (first, gap))
     np.testing.assert_array_equal(take.filled, lost)
     away = np.linalg.norm(take.joints_3d[lost] - whole.joints_3d[lost], axis=2)
