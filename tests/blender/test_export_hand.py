@@ -181,7 +181,10 @@ def test_it_comes_back_in_metres_out_of_other_units(make_take, tmp_path, fmt, pr
 
 @pytest.mark.parametrize(
     ("fmt", "preset"),
-    [*((fmt, preset) for fmt in ("fbx", "glb") for preset in ("PLAIN", "UNITY", "UNREAL")), ("bvh", "PLAIN")],
+    [
+        *((fmt, preset) for fmt in ("fbx", "glb") for preset in ("PLAIN", "UNITY", "UNREAL")),
+        *((fmt, "PLAIN") for fmt in ("bvh", "usd")),
+    ],
 )
 @pytest.mark.parametrize("by", ["parent", "constraint"])
 def test_a_hand_that_something_carries_moves_in_the_world(make_take, tmp_path, fmt, preset, by):
@@ -200,14 +203,18 @@ def test_a_hand_that_something_carries_moves_in_the_world(make_take, tmp_path, f
     expected = {}
     for _, frame in made.seen[:: len(made.seen) - 1]:
         bpy.context.scene.frame_set(frame)
-        expected[frame] = joint_heads(armature, "right")
+        expected[frame] = joint_heads(armature, "right"), evaluated_vertices(built.hands[0].mesh)
     before = snapshot()
-    path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
+    path = write(tmp_path / f"a{EXPORTERS[fmt].suffix}", file_format=fmt, preset=preset)
     assert snapshot() == before
     read_back(path, first=bpy.context.scene.frame_start)
-    for frame, heads in expected.items():
+    for frame, (heads, skin) in expected.items():
         bpy.context.scene.frame_set(frame)
-        np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
+        if fmt == "usd":  # whose bones have other names
+            (mesh,) = (o for o in bpy.data.objects if o.type == "MESH")
+            np.testing.assert_allclose(evaluated_vertices(mesh), skin, atol=5e-4)
+        else:
+            np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
 
 
 @pytest.mark.parametrize("fmt", ["fbx", "glb"])
