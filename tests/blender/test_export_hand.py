@@ -128,7 +128,7 @@ def glb_times(path: Path) -> list[tuple[float, float]]:
     return [tuple(content["accessors"][i][end][0] for end in ("min", "max")) for i in inputs]
 
 
-def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
+def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path, capfd):
     made, built = build(make_take(sides=("right",)))
     armature = built.hands[0].armature
     frame = made.seen[2][1]
@@ -142,6 +142,8 @@ def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
     for name, last in (("KEYS", 30), ("SCENE", 5)):
         path = write(tmp_path / f"{name}.glb", file_format="glb", frame_range=name)
         assert max(end for _, end in glb_times(path)) == pytest.approx(last / 30.0, abs=1e-4)
+        said = "; of keys on 3 to 30 it has the scene's frames, 3 to 5: choose Keys for all"
+        assert (said in capfd.readouterr().out) == (name == "SCENE")
     path = write(tmp_path / "a.fbx", file_format="fbx", frame_range="KEYS", preset="UNREAL")
     read_back(path)
     bpy.context.scene.frame_set(30)
