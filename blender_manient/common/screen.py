@@ -6,6 +6,7 @@ the sidebar and the headers cover a part.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 
@@ -13,6 +14,8 @@ import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
+
+from .section import CAPTURE, EDIT
 
 _MARGIN = 6
 """pixels at scale 1 between the picture and what is around it"""
@@ -51,6 +54,15 @@ def redraw_sidebars() -> None:
         for region in area.regions:
             if region.type == "UI":
                 region.tag_redraw()
+
+
+def open_edit_tab() -> None:
+    """Show the tab Hand Edit in sidebars that show Hand Capture."""
+    for area in areas("VIEW_3D"):
+        for region in area.regions:
+            if region.type == "UI" and getattr(region, "active_panel_category", "") == CAPTURE:
+                with contextlib.suppress(AttributeError, TypeError):  # Blender does not let scripts do it
+                    region.active_panel_category = EDIT
 
 
 def draw_shape(kind: str, points: np.ndarray, colors: np.ndarray, line_width: float = 0.0) -> None:

@@ -105,6 +105,8 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
                 self._report(job)
                 if job.state == "done" and (job.matched or job.in_front):
                     screen.look_through_camera(context)
+                if job.state == "done" and not job.offer and not jobs.busy():
+                    screen.open_edit_tab()
                 if job.hands_to_choose and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")
                 if (job.bare or job.then_add_hand) and job.state == "done" and not jobs.busy():
@@ -137,9 +139,9 @@ class MANIENT_OT_cancel_capture(InternalOperator, bpy.types.Operator):
 
 
 class MANIENT_OT_clear_captures(InternalOperator, bpy.types.Operator):
-    """Remove finished captures from this list. The hands stay."""
+    """Remove these messages. The captured hands stay."""
 
-    bl_label = "Clear List"
+    bl_label = "Dismiss"
 
     def run(self, context):
         jobs.forget_finished()

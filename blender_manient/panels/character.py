@@ -12,7 +12,7 @@ from handfit_core.retarget.hand_map import PALM_FINGERS
 from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
 from handfit_core.retarget.saved_rigs import saved_rigs
 
-from ..common.section import Section, fitted, sentence, split
+from ..common.section import EditSection, note, split
 from ..common.wording import capitalised, counted
 from ..rigs import troubles
 from ..scene.characters import (
@@ -38,22 +38,22 @@ _SURE, _LIKELY = 0.75, 0.45
 """How sure a hand must be recognised for these words"""
 
 
-class MANIENT_PT_character(Section, bpy.types.Panel):
+class MANIENT_PT_character(EditSection, bpy.types.Panel):
     bl_label = "Character"
-    bl_order = 7
+    bl_order = 6
     bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return active_character(context) is not None
 
     def draw(self, context):
         layout, armature = self.layout, active_character(context)
-        if armature is None:
-            text = "Select a character, its armature or a mesh that it deforms, to have it move as captured"
-            sentence(layout, context, text, "INFO")
-            return
-        name = fitted(context, armature.name)
-        layout.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
+        assert armature is not None
+        layout.label(text=armature.name, icon="OUTLINER_OB_ARMATURE", translate=False)
         why = why_not_reachable(armature)
         if why is not None:
-            sentence(layout, context, why, "ERROR")
+            note(layout, why, "ERROR")
         column = layout.column()
         column.enabled = why is None
         for side in SIDES:
@@ -72,15 +72,15 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             source = source_of(armature, side, context)
             wanted = source is not None
         except HandfitError as error:
-            sentence(box, context, capitalised(str(error)), "ERROR")
+            note(box, capitalised(str(error)), "ERROR")
         else:
             if source is None:
                 text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
             else:
                 text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
-            sentence(box, context, text, "BLANK1" if source else "INFO")
+            note(box, text, "BLANK1" if source else "INFO")
         for text, icon in _hand_messages(armature, side, wanted):
-            sentence(box, context, text, icon)
+            note(box, text, icon)
 
     def _how(self, context, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
@@ -95,7 +95,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             row.prop(character, "reference")
             row.operator("manient.mark_frame", text="", icon="MARKER_HLT")
             text = "Pose the character's hand as it is to be in this frame"
-            sentence(column, context, text, "INFO")
+            note(column, text, "INFO")
             if character.wrist == "PLACED":
                 column.prop(character, "travel", slider=True)
             column.prop(character, "smoothing")
@@ -104,7 +104,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             told = hand_adjusting.message(armature)
             if told is not None:
                 text, alert = told
-                sentence(column, context, capitalised(text), "ERROR" if alert else "INFO")
+                note(column, capitalised(text), "ERROR" if alert else "INFO")
         data = armature.animation_data
         if character.time_offset or (data is not None and (data.action is not None or len(data.nla_tracks))):
             column.prop(character, "time_offset")
@@ -121,7 +121,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         layout.prop(character, "live", text=text, icon="LINKED", toggle=True)
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
-            sentence(layout, context, capitalised(trouble), "ERROR")
+            note(layout, capitalised(trouble), "ERROR")
 
     def _arms(self, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
@@ -143,7 +143,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
                 ).side = side
 
 
-class MANIENT_PT_character_bones(Section, bpy.types.Panel):
+class MANIENT_PT_character_bones(EditSection, bpy.types.Panel):
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
     bl_options = {"DEFAULT_CLOSED"}
@@ -176,7 +176,7 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         block.prop(table, "fold", slider=True)
         keyless = said_without_keys(without_keys(armature, table_of(armature, table.side)))
         if keyless:
-            sentence(layout, context, capitalised(keyless), "INFO")
+            note(layout, capitalised(keyless), "INFO")
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
@@ -189,7 +189,7 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         row.operator("manient.import_rig", icon="IMPORT")
         row.operator("manient.export_rig", icon="EXPORT")
         for trouble in saved_rigs()[1]:
-            sentence(layout, context, capitalised(trouble), "ERROR")
+            note(layout, capitalised(trouble), "ERROR")
 
 
 def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:

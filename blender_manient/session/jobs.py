@@ -104,6 +104,8 @@ class Job:
     views_message: str = ""
     """The verdict on a capture of two views that fit together; empty for one view, and where a warning says
     that they do not"""
+    offer: str = ""
+    """What the panel offers after it: find_hands or add_hand, an operator; the last warning says why"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
@@ -141,17 +143,14 @@ class Job:
         return ("Stopping", False) if self._stopping else ("Stop", True)
 
     @property
-    def gone(self) -> str:
-        """What has become of its result where that is there no more, in a word: an undo took it back, or the
-        artist has removed it; else empty."""
+    def is_gone(self) -> bool:
+        """True if an undo took its hands back, or the artist has removed them."""
         if self.state != "done":
-            return ""
-        if not any(self.key in _captured(scene) for scene in bpy.data.scenes):
-            return "Undone"
-        if self._capture is None:
-            return ""
-        capture = self._capture.find()
-        return "" if any(capture in captures(scene) for scene in bpy.data.scenes) else "Removed"
+            return False
+        capture = self._capture and self._capture.find()
+        undone = not any(self.key in _captured(scene) for scene in bpy.data.scenes)
+        removed = self._capture and not any(capture in captures(scene) for scene in bpy.data.scenes)
+        return undone or bool(removed)
 
     @property
     def rate(self) -> float:
@@ -183,6 +182,11 @@ class Job:
             return ""
         left = (self.total - self.done) / self.rate
         return f"{self.rate:.0f} fps  {_duration(left)} left"
+
+    def told(self) -> str:
+        """What came of it, all of it: its result, what became of the scene, and warnings."""
+        said = (self.message, *self.warnings, self.views_message, self.scene_message)
+        return ". ".join(text.removesuffix(".") for text in said if text)
 
     def status(self) -> str:
         """`activity` and `speed_text` in one line."""

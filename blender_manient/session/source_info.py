@@ -1,4 +1,4 @@
-"""The files behind a path that the panel names, and what it shows of them: kind, size, frames, a thumbnail.
+"""The files behind a path that the panel names, and what it shows of them: kind, size and frames.
 
 Looked up when the path changes, not when the panel is drawn. Size, frames and pictures of single frames come
 from the worker, which is started by that and is warm when the artist presses the button.
@@ -43,6 +43,12 @@ from ..scene.matching import Footage
 from ..scene.store import captures_of, clip_timing
 from . import cache, jobs, shared_worker
 
+_KINDS = {
+    "photo": "Photo",
+    "sequence": "Image sequence",
+    "video": "Video",
+    "data": "Hands of another program",
+}
 _POLL_SECONDS = 0.1
 """seconds"""
 
@@ -79,7 +85,7 @@ def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
 
 def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
     if not path_text:
-        raise InputError("Choose a photo, an image sequence or a video")
+        raise InputError("Choose a photo or a clip")
     # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.
     path = Path(bpy.path.abspath(path_text)).expanduser().absolute()
     if is_recording(path) and not is_take(path):
@@ -132,8 +138,6 @@ class SourceInfo:
     last: int = 1
     unsized: bool = False
     """Whether these are another program's hands in pictures of a size that their file does not tell"""
-    can_be_shown: bool = False
-    """Whether Blender may decode its first picture for a thumbnail"""
     pictured: int | None = None
     picture: str = ""
     """The file with the newest picture of a frame that came"""
@@ -314,11 +318,21 @@ def told_offset(settings) -> float | None:
     return first - second
 
 
-def thumbnail(info: SourceInfo) -> int:
-    """An icon of the source, 0 where there is none."""
-    if info.files is None or not info.can_be_shown:
-        return 0
-    return _icon(info.files.files[0], "MOVIE" if info.files.kind == "video" else "IMAGE")
+def in_words(settings, info: SourceInfo, name: str = "") -> str:
+    """Kind, or the name, size, frames and rate of a source whose files were found, for one line."""
+    assert info.files is not None
+    clip = None if name else camera_clip(settings, info.files)
+    kind = _KINDS[info.files.kind]
+    if clip is not None:
+        kind = "Tracked clip" if clip.is_solved else "Camera's clip"
+    said = [name or kind]
+    if info.files.kind != "data" and info.width:
+        said.append(f"{info.width}×{info.height}")
+    if info.files.kind != "photo" and info.frames:
+        said.append(f"{info.first}-{info.last}")
+        if info.fps and info.files.kind in ("video", "data"):
+            said.append(f"{info.fps:.5g} fps")
+    return ", ".join(said) + (f". {info.files.left_out}" if info.files.left_out else "")
 
 
 def frame_picture(info: SourceInfo, frame: int) -> int:
@@ -366,9 +380,6 @@ def _inspect(path: str, as_sequence: bool) -> SourceInfo:
     first = Path(info.files.files[0])
     if info.files.kind == "data":
         return info
-    with contextlib.suppress(InputError):  # the worker will say what is wrong with it
-        check_for_blender(first, preferences.get().max_megapixels or None)
-        info.can_be_shown = True
     if info.files.kind == "photo" or as_sequence:
         info.siblings = len(numbered_siblings(first))
     if info.files.kind == "sequence":

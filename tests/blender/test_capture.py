@@ -13,7 +13,6 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture
-from blender_manient.panels.source import MANIENT_PT_source
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, shared_worker, source_info
@@ -126,7 +125,7 @@ def test_a_shot_keeps_its_time_and_the_hand_begins_where_the_button_was_pressed(
     assert (scene.render.fps, scene.render.resolution_x, scene.camera) == (24, 1920, None)
     assert tuple(hand.armature.animation_data.action.frame_range) == (1010.0, 1013.0)
     assert not job.matched
-    assert job.scene_message == "Hand came at frame 1010, 24 fps: the scene stays as it is"
+    assert job.scene_message == "Scene stays, hand at frame 1010, 24 fps"
     settings.matching = "MATCH"
     capture()
     assert (scene.frame_start, scene.frame_end) == (3, 6)
@@ -312,8 +311,8 @@ def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camer
         first, part = 98, np.ones(2)  # the first file's
     assert bpy.ops.manient.use_background_clip() == {"FINISHED"}
     assert (settings.source, settings.camera) == (str(path), "ACTIVE")
-    assert "Camera's Clip" in drawn(MANIENT_PT_source).rows
-    assert f"Hand comes at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
+    assert "Camera's clip, " in drawn(MANIENT_PT_capture).said
+    assert f"Hand at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
     if kind == "MOVIE":
         assert source_info.dropped_footage(settings, path).placed.offset == first - 1
     settings.matching = "MATCH"  # which the scene is not, since the clip is in it
@@ -385,7 +384,7 @@ def test_a_tracked_clip_is_the_scene_cameras(settings, own_camera, tmp_path, how
         own_camera.constraints.new("CAMERA_SOLVER").clip = clip
     settings.source, settings.as_sequence = str(path), True
     assert settings.camera == "ACTIVE"
-    assert "Tracked Clip" in drawn(MANIENT_PT_source).rows
+    assert "Tracked clip" in drawn(MANIENT_PT_capture).said
     capture()
     (hand,) = hands()
     assert hand.armature.animation_data.action.frame_range[:] == (101, 110)
@@ -409,8 +408,8 @@ def test_removing_takes_the_picture_from_the_artists_camera(settings, own_camera
     assert len(own_camera.data.background_images) == 1
     assert bpy.ops.manient.remove_capture(capture=first.name) == {"FINISHED"}
     assert len(own_camera.data.background_images) == 1
-    assert [job.gone for job in jobs.jobs()] == ["Removed", ""]
-    assert "Removed" in drawn(MANIENT_PT_capture).said
+    assert [job.is_gone for job in jobs.jobs()] == [True, False]
+    assert drawn(MANIENT_PT_capture).said.count("1 hand in 1 frame") == 1
     assert bpy.ops.manient.remove_capture(capture=second.name) == {"FINISHED"}
     assert (len(own_camera.data.background_images), len(bpy.data.images)) == (0, 0)
     capture()
