@@ -39,9 +39,13 @@ class Page:
         return [line.text for line in self._shown]
 
     @property
-    def words(self) -> list[str]:
-        """What an artist reads, word by word: of a message the one line that is seen."""
-        return " ".join(line.seen for line in self._shown).split()
+    def seen(self) -> list[str]:
+        """Each line as an artist reads it: of a message what one line shows of it."""
+        return [line.seen for line in self._shown]
+
+    def words_before(self, text: str) -> int:
+        """The number of words above the line that says just this."""
+        return len(" ".join(self.seen[: self.seen.index(text)]).split())
 
     @property
     def loud(self) -> str:

@@ -105,7 +105,8 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
                 self._report(job)
                 if job.state == "done" and (job.matched or job.in_front):
                     screen.look_through_camera(context)
-                if job.state == "done" and not job.offer and not jobs.busy():
+                goes_on = job.offer or job.bare or job.then_add_hand or jobs.busy()
+                if job.state == "done" and not goes_on:
                     screen.open_edit_tab()
                 if job.hands_to_choose and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")

@@ -16,7 +16,6 @@ from ..session.refiner import why_not_refinable, why_not_smoothable
 class MANIENT_PT_refine(EditSection, bpy.types.Panel):
     bl_label = "Correct"
     bl_order = 2
-    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context):

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import bpy
+from stage import EDIT_TAB
 
 from scenarios.capturing import (
     assert_sentence,
@@ -20,7 +21,6 @@ from scenarios.capturing import (
     part,
     summary,
 )
-from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
 LONGEST_CALL = 2.4
@@ -100,33 +100,33 @@ def escaped(stage, source, frames):
 
 def queued(stage, sources):
     """Captures that wait for each other are a list in their scene; its first row is clicked."""
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
-        for source in sources:  # all in one turn, so that the first cannot be over before the last is there
-            bpy.context.scene.manient.source = source
-            with stage.override():
-                bpy.ops.manient.capture("INVOKE_DEFAULT")
-        waited = jobs()
-        assert [job.state for job in waited] == ["waiting"] * 3
-        while not all(job.finished for job in waited):
-            states = [job.state for job in waited]
-            running = [state for state in states if state in ("capturing", "building")]
-            ended, waiting = states.count("done"), states.count("waiting")
-            assert len(running) <= 1
-            assert states == ["done"] * ended + running + ["waiting"] * waiting, "in their order"
-            yield 0.0
-        done(*waited)
-        yield 0.3
-        assert _shown() == ["second"], "the last one is active"
-        row = yield from stage.find_button(".manient_capture", along=0.6)
-        yield from stage.click(row)
-        yield 0.5
-        (first,) = _shown()
-        assert first != "second"
-        yield from stage.undo()
-        assert _shown() == ["second"]
-        yield from stage.redo()
-        assert _shown() == [first]
+    yield from stage.open_sidebar()
+    for source in sources:  # all in one turn, so that the first cannot be over before the last is there
+        bpy.context.scene.manient.source = source
+        with stage.override():
+            bpy.ops.manient.capture("INVOKE_DEFAULT")
+    waited = jobs()
+    assert [job.state for job in waited] == ["waiting"] * 3
+    while not all(job.finished for job in waited):
+        states = [job.state for job in waited]
+        running = [state for state in states if state in ("capturing", "building")]
+        ended, waiting = states.count("done"), states.count("waiting")
+        assert len(running) <= 1
+        assert states == ["done"] * ended + running + ["waiting"] * waiting, "in their order"
+        yield 0.0
+    done(*waited)
+    yield 0.3
+    assert _shown() == ["second"], "the last one is active"
+    yield from stage.open_sidebar()
+    row = yield from stage.find_button(".manient_capture", along=0.6)
+    yield from stage.click(row)
+    yield 0.5
+    (first,) = _shown()
+    assert first != "second"
+    yield from stage.undo()
+    assert _shown() == ["second"]
+    yield from stage.redo()
+    assert _shown() == [first]
 
 
 def _shown() -> list[str]:
@@ -247,15 +247,14 @@ def _said_of(job) -> tuple[int, bool, str, str]:
     source that the panel tells of."""
     settings = bpy.context.scene.manient
     shown = Path(part("session.source_info").of(settings).path).name
-    return len(hands()), bool(job.gone), Path(settings.source).name, shown
+    return len(hands()), job.is_gone, Path(settings.source).name, shown
 
 
 def arms_added(stage, source):
     """Add Arms looks at the picture again, and gives each hand an arm or says why not; undone, redone, saved
     and opened again."""
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
     yield from capture(stage, source)
+    yield from stage.open_sidebar(EDIT_TAB)
     before = summary()
     yield from stage.press_button("bpy.ops.manient.add_arms(")
     yield from stage.until(lambda: all(_arms()), 60.0, "arms, or why there are none")
