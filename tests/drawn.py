@@ -58,11 +58,12 @@ class Page:
         return [line.text for line in self._shown if not line.page._usable()]
 
     def prop(self, data: Any, name: str, *, text: str | None = None, **_: Any) -> None:
-        value, of = getattr(data, name), data.bl_rna.properties[name]
-        seen = [of.name if text is None else text]
-        if of.type == "ENUM" and not of.is_enum_flag:
-            seen.append(data.bl_rna.properties[name].enum_items[value].name if of.enum_items else value)
-        elif of.type in ("STRING", "INT", "FLOAT") and not getattr(of, "is_array", False):
+        value, of = getattr(data, name), data.bl_rna.properties.get(name)
+        seen = [text] if text is not None else [of.name] if of is not None else [name]
+        if isinstance(value, str) and value:
+            items = getattr(of, "enum_items", {})
+            seen.append(items[value].name if value in items else value)
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
             seen.append(str(value))
         self._show(name if text is None else text, " ".join(seen))
 

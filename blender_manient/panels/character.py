@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import bpy
 
-from handfit_core.common.errors import HandfitError, HandModelError
-from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import FINGERS, SIDES, Side
 from handfit_core.retarget.hand_map import PALM_FINGERS
-from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
 from handfit_core.retarget.saved_rigs import saved_rigs
 
 from ..common.section import EditSection, note, split
-from ..common.wording import capitalised, counted
-from ..rigs import troubles
+from ..common.wording import capitalised
 from ..scene.characters import (
     CharacterObjects,
     active_character,
-    hand_map_of,
-    is_damaged,
-    kept_map,
-    recognised,
     rig_used,
     said_without_keys,
     source_of,
@@ -30,12 +22,9 @@ from ..scene.characters import (
     why_not_reachable,
     without_keys,
 )
-from ..scene.onto_character import why_not_turned
+from ..scene.onto_character import hand_messages
 from ..scene.store import CapturedHand
 from ..session import hand_adjusting, live_link
-
-_SURE, _LIKELY = 0.75, 0.45
-"""How sure a hand must be recognised for these words"""
 
 
 class MANIENT_PT_character(EditSection, bpy.types.Panel):
@@ -74,12 +63,11 @@ class MANIENT_PT_character(EditSection, bpy.types.Panel):
         except HandfitError as error:
             note(box, capitalised(str(error)), "ERROR")
         else:
-            if source is None:
-                text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
-            else:
+            text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
+            if source is not None:
                 text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
             note(box, text, "BLANK1" if source else "INFO")
-        for text, icon in _hand_messages(armature, side, wanted):
+        for text, icon in hand_messages(armature, side, wanted):
             note(box, text, icon)
 
     def _how(self, context, layout, armature: bpy.types.Object) -> None:
@@ -198,51 +186,3 @@ def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[Cap
         return [*sources_of(armature, context).values()]
     except HandfitError:
         return []
-
-
-def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
-    """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
-    lacks it is no error where nothing would move it, and the other hand is known."""
-    told = []
-    if is_damaged(armature, side):
-        text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
-        told.append((text, "ERROR"))
-    try:
-        hand_map = hand_map_of(armature, side)
-    except HandModelError as error:
-        lacked = not wanted and table_of(armature, other_side(side)).mapped
-        return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
-    try:
-        rig, kept, used = hand_map.rig or "Unknown rig", kept_map(armature, side), rig_used(armature, side)
-        if kept is not None:
-            told.append((f"{rig}, with your own table", "CHECKMARK"))
-        elif used is not None:
-            told.append((used.label, "CHECKMARK"))
-        elif (sure := recognised(armature, side).sure) >= _SURE:
-            told.append((f"{rig}, for sure", "CHECKMARK"))
-        elif sure < DOUBTFUL:
-            told.append(("This may be no hand: look at Bones below", "ERROR"))
-        else:
-            doubt = "likely" if sure >= _LIKELY else "perhaps"
-            told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
-        hand_map.check(armature.data.bones)
-        if keyless := without_keys(armature, hand_map).get(UNKNOWN):
-            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
-        if kept is None and used is None and (but := recognised(armature, side).but):
-            told.append((capitalised(but), "INFO"))
-    except HandModelError as error:
-        return [*told, (capitalised(str(error)), "ERROR")]
-    if armature.manient.character.wrist == "FINGERS":
-        hand_map = replace(hand_map, control="")
-    told += [(text, "ERROR") for text in map(_capitalised_name_kept, troubles(armature, hand_map))]
-    reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
-    if reasons:
-        more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
-        text = _capitalised_name_kept(reasons[0].removesuffix(": it was left alone"))
-        told.append((f"{text}: it is left alone{more}", "INFO"))
-    return told
-
-
-def _capitalised_name_kept(sentence: str) -> str:
-    """With a capital letter, except where it begins with a bone's name."""
-    return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

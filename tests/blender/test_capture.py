@@ -311,7 +311,7 @@ def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camer
         first, part = 98, np.ones(2)  # the first file's
     assert bpy.ops.manient.use_background_clip() == {"FINISHED"}
     assert (settings.source, settings.camera) == (str(path), "ACTIVE")
-    assert "Camera's clip, " in drawn(MANIENT_PT_capture).said
+    assert "Camera's clip" in drawn(MANIENT_PT_capture).said
     assert f"Hand at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
     if kind == "MOVIE":
         assert source_info.dropped_footage(settings, path).placed.offset == first - 1
