@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable
 from typing import Any
 
 import blf
@@ -29,6 +30,12 @@ class EditSection(Section):
     """A panel of the tab in which captured hands are edited."""
 
     bl_category = EDIT
+    works_on: Callable[[bpy.types.Context], Any] = staticmethod(lambda context: context.scene)
+
+    @classmethod
+    def poll(cls, context):
+        """True if there is something that it works on."""
+        return cls.works_on(context) is not None
 
 
 def note(layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:

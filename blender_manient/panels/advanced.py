@@ -28,7 +28,8 @@ class MANIENT_PT_advanced(Section, bpy.types.Panel):
         kind = info.files.kind if info.files else None
         layout.prop(settings, "target")
         if kind != "data":
-            layout.prop(settings, "keypoints")
+            layout.label(text="Other Tracker's File")
+            layout.prop(settings, "keypoints", text="")
         if source_info.has_views(info):
             layout.prop(settings, "second_view")
             if settings.second_view:
@@ -78,26 +79,26 @@ class MANIENT_PT_advanced(Section, bpy.types.Panel):
                 layout.prop(settings, "baseline", text="Meters")
 
     def _model(self, settings) -> None:
-        layout = self.layout
+        layout, path = self.layout, settings.model_path or preferences.get().mano_folder
         layout.prop(settings, "model")
         if settings.model != "MANO":
             return
         layout.prop(settings, "model_path", text="Files")
-        folder = preferences.get().mano_folder
-        if not settings.model_path and folder:
-            note(layout, f"From the preferences: {folder}", "INFO")
-        elif not settings.model_path:
+        layout.operator("manient.check_mano", text="Check Files").path = path
+        if not path:
             note(layout, "Choose your MANO file or folder", "ERROR")
-        layout.operator("manient.check_mano", text="Check Files")
-        for result in housekeeping.results(settings.model_path or folder):
+        for result in housekeeping.results(path):
             note(layout, result.sentence, "CHECKMARK" if result.ok else "ERROR")
 
     def _camera(self, context, settings) -> None:
         layout = self.layout
         if not has_scene_camera(context.scene):  # which the tab's top asks about
-            column = layout.column(align=True)
-            for index, value in enumerate(("SOLVE", "FOCAL", "LENS")):
-                column.column(heading="" if index else "Camera").prop_enum(settings, "camera", value)
+            parts = layout.split(factor=0.4)
+            parts.use_property_split = False
+            parts.label(text="Camera")
+            column = parts.column(align=True)
+            for value in ("SOLVE", "FOCAL", "LENS"):
+                column.prop_enum(settings, "camera", value)
         if settings.camera == "FOCAL":
             layout.prop(settings, "focal_length", text="Millimeters")
         elif settings.camera == "LENS":

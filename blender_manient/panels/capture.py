@@ -110,12 +110,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
 
     def _result(self, context, info: source_info.SourceInfo) -> None:
         """One line about what the capture does: to the scene, or to which hand."""
-        layout, settings, scene, hand = (
-            self.layout,
-            context.scene.manient,
-            context.scene,
-            active_hand(context),
-        )
+        layout, scene, hand = self.layout, context.scene, active_hand(context)
+        settings = scene.manient
         if settings.camera == "ACTIVE" and scene.camera is None:
             note(layout, "The scene has no active camera", "ERROR")
         elif settings.target == "NEW":

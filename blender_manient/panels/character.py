@@ -31,10 +31,7 @@ class MANIENT_PT_character(EditSection, bpy.types.Panel):
     bl_label = "Character"
     bl_order = 6
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return active_character(context) is not None
+    works_on = staticmethod(active_character)
 
     def draw(self, context):
         layout, armature = self.layout, active_character(context)
@@ -135,10 +132,7 @@ class MANIENT_PT_character_bones(EditSection, bpy.types.Panel):
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return active_character(context) is not None
+    works_on = staticmethod(active_character)
 
     def draw(self, context):
         layout, armature = self.layout, active_character(context)

@@ -11,18 +11,24 @@ from ..scene.characters import active_character, why_not_written
 from ..scene.store import CapturedHand, active_hand, hand_of
 
 
+def _exported(context: bpy.types.Context) -> bpy.types.Object | CapturedHand | None:
+    """The character, or else the hand, that the buttons are for."""
+    chosen = context.active_object
+    is_hand = chosen is not None and hand_of(chosen) is not None
+    character = None if is_hand else active_character(context)
+    return character or active_hand(context)
+
+
 class MANIENT_PT_export(EditSection, bpy.types.Panel):
     bl_label = "Export"
     bl_order = 7
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return any(_exported(context))
+    works_on = staticmethod(_exported)
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.manient
-        character, hand = _exported(context)
+        exported = _exported(context)
+        character = None if isinstance(exported, CapturedHand) else exported
         can = True
         if character is not None:
             layout.label(text=character.name, icon="OUTLINER_OB_ARMATURE", translate=False)
@@ -30,8 +36,8 @@ class MANIENT_PT_export(EditSection, bpy.types.Panel):
             if why is not None:
                 note(layout, why, "ERROR")
                 can = False
-        elif hand is not None:
-            layout.label(text=hand.collection.name, icon="VIEW_PAN", translate=False)
+        elif exported is not None:
+            layout.label(text=exported.collection.name, icon="VIEW_PAN", translate=False)
         can &= format_buttons(layout, settings, "export_format", character=character is not None)
         column = split(layout.column())
         if EXPORTERS[settings.export_format].presets:
@@ -46,11 +52,3 @@ class MANIENT_PT_export(EditSection, bpy.types.Panel):
         button = row.operator("manient.export_character", text="Export", icon="EXPORT")
         button.file_format, button.preset = settings.export_format, settings.export_preset
         button.meshes = settings.export_meshes
-
-
-def _exported(context: bpy.types.Context) -> tuple[bpy.types.Object | None, CapturedHand | None]:
-    """The character, or else the hand, that the buttons are for."""
-    chosen = context.active_object
-    is_hand = chosen is not None and hand_of(chosen) is not None
-    character = None if is_hand else active_character(context)
-    return character, None if character is not None else active_hand(context)

@@ -17,10 +17,7 @@ class MANIENT_PT_motion(EditSection, bpy.types.Panel):
     bl_label = "Motion"
     bl_order = 4
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return armature_of(context) is not None
+    works_on = staticmethod(armature_of)
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.manient

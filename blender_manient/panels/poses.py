@@ -13,10 +13,7 @@ class MANIENT_PT_poses(EditSection, bpy.types.Panel):
     bl_label = "Pose"
     bl_order = 3
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return posed_by(context) is not None
+    works_on = staticmethod(posed_by)
 
     def draw(self, context):
         layout, settings, hand = self.layout, context.scene.manient, active_hand(context)

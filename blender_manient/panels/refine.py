@@ -16,10 +16,7 @@ from ..session.refiner import why_not_refinable, why_not_smoothable
 class MANIENT_PT_refine(EditSection, bpy.types.Panel):
     bl_label = "Correct"
     bl_order = 2
-
-    @classmethod
-    def poll(cls, context):
-        return active_hand(context) is not None
+    works_on = staticmethod(active_hand)
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.manient

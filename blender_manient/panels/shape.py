@@ -13,10 +13,7 @@ class MANIENT_PT_shape(EditSection, bpy.types.Panel):
     bl_label = "Shape"
     bl_order = 5
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return active_hand(context) is not None
+    works_on = staticmethod(active_hand)
 
     def draw(self, context):
         layout, hand = self.layout, active_hand(context)

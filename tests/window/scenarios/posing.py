@@ -11,7 +11,7 @@ from stage import EDIT_TAB
 from scenarios.capturing import capture, hands, import_take, keys_of, mesh_of, part
 from scenarios.panels import opened_by_default
 
-PICTURE = 293
+PICTURE = 155
 """pixels from the sidebar's top to the middle of a pose's picture, with all sections above closed"""
 FIST = (-161, -121)
 """pixels from there to the fist among the pictures that open"""
