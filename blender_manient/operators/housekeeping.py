@@ -80,8 +80,9 @@ class MANIENT_OT_note(InternalOperator, bpy.types.Operator):
     def description(cls, _context, properties):
         return properties.text.removesuffix(".")
 
-    def run(self, _context):
-        return self.text  # into the Info editor, from where it can be copied
+    def run(self, context):
+        """Report it, since reports can be copied."""
+        return self.text
 
 
 class MANIENT_OT_clear_cache(InternalOperator, bpy.types.Operator):

@@ -190,8 +190,8 @@ def in_words(scene: bpy.types.Scene, capture: bpy.types.Collection) -> str:
         if thing.manient.capture == capture
         if (hand := hand_of(thing))
     ]
-    found = [errors for errors in map(errors_of, hands) if errors.mean is not None]
-    words = {errors.scale.quality(errors.mean) for errors in found}
+    found = [(errors.scale, errors.mean) for errors in map(errors_of, hands)]
+    words = {scale.quality(mean) for scale, mean in found if mean is not None}
     worst = [word for word in ("poor", "fair", "good") if word in words][:1]
     views = verdict(capture)
     if views is not None and views.agreement != "good":
