@@ -62,11 +62,11 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
             else:
                 row.operator("manient.find_hands", icon="VIEWZOOM")
-        if info.files is not None and info.files.kind != "photo":
+        shown = None if info.files is None else source_info.shown_frame(context, info.files)
+        if shown is not None and info.files.kind != "photo" and info.has_frame(shown):
             if own:
                 sentence(buttons, context, own, "SCENE_DATA")
             row = _row(buttons, ready and choosing is None)
-            shown = source_info.shown_frame(context, info.files)
             row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
         if searched:
             parts = layout.split(factor=0.36, align=True)

@@ -74,6 +74,8 @@ class Picture:
     """Whether that line is one to worry about"""
     corner: tuple[float, float]
     """pixels of the region: where the line begins"""
+    hollow: bool = False
+    """Whether the points are not those of the hand"""
 
 
 def draw(picture: Picture) -> None:
@@ -194,7 +196,18 @@ def _fan(sides: int) -> np.ndarray:
     return np.stack([np.zeros((sides, 2)), outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
 
 
+def _ring(sides: int) -> np.ndarray:
+    """(6 sides, 2) triangles of a regular polygon about 0 with a hole in its middle."""
+    outline = _fan(sides).reshape(-1, 3, 2)[:, 1:]  # (sides, 2, 2)
+    outer, inner = outline, outline * _HOLE
+    corners = [outer[:, 0], outer[:, 1], inner[:, 0], inner[:, 0], outer[:, 1], inner[:, 1]]
+    return np.stack(corners, axis=1).reshape(-1, 2)
+
+
+_HOLE: Final = 0.6
+"""The radius of a hollow handle's hole, over the handle's"""
 _DISC: Final = _fan(20)
+_RING: Final = _ring(20)
 _DIAMOND: Final = _fan(4)
 LINES: Final = np.array([(KEYPOINT_PARENTS[k], k) for k in range(1, NUM_KEYPOINTS)])
 # The palm's lines stay behind: there are five from the wrist.
