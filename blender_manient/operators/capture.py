@@ -22,7 +22,7 @@ from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
 from ..session import jobs, live, source_info
-from .base import LINKED_SCENE, InternalOperator, ModalOperator
+from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 
 
 class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
@@ -123,6 +123,23 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         else:
             said = ". ".join(filter(None, (job.message, job.views_message, job.scene_message)))
             self.report({"INFO"}, f"{job.name}: {said}")
+
+
+class MANIENT_OT_queue_capture(ManientOperator, bpy.types.Operator):
+    """Capture this as well, after the captures before."""
+
+    # Not Capture itself: where two buttons are of one operator, and the mouse is on the one that goes,
+    # Blender takes the other one for it, and clicks go there.
+    bl_label = "Add to Queue"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll_reason(cls, context):
+        return why_no_capture(context)
+
+    def run(self, context):
+        jobs.submit(new_job(context, only_frame=False, ask_if_many=True))
+        return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
 
 
 class MANIENT_OT_quit(InternalOperator, bpy.types.Operator):

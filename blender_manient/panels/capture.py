@@ -62,11 +62,11 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 row.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
             else:
                 row.operator("manient.find_hands", icon="VIEWZOOM")
-        shown = None if info.files is None else source_info.shown_frame(context, info.files)
-        if shown is not None and info.files.kind != "photo" and info.has_frame(shown):
+        if info.files is not None and info.files.kind != "photo":
             if own:
                 sentence(buttons, context, own, "SCENE_DATA")
             row = _row(buttons, ready and choosing is None)
+            shown = source_info.shown_frame(context, info.files)
             row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
         if searched:
             parts = layout.split(factor=0.36, align=True)
@@ -111,7 +111,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         if queue:
             row = _row(layout, ready or not jobs.busy())
             if jobs.busy():
-                row.operator("manient.capture", text="Add to Queue", icon="ADD")
+                row.operator("manient.queue_capture", icon="ADD")
             else:
                 row.operator("manient.clear_captures", text="Clear List")
 

@@ -82,7 +82,7 @@ class Viewport:
         preferences = bpy.context.preferences
         if preferences is None or not (self.space.show_gizmo and self.space.show_gizmo_navigate):
             return False
-        size = preferences.view.gizmo_size_navigate_3d + _GIZMO_MARGIN
+        size = preferences.view.gizmo_size_navigate_v3d + _GIZMO_MARGIN
         corner = self.free()[1] - np.array([size, size + _GIZMO_BUTTONS]) * ui_scale()
         return bool((place >= corner).all())
 
