@@ -133,7 +133,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             text, can = job.stop_button
             stop = _row(row, can).operator("manient.cancel_capture", text=text, icon="CANCEL")
             stop.index = jobs.jobs().index(job)
-            _row(row, ready).operator("manient.capture", text="Add to Queue", icon="ADD")
+            _row(row, ready).operator("manient.queue_capture", icon="ADD")
             buttons.label(text=f"{shortened_here(job.name)}  {job.speed_text()}", translate=False)
             return
         row = _row(buttons, ready, 1.5)
@@ -151,7 +151,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             _row(buttons, ready).operator("manient.find_hands", icon="VIEWZOOM")
         if info.files.kind != "photo":
             shown = source_info.shown_frame(context, info.files)
-            inside = info.first <= shown <= info.last or not info.frames
+            inside = info.has_frame(shown)
             row = _row(buttons, ready and choosing is None and inside)
             text = f"Capture Frame {shown}" if inside else "Capture Frame"
             row.operator("manient.capture", text=text).only_frame = True

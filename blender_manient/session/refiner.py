@@ -171,6 +171,13 @@ class Refiner:
         """Whether the row was re-fitted with pins or touches."""
         return self.source_frame(row) in corrections.corrections_of(self.armature).corrected
 
+    def is_beside_correction(self, row: int) -> bool:
+        """Whether corrections of other frames move the hand in this row, so that it is no more what was
+        detected."""
+        field = corrections.corrections_of(self.armature)
+        rotation, location = field.at(np.array([self.source_frame(row)]))
+        return not self.is_corrected(row) and bool(rotation.any() or location.any())
+
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
         """What the keys say on these rows, corrections included."""
         quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])

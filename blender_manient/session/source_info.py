@@ -142,6 +142,12 @@ class SourceInfo:
     picture: str = ""
     """The file with the newest picture of a frame that came"""
 
+    def has_frame(self, number: int) -> bool:
+        """Whether it may have a frame of that number, as far as is known."""
+        if not self.frames or self.files is None:
+            return number >= 0
+        return number in (self.files.numbers or range(self.first, self.last + 1))
+
     @property
     def is_gone(self) -> bool:
         """Whether its file was there and is not any more."""
@@ -189,7 +195,7 @@ def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage |
     if info.files.kind != "photo" and settings.use_frames:
         first, last = settings.first_frame, settings.last_frame
     if only is not None:
-        first = last = max(only, 0)
+        first = last = only
     if settings.camera == "ACTIVE":
         width = height = 0
     timed, placed = info.files.kind in ("video", "data"), clip.timing if clip else None

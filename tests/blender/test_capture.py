@@ -218,6 +218,17 @@ def test_what_is_missing_is_said_before_anything_starts(settings, values, said):
     assert shared_worker.current() is None or not shared_worker.current().alive
 
 
+@pytest.mark.parametrize(("frame", "there"), [(5, True), (25, False), (0, False), (-39, False)])
+def test_a_frame_outside_the_clip_is_refused(settings, frame, there):
+    settings.source, settings.as_sequence = str(SAMPLE / "hand.0003.jpg"), True  # 1 to 24
+    bpy.context.scene.frame_set(frame)
+    if there:
+        assert new_job(bpy.context, only_frame=True).options.frames.first == frame
+    else:
+        with pytest.raises(HandfitError, match="go to its frames 1 to 24"):
+            new_job(bpy.context, only_frame=True)
+
+
 def test_settings_become_the_options_of_the_worker(settings):
     settings.source = str(SAMPLE / "hand.0001.jpg")
     settings.preset, settings.experiment = "PAPER", "paper-c"
