@@ -40,11 +40,13 @@ class Detector:
         rgb: np.ndarray,  # noqa: ARG002
         box: Sequence[float],  # noqa: ARG002
         side: Side | None = None,  # noqa: ARG002
+        known: Sequence[HandDetection] = (),  # noqa: ARG002
     ) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
-        given last: the one about whose keypoints the box is drawn, or what is detected there. `side` is the
-        side that the person names. In a clip the hand is tracked from there, both ways. None: there is
-        none."""
+        given last: the one about whose keypoints the box is drawn, or what is detected there beside the hands
+        that `find` returned and the `known` ones; where there is nothing else, the better detection of one of
+        these. `side` is the side that the person names. In a clip the hand is tracked from there, both ways.
+        None: there is none."""
         raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
     @property

@@ -13,7 +13,7 @@ import numpy as np
 
 from handfit_core.detect.crops import Crop, downscale
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection
+from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection, overlaps
 from handfit_core.detect.networks import (
     NETWORK,
     Networks,
@@ -113,6 +113,13 @@ class SearchSettings:
     """Presence of a hand where a person says that there is one: the network need not be sure"""
     box_candidates: int = 4
     """Hands found in the most of these crops, on which test-time augmentation is run"""
+    box_min_presence_beside: float = 0.5
+    """Presence of a second hand in a box in which a known one is found, too"""
+    box_min_crops_beside: int = 3
+    """Crops that agree on it. Around single hands no more than two agree on what is none"""
+    box_better: float = 2.0
+    """What is found in the place of a known hand replaces it where presence times the crops that agree are so
+    many times as much"""
 
 
 SEARCH: Final = SearchSettings()
@@ -215,9 +222,13 @@ class Search:
         found = self._extend(rgb, palms, sure, augment_all=False)
         return [c.hand for c in found if self._accepts(c) and c not in sure]
 
-    def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+    def detect_in_box(
+        self, rgb: np.ndarray, box: Sequence[float], known: Sequence[HandDetection] = ()
+    ) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
-        most rotated crops agree on. None where there is none."""
+        most rotated crops agree on, among those that do not lie on `known` hands of the picture. Where there
+        is none of these, it is the known hand itself, or what is clearly better in its place. None where
+        there is no hand."""
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
         groups: list[list[Prediction]] = []
@@ -225,12 +236,33 @@ class Search:
             if prediction is not None and _fits_box(prediction.hand, middle, size):
                 same = next((g for g in groups if _is_same(g[0].hand, prediction.hand)), None)
                 groups.append([prediction]) if same is None else same.append(prediction)
-        likely = sorted(groups, key=len, reverse=True)[: SEARCH.box_candidates]
-        augmented = [(self._augment(rgb, group[0], 0.5), len(group)) for group in likely]
-        best = max(augmented, key=lambda each: each[0].presence * (1 + each[1]), default=None)
-        if best is None or best[0].presence < SEARCH.box_min_presence:
-            return None
-        return replace(best[0].hand, certainty=best[0].probability)
+        groups.sort(key=len, reverse=True)
+
+        def known_at(hand: HandDetection) -> HandDetection | None:
+            return next((k for k in known if overlaps(hand, [k])), None)
+
+        new, _, count = self._best_of(rgb, [g for g in groups if known_at(g[0].hand) is None])
+        on_known = [g for g in groups if known_at(g[0].hand) is not None]
+        again, score, _ = self._best_of(rgb, on_known)
+        if new is not None and known_at(new.hand) is None:
+            beside = new.presence >= SEARCH.box_min_presence_beside and count >= SEARCH.box_min_crops_beside
+            if beside or (again is None and new.presence >= SEARCH.box_min_presence):
+                return replace(new.hand, certainty=new.probability)
+        kept = None if again is None else known_at(again.hand)
+        if again is None or kept is None or _is_same(again.hand, kept):
+            return kept
+        _, least, _ = self._best_of(rgb, [g for g in on_known if _is_same(g[0].hand, kept)])
+        better = score >= SEARCH.box_better * max(least, 1.0)
+        return replace(again.hand, certainty=again.probability) if better else kept
+
+    def _best_of(
+        self, rgb: np.ndarray, groups: Sequence[list[Prediction]]
+    ) -> tuple[Candidate | None, float, int]:
+        """The likeliest of groups of predictions that agree, the largest first, after test-time augmentation,
+        with its score and the size of its group; None and 0 where there are none."""
+        augmented = [(self._augment(rgb, g[0], 0.5), len(g)) for g in groups[: SEARCH.box_candidates]]
+        scored = [(c, c.presence * (1 + count), count) for c, count in augmented]
+        return max(scored, key=lambda each: each[1], default=(None, 0.0, 0))
 
     def _accepts(self, candidate: Candidate) -> bool:
         return candidate.probability >= self._threshold

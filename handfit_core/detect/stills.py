@@ -48,10 +48,15 @@ class StillFinder(Detector):
         return tuple(_with_side_judged(hands))
 
     def detect_in_box(
-        self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
+        self,
+        rgb: np.ndarray,
+        box: Sequence[float],
+        side: Side | None = None,
+        known: Sequence[HandDetection] = (),
     ) -> HandDetection | None:
         """The hand in a box of the last picture (see `Detector`), with its side judged."""
-        hand = hand_of_box(self._last, box) or self._search.detect_in_box(rgb, box)
+        known = [*self._last, *known]
+        hand = hand_of_box(known, box) or self._search.detect_in_box(rgb, box, known)
         if hand is None:
             return None
         hand = self._networks.with_keypoints_2020(rgb, hand)
