@@ -106,6 +106,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                     sentence(box, context, job.scene_message, "SCENE_DATA")
                 for warning in job.warnings[:3]:
                     sentence(box, context, warning, "INFO")
+                if job.offer:
+                    box.operator(f"manient.{job.offer}")
                 if job.state == "failed":
                     box.operator("manient.show_details", text="Details", icon="TEXT")
         if queue:

@@ -100,7 +100,7 @@ def _one_by_one(
                 numbers.append(frame.number)
                 on_frame(len(numbers))
     with blamed():
-        return Detected(numbers, Detections.of(found), detector.most_seen)
+        return Detected(numbers, Detections.of(found), detector.most_seen, missed=detector.missed)
 
 
 def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
@@ -118,6 +118,7 @@ def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
         hands=hands if isinstance(hands, Detections) else Detections.of(hands),
         most_seen=counts[-min(2, len(counts))] if counts else 0,
         cuts=tuple(cuts),
+        missed=2 * sum(chunk.misses for chunk in chunks) > len(counts),
     )
 
 

@@ -134,6 +134,8 @@ class ClipFinder(Detector):
         """Indices of frames that begin another shot"""
         self.counts: list[int] = []
         """How many hands were seen at once, where palms were detected in the whole picture"""
+        self.misses = 0
+        """In how many of these frames another hand is likely"""
         self.thumbnails: list[Thumbnail] = []
         """Of the first and the last frame that could be read"""
         self.tracked: list[TrackedHand] = []
@@ -262,6 +264,7 @@ class ClipFinder(Detector):
             height, width = rgb.shape[:2]
             found = self._detect_new(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.tracked) + len(found))
+            self.misses += self._searching.missed
             self._start_tracks(found, new)
         if not self.tracked:
             if self._search_wait > 0:

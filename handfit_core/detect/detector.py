@@ -54,6 +54,11 @@ class Detector:
         """The most hands that were seen at once, be they more than are wanted; 0: they were not counted."""
         return 0
 
+    @property
+    def missed(self) -> bool:
+        """True if another hand is likely than those that were found."""
+        return False
+
     def close(self) -> None:
         """Give memory and threads back."""
 
@@ -76,6 +81,8 @@ class Detected:
     """The most hands that were seen at once, be they more than are wanted; 0: they were not counted"""
     cuts: tuple[int, ...] = ()
     """Rows that begin another shot"""
+    missed: bool = False
+    """True if another hand is likely than those that were found"""
 
 
 @dataclass(frozen=True)

@@ -38,5 +38,6 @@ def detect_region(
             "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of "
             "it, or lay a hand there yourself with Add Hand in Blender",
             *box,
+            extra={"offer": "add_hand"},
         )
     return () if hand is None else (hand,)

@@ -81,6 +81,16 @@ class SearchSettings:
     max_neighbour_searches: int = 4
     """Hands about which others are searched"""
 
+    missed_probability: tuple[float, float] = (0.3, 0.18)
+    """Of a candidate beside an even and an odd number of hands, or tangled with one, that makes another hand
+    likely. Hands come in pairs, and around single ones there are no such candidates"""
+    missed_palm_score: float = 0.5
+    """Of a palm beside an odd number of hands that makes another hand likely"""
+    missed_palm_distance: tuple[float, float] = (0.8, 6.0)
+    """Hand sizes between such a palm and the nearest hand"""
+    missed_palm_size: tuple[float, float] = (0.5, 1.5)
+    """Side of its box in sizes of that hand"""
+
     same_candidate_distance: float = 0.15
     """Hand sizes; predictions nearer than this are of one candidate"""
     doubtful_probability: tuple[float, float] = (0.1, 0.85)
@@ -180,9 +190,16 @@ class Search:
         self._divisors = SEARCH.tile_divisors[:1] if plain else SEARCH.tile_divisors
         self._min_palm_score = SEARCH.plain_min_palm_score if plain else SEARCH.min_palm_score
         self._crop_count = 1 if plain or networks.quality == "draft" else NETWORK.augmentation_crops
+        self.missed = False
+        """True if the last search has left what may well be another hand"""
+        self._palms: list[Palms] = []
+        """That it has looked at"""
+        self._rejected: list[Candidate] = []
+        """Candidates that share their place with a likelier one"""
 
     def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
         """The hands of a picture, the likeliest first."""
+        self._palms, self._rejected = [], []
         longest = max(rgb.shape[:2])
         block = max(1, longest // SEARCH.max_palm_search_px)
         small = downscale(rgb, block, block)
@@ -207,19 +224,19 @@ class Search:
             neighbours = list(self._neighbour_crops(sure, max(rgb.shape)))
             if neighbours:
                 found = self._extend(rgb, self.detect_palms(rgb, neighbours), found)
-        return [
-            replace(candidate.hand, certainty=candidate.probability)
-            for candidate in self._verify(rgb, found)
-            if self._accepts(candidate)
-        ]
+        found = self._verify(rgb, found)
+        self._note_missed(found)
+        return [replace(c.hand, certainty=c.probability) for c in found if self._accepts(c)]
 
     def detect_new(
         self, rgb: np.ndarray, palms: Palms, known: Sequence[HandDetection]
     ) -> list[HandDetection]:
         """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
         have."""
+        self._palms, self._rejected = [], []
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
         found = self._extend(rgb, palms, sure, augment_all=False)
+        self._note_missed(found)
         return [c.hand for c in found if self._accepts(c) and c not in sure]
 
     def detect_in_box(
@@ -263,6 +280,16 @@ class Search:
         augmented = [(self._augment(rgb, g[0], 0.5), len(g)) for g in groups[: SEARCH.box_candidates]]
         scored = [(c, c.presence * (1 + count), count) for c, count in augmented]
         return max(scored, key=lambda each: each[1], default=(None, 0.0, 0))
+
+    def _note_missed(self, found: Sequence[Candidate]) -> None:
+        """Set `missed` from all candidates and palms of a search."""
+        hands = [c.hand for c in found if self._accepts(c)]
+        least = SEARCH.missed_probability[len(hands) % 2]
+        self.missed = any(
+            c.probability >= least and not overlaps(c.hand, hands)
+            for c in (*found, *self._rejected)
+            if not any(c.hand is hand for hand in hands)
+        ) or (len(hands) % 2 == 1 and any(_is_beside(palms, hands) for palms in self._palms))
 
     def _accepts(self, candidate: Candidate) -> bool:
         return candidate.probability >= self._threshold
@@ -342,6 +369,7 @@ class Search:
         """The known candidates and the hands of those palms after non-maximum suppression, the likeliest
         first. Unless `augment_all`, likely ones have one prediction only."""
         found = list(known)
+        self._palms.append(palms)
         predictions: dict[int, Prediction | None] = {}
         for i in range(len(palms)):
             palm_score = float(palms.score[i])
@@ -364,8 +392,8 @@ class Search:
                 found.append(first if enough else self._augment(rgb, prediction, palm_score))
         kept: list[Candidate] = []
         for candidate in sorted(found, key=lambda c: c.probability, reverse=True):
-            if not any(is_same_hand(candidate.hand, other.hand) for other in kept):
-                kept.append(candidate)
+            same_place = any(is_same_hand(candidate.hand, other.hand) for other in kept)
+            (self._rejected if same_place else kept).append(candidate)
         return kept
 
     def _augment(self, rgb: np.ndarray, first: Prediction, palm_score: float) -> Candidate:
@@ -395,6 +423,18 @@ def refine(
         if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
             break
     return prediction if prediction.presence >= min_presence else None
+
+
+def _is_beside(palms: Palms, hands: Sequence[HandDetection]) -> bool:
+    """True if one of these palms may well be that of another hand beside these hands (H >= 1)."""
+    size = np.array([hand.extent for hand in hands])
+    off = palms.centre[:, None] - np.array([hand.keypoints_2d.mean(axis=0) for hand in hands])
+    apart = np.linalg.norm(off, axis=-1) / size
+    ratio = palms.side / size[apart.argmin(axis=1)]
+    (near, far), (small, large) = SEARCH.missed_palm_distance, SEARCH.missed_palm_size
+    apart = apart.min(axis=1)
+    likely = palms.score >= SEARCH.missed_palm_score
+    return bool((likely & (apart > near) & (apart < far) & (ratio > small) & (ratio < large)).any())
 
 
 def _is_same(a: HandDetection, b: HandDetection) -> bool:

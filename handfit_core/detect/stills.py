@@ -36,6 +36,11 @@ class StillFinder(Detector):
         """The most hands of any picture so far."""
         return max(self._counts)
 
+    @property
+    def missed(self) -> bool:
+        """True if another hand is likely in the last picture."""
+        return self._search.missed
+
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
         """The hands of a picture (see `Detector`), the likeliest first, with their sides judged."""
         self._last = [] if rgb is None else self._search.detect_all(rgb)

@@ -2,18 +2,24 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.networks import Prediction
+from handfit_core.detect.networks import Palms, Prediction
 from handfit_core.detect.search import Candidate, Search
 from tests.core.detect.test_matching import hand
 
 KNOWN = hand(0)
 OTHER = replace(hand(30), keypoints=hand(30).keypoints[::-1])
 BOX = [-10.0, -10.0, 130.0, 120.0]
+
+
+def searching() -> Search:
+    networks: Any = SimpleNamespace(quality="standard")
+    return Search(networks, 0.5)
 
 
 @pytest.fixture
@@ -26,8 +32,7 @@ def found(monkeypatch):
         monkeypatch.setattr(
             Search, "_augment", lambda _self, _rgb, first, score: Candidate(first.hand, first.presence, score)
         )
-        searching = Search(SimpleNamespace(quality="standard"), 0.5)
-        return searching.detect_in_box(np.zeros((2, 2, 3), np.uint8), BOX, [KNOWN])
+        return searching().detect_in_box(np.zeros((2, 2, 3), np.uint8), BOX, [KNOWN])
 
     return search
 
@@ -57,3 +62,29 @@ def test_what_all_crops_agree_on_replaces_a_known_hand_that_none_shows(found):
 def test_nothing_is_there(found):
     assert found((OTHER, 0.05, 12)) is None
     assert found() is None
+
+
+def palms(score: float, x: float, side: float) -> Palms:
+    middle = KNOWN.keypoints_2d.mean(axis=0) + [x, 0.0]
+    return Palms(np.array([score]), middle[None], np.array([side]), np.zeros((1, 7, 2)))
+
+
+@pytest.mark.parametrize(
+    ("doubtful", "palm", "expected"),
+    [
+        ((OTHER, 0.6, 0.4), None, True),
+        ((OTHER, 0.2, 0.2), None, False),
+        ((hand(5), 0.6, 0.4), None, False),
+        (None, palms(0.7, 150.0, 70.0), True),
+        (None, palms(0.3, 150.0, 70.0), False),
+        (None, palms(0.7, 20.0, 70.0), False),
+        (None, palms(0.7, 150.0, 300.0), False),
+    ],
+    ids=["tangled", "unlikely", "the same", "palm", "unlikely palm", "its own palm", "a face"],
+)
+def test_a_hand_that_was_likely_missed(doubtful, palm, expected):
+    search, known = searching(), Candidate(KNOWN, 0.99, 0.9)
+    search._rejected = [] if doubtful is None else [Candidate(*doubtful)]
+    search._palms = [] if palm is None else [palm]
+    search._note_missed([known])
+    assert search.missed == expected
