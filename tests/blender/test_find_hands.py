@@ -11,7 +11,7 @@ import pytest
 
 from blender_manient.operators.capture import new_job
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
-from blender_manient.operators.modes.choice import Choice, FoundHand
+from blender_manient.operators.modes.choice import FOUND_AGAIN, Choice, FoundHand
 from blender_manient.operators.modes.find_hands import FindMode
 from blender_manient.operators.modes.view import MAX_ZOOM, PictureView
 from blender_manient.panels.capture import MANIENT_PT_capture
@@ -204,10 +204,16 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
     choice.show(found["hands"], settings.hands)
     ((_, side, chosen),) = state(choice)
     assert (side, chosen) == ("right", True)
+    box = tuple(np.add(choice.hands[0].box, [-20.0, -20.0, 40.0, 40.0]).tolist())
+    known = [pack(choice.hands[0].points.astype(np.float32))]
+    (again,) = worker.wait(worker.submit("find", **source.fields(box), known=known), timeout=120)["hands"]
+    assert choice.add(FoundHand.of(again, drawn=box)) == FOUND_AGAIN
     choice.flip_side(choice.hands[0])
-    jobs.submit(new_job(bpy.context, only_frame=False, regions=choice.regions(source.frame)))
+    regions = (*choice.regions(source.frame), Region(1.0, 1.0, 2.0, 2.0))
+    jobs.submit(new_job(bpy.context, only_frame=False, regions=regions))
     (job,) = jobs.run()
     assert job.state == "done", job.message
+    assert job.offer == "add_hand"
     (armature,) = captured_hands(bpy.context.scene)
     assert armature.manient.side == "left"
 
