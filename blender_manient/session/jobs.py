@@ -95,6 +95,8 @@ class Job:
     message: str = ""
     """What went wrong, or what is to be known, in one sentence"""
     warnings: list[str] = field(default_factory=list)
+    offer: str = ""
+    """The operator, `find_hands` or `add_hand`, that helps with one of the warnings"""
     matched: bool = False
     """Whether the scene was given the footage's rate, range, size and camera"""
     in_front: bool = False
@@ -104,8 +106,6 @@ class Job:
     views_message: str = ""
     """The verdict on a capture of two views that fit together; empty for one view, and where a warning says
     that they do not"""
-    offer: str = ""
-    """What the panel offers after it: find_hands or add_hand, an operator; the last warning says why"""
     stopped: bool = False
     """Whether it was cancelled, and what was finished kept"""
     hands: tuple[str, ...] = ()
@@ -316,6 +316,7 @@ def _follow(job: Job) -> bool:
             _on_progress(job, event)
         elif kind == "warning":
             job.warnings.append(str(event.get("message", "")))
+            job.offer = str(event.get("offer", "")) or job.offer
         elif kind == "error":
             if event.get("type") == "Cancelled":
                 raise Cancelled(str(event.get("message", "")))

@@ -21,10 +21,11 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES, Side
 from handfit_core.common.values import Unfit, listed, number
-from handfit_core.detect.clips import TrackedHand, overlaps, redetect
+from handfit_core.detect.clips import TrackedHand, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.matching import overlaps
 from handfit_core.detect.networks import NETWORK, Networks, Palms
 from handfit_core.detect.search import Search, tiles
 from handfit_core.fit.fast import fitter_of
