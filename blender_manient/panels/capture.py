@@ -178,7 +178,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                     row.operator("manient.show_details", text="Details", icon="TEXT")
                 elif job.offer:
                     row = layout.split(factor=0.6, align=True)
-                    note(row, job.warnings[-1], "QUESTION")
+                    note(row, job.warnings[0], "QUESTION")
                     row.operator(f"manient.{job.offer}")
         if any(job.finished for job in queue):
             layout.operator("manient.clear_captures")

@@ -96,7 +96,7 @@ class Job:
     """What went wrong, or what is to be known, in one sentence"""
     warnings: list[str] = field(default_factory=list)
     offer: str = ""
-    """The operator, `find_hands` or `add_hand`, that helps with one of the warnings"""
+    """The operator, `find_hands` or `add_hand`, that helps with the first warning"""
     matched: bool = False
     """Whether the scene was given the footage's rate, range, size and camera"""
     in_front: bool = False
@@ -315,8 +315,9 @@ def _follow(job: Job) -> bool:
         if kind == "progress":
             _on_progress(job, event)
         elif kind == "warning":
-            job.warnings.append(str(event.get("message", "")))
-            job.offer = str(event.get("offer", "")) or job.offer
+            offer, text = str(event.get("offer", "")), str(event.get("message", ""))
+            job.warnings.insert(0 if offer else len(job.warnings), text)
+            job.offer = offer or job.offer
         elif kind == "error":
             if event.get("type") == "Cancelled":
                 raise Cancelled(str(event.get("message", "")))
