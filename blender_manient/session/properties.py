@@ -632,7 +632,8 @@ class ManientHand(bpy.types.PropertyGroup):
     )
     forearm: BoolProperty(  # type: ignore
         name="Forearm",
-        description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
+        description="Show a piece of forearm behind the wrist, which follows a captured arm; without it the "
+        "wrist is capped. "
         "Exports have what is shown",
         update=notifier("shape"),
     )

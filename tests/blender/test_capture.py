@@ -80,7 +80,7 @@ def test_photo(photo, settings):
     (hand,) = hands()
     assert (hand.side, len(hand.take.frame_numbers)) == ("right", 1)
     assert hand.track.refinable
-    assert hand.armature.manient.wrist == "forearm"
+    assert hand.armature.manient.wrist == "cap"
     assert bpy.context.view_layer.objects.active == hand.armature
     assert bpy.context.scene.camera == hand.camera
     (job,) = jobs.jobs()
