@@ -27,7 +27,7 @@ def capitalised(sentence: str) -> str:
 
 def headline(text: str, most: int = LINE) -> str:
     """As much of a message as one line of the sidebar shows: its first sentence, cut behind a word."""
-    first = text.partition(". ")[0].removesuffix(".")
+    first = text.partition(". ")[0]
     cut = textwrap.shorten(first, most, placeholder=_GAP)
     return cut if cut != _GAP else shortened(first, lambda part: len(part) <= most)
 

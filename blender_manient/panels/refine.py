@@ -50,9 +50,9 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
             layout.prop(kept, "hand_opacity", slider=True)
         self._fitting(layout.row(), "manient.refit_range", "FILE_REFRESH")
         why = why_not_smoothable(hand)
-        if why is not None:
+        if why is not None and len(hand.take.frame_numbers) > 1:
             note(layout, f"No smoothing: {why}", "INFO")
-        else:
+        elif why is None:
             row = layout.row(align=True)
             row.prop(context.window_manager, "manient_smoothing", slider=True)
             self._fitting(row.row(align=True), "manient.smooth_motion", "PREVIEW_RANGE", text="", stop="")

@@ -76,7 +76,8 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
         count = len(track.detected)
         filled = 0 if track.filled is None else int(track.filled.sum())
         more = f", {filled} filled" if filled else ""
-        box.label(text=f"Found in {int(track.detected.sum())} of {count} frames{more}", translate=False)
+        if count > 1:
+            box.label(text=f"Found in {int(track.detected.sum())} of {count} frames{more}", translate=False)
         if errors.mean is not None:
             row, scale = box.row(align=True), errors.scale
             said = f"{scale.title} {scale.said(errors.mean)}: {scale.quality(errors.mean)}"

@@ -358,10 +358,10 @@ def frame_picture(info: SourceInfo, frame: int) -> int:
             about.picture = str(path)
 
         _ask(info, show, "find", options=options.to_message(), picture=str(path))
-    return _icon(info.picture, "IMAGE") if info.picture else 0
+    return _icon(info.picture) if info.picture else 0
 
 
-def _icon(path: str, kind: str) -> int:
+def _icon(path: str) -> int:
     global _previews
     if bpy.app.background:
         return 0
@@ -372,7 +372,7 @@ def _icon(path: str, kind: str) -> int:
         if len(previews) > 50:
             previews.clear()
         with contextlib.suppress(KeyError):
-            previews.load(path, path, kind)
+            previews.load(path, path, "IMAGE")
     return previews[path].icon_id if path in previews else 0
 
 
@@ -445,7 +445,7 @@ TIMERS = (_await_answers,)
 
 
 def unregister() -> None:
-    """Free the thumbnails, and forget the source."""
+    """Free the pictures, and forget the source."""
     global _previews
     if _previews is not None:
         bpy.utils.previews.remove(_previews)
