@@ -67,16 +67,9 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         self._jobs()
         found = captures.captures(context.scene)
         if found:
-            rows = min(len(found), _ROWS)
-            names = (
-                MANIENT_UL_captures.__name__,
-                "",
-                bpy.data,
-                "collections",
-                context.scene,
-                "manient_capture",
-            )
-            self.layout.template_list(*names, rows=rows, maxrows=max(rows, 2), sort_lock=True)
+            rows, listed = min(len(found), _ROWS), (bpy.data, "collections", context.scene, "manient_capture")
+            how = {"rows": rows, "maxrows": max(rows, 2), "sort_lock": True}
+            self.layout.template_list(MANIENT_UL_captures.__name__, "", *listed, **how)
         if len(found) > 1:
             hide = captures.others_shown(context.scene)
             button = self.layout.operator("manient.hide_captures", text="Hide Others" if hide else "Show All")
