@@ -64,8 +64,7 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
             return self.end(context)
         trouble = _mode.trouble(context)
         if trouble is not None:
-            if trouble:
-                self.report({"INFO"}, trouble)
+            self.report({"INFO"}, trouble)
             return self.end(context)
         _mode.tick(context)
         if event.type == "TIMER":
@@ -224,10 +223,11 @@ def _on_undo(*_args) -> None:
 
 
 def unregister(*_args) -> None:
-    """End the mode; its operator finds out with its next event."""
+    """End the mode; its operator, where it is still there, finds out with its next event."""
+    global _mode
     if _mode is not None:
         _mode.end(bpy.context)
-        _mode.ended = ""
+        _mode = None
 
 
 def _on_load(*_args) -> None:

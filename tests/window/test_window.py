@@ -21,6 +21,7 @@ CLIP, LONG_CLIP, VERY_LONG_CLIP = 120, 480, 1500
 
 SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "addon.disabled_leaves_nothing": lambda i: {"take": i.take},
+    "addon.disabled_in_a_mode": lambda i: {"take": i.two_hands()},
     "addon.survives_reloading_scripts": lambda i: {"take": i.take},
     "addon.take_from_the_file_browser": lambda i: {"take": i.take},
     "addon.lens_from_the_file_browser": lambda i: {"film": i.film_of_the_board},

@@ -136,7 +136,7 @@ class KeypointMode(view.Overlay):
         """drags of this mode that can be undone, and those that can be done again"""
         self.own_undo = False
         self.ended: str | None = None
-        """Why the mode is over, in a sentence; empty: because the artist said so"""
+        """Why the mode is over, in a sentence"""
         self._warming = shared_worker.worker().submit("warm")
         self._solved_in = _ANSWER_WAIT_SECONDS
         self.view = view.CaptureView(viewport, refiner.cameras, context)

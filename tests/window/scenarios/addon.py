@@ -30,6 +30,24 @@ def disabled_leaves_nothing(stage, take):
         assert stage.meter.calls == {}
 
 
+def disabled_in_a_mode(stage, take):
+    """Edit Keypoints runs when the add-on is disabled: its line in the status bar goes, and so do its points
+    and its hold on the hand."""
+    armature = yield from import_take(stage, take)
+    armature.location.x = 0.5
+    yield 0.2
+    place = armature.matrix_world.copy()
+    yield from stage.invoke("manient.edit_keypoints")
+    yield 1.0
+    yield from stage.screenshot("disabled-before")
+    assert armature.matrix_world != place
+    addon_utils.disable(ADDON, default_set=True)
+    yield 0.5
+    yield from stage.screenshot("disabled-after")
+    assert traces() == {}
+    assert armature.matrix_world == place
+
+
 def survives_reloading_scripts(stage, take):
     """Blender's own Reload Scripts: everything once again, nothing twice."""
     yield from stage.open_sidebar()
