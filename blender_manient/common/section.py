@@ -38,12 +38,12 @@ class EditSection(Section):
         return cls.works_on(context) is not None
 
 
-def note(layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
-    """A message in one line, whatever its length: as much of it as there is room for. All of it is the
-    tooltip. With the icon ERROR it is red."""
+def note(layout: bpy.types.UILayout, text: str, icon: str = "NONE", short: str = "") -> None:
+    """A message in one line, whatever its length: `short`, else as much of it as there is room for. All of it
+    is the tooltip. With the icon ERROR it is red."""
     row = layout.row(align=True)
     row.alert, row.emboss, row.alignment = icon == "ERROR", "NONE", "LEFT"
-    row.operator("manient.note", text=headline(text), icon=icon, translate=False).text = text
+    row.operator("manient.note", text=short or headline(text), icon=icon, translate=False).text = text
 
 
 def sentence(

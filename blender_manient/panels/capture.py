@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..common.section import Section, note, split
-from ..common.wording import counted, shortened
+from ..common.wording import capitalised, counted, shortened
 from ..operators import add_hand
 from ..operators.modes import find_hands as find_mode
 from ..scene import captures
@@ -15,6 +15,7 @@ from ..scene.store import active_hand
 from ..session import jobs, source_info
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
+_OFFERS = {"find_hands": "Another hand is likely", "add_hand": "A hand was not found"}
 _ROWS = 5
 """of the list that are seen at once"""
 _NAME = 16
@@ -170,8 +171,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 if job.state == "failed":
                     row.operator("manient.show_details", text="Details", icon="TEXT")
                 elif job.offer:
-                    row = layout.split(factor=0.6, align=True)
-                    note(row, job.warnings[0], "QUESTION")
+                    row = layout.split(factor=0.66, align=True)
+                    note(row, capitalised(job.warnings[0]), "QUESTION", _OFFERS.get(job.offer, ""))
                     row.operator(f"manient.{job.offer}")
         if any(job.finished for job in queue):
             layout.operator("manient.clear_captures")

@@ -139,7 +139,11 @@ def test_a_message_is_one_line(registered):
     )
     assert MANIENT_OT_note.description(bpy.context, SimpleNamespace(text=long)) == long
     job = a_job("clip.mp4")
-    job.state, job.message, job.warnings = "done", "1 hand in 40 frames", ["Another hand is likely"]
+    job.state, job.message, job.warnings = (
+        "done",
+        "1 hand in 40 frames",
+        ["the picture may show another hand: draw a box around it"],
+    )
     job.offer = "find_hands"
     bpy.context.scene.manient.captured = job.key
     jobs.submit(job)
