@@ -61,7 +61,8 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         column.prop(settings, "preset")
         if has_scene_camera(context.scene):
             column.prop(settings, "camera")
-        self._result(context, info)
+        if info.files is not None:
+            self._result(context, info)
         ready = info.files is not None and not source_info.lacks_size(settings, info)
         ready = ready and (new or active_hand(context) is not None)
         self._buttons(context, info, ready)
