@@ -50,7 +50,7 @@ def submitted():
     return job
 
 
-def test_stop_takes_the_place_of_capture_and_is_grey_while_hands_are_built(photo, settings):
+def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo, settings):
     settings.source = str(photo)
     job = submitted()
     try:
