@@ -379,6 +379,17 @@ def solved(path: Path):
     return clip
 
 
+def test_a_tracked_clip_whose_file_is_gone(settings, own_camera, tmp_path):
+    settings.source = str(SAMPLE)
+    path = pictures(tmp_path, "SEQUENCE")
+    solved(path)
+    shutil.move(path, tmp_path / "elsewhere.jpg")
+    assert own_camera == bpy.context.scene.camera
+    with pytest.raises(RuntimeError, match="not there any more"):
+        bpy.ops.manient.use_background_clip()
+    assert (settings.source, settings.camera) == (str(SAMPLE), "SOLVE")
+
+
 @needs_capture
 @pytest.mark.parametrize("how", ["animated", "solver"])
 def test_a_tracked_clip_is_the_scene_cameras(settings, own_camera, tmp_path, how):
