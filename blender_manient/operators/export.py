@@ -11,7 +11,7 @@ import bpy
 
 from handfit_core.common.errors import OptionError
 
-from ..common.section import sentence, split
+from ..common.section import note, split
 from ..exporters import EXPORTERS, PRESETS
 from ..exporters.export_hands import Stage, export_hands
 from ..exporters.exporter import Exporter, HandObjects
@@ -32,7 +32,6 @@ def _why_no_format(exporter: Exporter, *, character: bool) -> str:
 
 def format_buttons(
     layout: bpy.types.UILayout,
-    context: bpy.types.Context,
     data: bpy.types.bpy_struct,
     name: str,
     *,
@@ -52,7 +51,7 @@ def format_buttons(
             if reason:
                 reasons.setdefault(reason, []).append(label)
     for reason, labels in reasons.items():
-        sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
+        note(layout, f"{', '.join(labels)}: {reason}", "INFO")
     return not _why_no_format(EXPORTERS[getattr(data, name)], character=character)
 
 
@@ -111,7 +110,7 @@ class _ExportOperator(ManientOperator):
 
     def draw(self, context):
         layout = self.layout
-        format_buttons(layout, context, self, "file_format", character=self.character)
+        format_buttons(layout, self, "file_format", character=self.character)
         split(layout)
         if self._exporter.presets:
             layout.prop(self, "preset")
@@ -134,11 +133,24 @@ class _ExportOperator(ManientOperator):
             self.file_format,
             preset=self.preset if self._exporter.presets else "PLAIN",
         )
-        return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{self._left_out(chosen)}"
+        more = self._left_out(chosen) + self._cut_off(context.scene, chosen)
+        return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{more}"
 
     def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
-        """What the report says of what is not in the file."""
+        """What the report says of objects that are not in the file."""
         return ""
+
+    def _cut_off(self, scene: bpy.types.Scene, chosen: Sequence[HandObjects]) -> str:
+        """What the report says of keys before or after the frames in the file."""
+        if self.frame_range != "SCENE" or self._exporter.writes != "hands":
+            return ""
+        frames, last = self._keyed(chosen), scene.frame_end
+        if not frames or (scene.frame_start <= min(frames) and max(frames) <= last):
+            return ""
+        return (
+            f"; of keys on {min(frames):.0f} to {max(frames):.0f} it has the scene's frames, "
+            f"{scene.frame_start} to {last}: choose Keys for all"
+        )
 
     def _draw_own(self, layout: bpy.types.UILayout) -> None:
         """What only this operator has."""

@@ -16,7 +16,7 @@ from handfit_core.common.skeleton import Side
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import Detections
-from handfit_core.detect.matching import distance, hand_of_box, is_same_hand
+from handfit_core.detect.matching import distance, hand_of_box, overlaps
 from handfit_core.detect.networks import NETWORK, Networks
 from handfit_core.detect.search import Search, tiles
 from handfit_core.detect.shot_boundary import Thumbnail
@@ -71,6 +71,8 @@ class ClipFinder(HandTracker, Detector):
         """Indices of frames that begin another shot"""
         self.counts: list[int] = []
         """How many hands were seen at once, where palms were detected in the whole picture"""
+        self.misses = 0
+        """In how many of these frames another hand is likely"""
         self.thumbnails: list[Thumbnail] = []
         """Of the first and the last frame that could be read"""
         HandTracker.__init__(self, networks, settings.threshold, settings.max_hands)
@@ -90,22 +92,26 @@ class ClipFinder(HandTracker, Detector):
         return self._frames
 
     def detect_in_box(
-        self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
+        self,
+        rgb: np.ndarray,
+        box: Sequence[float],
+        side: Side | None = None,
+        known: Iterable[Detections] = (),
     ) -> Detections | None:
         """The hand in a box of the last frame (see `Detector`), which is tracked from there, both ways."""
         index = len(self.frames) - 1
         checked = dict(zip(self.tracked, self.frames[index], strict=True))
-        row = hand_of_box(self.hands, box)
-        tracked = None if row is None else self.tracked[row]
-        hand = self._searching.detect_in_box(rgb, box) if tracked is None else checked[tracked]
-        if hand is None:
+        known = [*(t.last for t in self.tracked), *known]
+        found = hand_of_box(known, box) or self._searching.detect_in_box(rgb, box, known)
+        if found is None:
             return None
+        hand = next((h for t, h in checked.items() if t.last is found), found)
         hand = self._networks.with_keypoints_2020(rgb, hand).shown_by_person(side)
-        known = [t for t in self.tracked if t is tracked or is_same_hand(hand, t.last)]
-        self.tracked = [t for t in self.tracked if t not in known]
+        replaced = [t for t in self.tracked if t.last is found or overlaps(hand, t.last)]
+        self.tracked = [t for t in self.tracked if t not in replaced]
         self.frames[index] = (*(checked[t] for t in self.tracked), hand)
         self.tracked.append(TrackedHand.of(hand, self._threshold))
-        if not known:
+        if not replaced:
             self._track_back(self.tracked[-1], index, islice(self._past.backwards(), 1, None))
         return hand
 
@@ -165,6 +171,7 @@ class ClipFinder(HandTracker, Detector):
             height, width = rgb.shape[:2]
             found = self._detect_new(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.tracked) + len(found))
+            self.misses += self._searching.missed
             self._start_tracks(found, new)
         if not self.tracked:
             if self._search_wait > 0:

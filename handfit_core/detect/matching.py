@@ -125,6 +125,12 @@ def is_same_hand(hand: Detections, others: Detections) -> np.ndarray:
     )
 
 
+def overlaps(hand: Detections, others: Detections) -> bool:
+    """True if all of a hand lies where another one is: hands that cross share a place, but not with all their
+    points."""
+    return bool((distance(hand, others) < MATCHING.same_hand_distance).any())
+
+
 def is_part_of(one: Detections, other: Detections) -> bool:
     """True if the smaller of two hands may be a part of the other; the order does not matter."""
     small, large = sorted((one, other), key=lambda hand: hand.extent[0])
@@ -135,12 +141,12 @@ def is_part_of(one: Detections, other: Detections) -> bool:
     )
 
 
-def hand_of_box(hands: Detections, box: Sequence[float]) -> int | None:
-    """The row of the hand about whose keypoints a box (x, y, width, height) was drawn; None: it is about none
-    of them."""
+def hand_of_box(hands: Sequence[Detections], box: Sequence[float]) -> Detections | None:
+    """The one of these hands about whose keypoints a box (x, y, width, height) was drawn; None: it is about
+    none of them."""
     x, y, width, height = box
-    overlaps = iou(np.array([[[x, y], [x + width, y + height]]]), hands.keypoints_2d)
-    return int(overlaps.argmax()) if overlaps.max(initial=0.0) > MATCHING.chosen_hand_iou else None
+    shares = iou(np.array([[[x, y], [x + width, y + height]]]), Detections.of([hands]).keypoints_2d)
+    return hands[int(shares.argmax())] if shares.max(initial=0.0) > MATCHING.chosen_hand_iou else None
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections
-from handfit_core.detect.matching import MATCHING, distance, is_same_hand, mean_detection
+from handfit_core.detect.matching import distance, is_same_hand, mean_detection, overlaps
 from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
 from handfit_core.detect.search import SEARCH
 
@@ -185,12 +185,6 @@ def _mean_with_crops(
     more = [networks.predict(rgb, crop) for crop in crops]
     hands = [hand, *(other for other in more if other.certainty[0] >= min_presence)]
     return replace(mean_detection(Detections.of([hands])), shown=hand.shown) if len(hands) > 1 else hand
-
-
-def overlaps(hand: Detections, others: Detections) -> bool:
-    """True if all of a hand lies where another one is: hands that cross share a place, but not with all their
-    points."""
-    return bool((distance(hand, others) < MATCHING.same_hand_distance).any())
 
 
 def extend_track(

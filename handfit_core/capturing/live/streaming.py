@@ -106,6 +106,8 @@ class LiveOptions:
     """pixels, that a camera is asked for"""
     fps: float = 30.0
     """frames per second, that a camera is asked for"""
+    loop: bool = False
+    """Whether a file begins again at its end"""
     min_cutoff: float = 2.0
     """Hz, of the filter of a hand that is still: lower shakes less, and lags more"""
     beta: float = 1.0
@@ -504,7 +506,7 @@ class Live:
         options = options or LiveOptions()
         parsed = LiveSource.parse(source, online=options.online)
         self.follower = HandFollower(options)
-        self.reader = LiveReader(parsed, options.size, options.fps)
+        self.reader = LiveReader(parsed, options.size, options.fps, loop=options.loop)
         """What reads and records the source: its counts, and what is wrong with it"""
         self._done: deque[tuple[float, float]] = deque()
         """When each frame of the last second was done, and how old it was then, seconds"""
