@@ -91,6 +91,7 @@ class ClipDetector(InChunks[Chunk]):
                 detect_frame(finder, frame, regions, first=index == 0 and not numbers)
                 numbers.append(frame.number)
                 on_frame(len(numbers))
+        finder.finish()
         return Chunk.of(finder, numbers)
 
     def joined(self, chunks: Sequence[Chunk]) -> tuple[Detections, list[int]]:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Final
 
@@ -15,6 +13,7 @@ import numpy as np
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
+from handfit_core.detect.in_turn import Difference
 from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import distance, hand_of_box, overlaps
 from handfit_core.detect.networks import NETWORK, Networks
@@ -58,15 +57,17 @@ TRACKING: Final = TrackingSettings()
 class ClipFinder(HandTracker, Detector):
     """Finds the hands of consecutive frames of one clip.
 
-    A new hand is tracked backwards, too, and the landmark network of December 2020 runs on a frame while the
-    present one runs on the next: `frames` is final only at the end.
+    A new hand is tracked backwards, too, and what both landmark networks see differently is interpolated
+    between the frames in which both ran: `frames` is final only after `finish`.
     """
 
     def __init__(self, settings: DetectorSettings, networks: Networks, *, whole_past: bool = False) -> None:
         """`whole_past`: a new hand is tracked back to the first frame, not only for a second."""
-        self._frames: list[tuple[Detections, ...]] = []
-        self._cross_checks: list[tuple[int, Detections, Future[Detections]]] = []
-        """The hands of the last frame, with the frame's index, on which `cross_check` runs"""
+        self.frames: list[tuple[Detections, ...]] = []
+        """The hands of every frame so far"""
+        self._seen_alone: list[tuple[int, float, Detections, TrackedHand, int]] = []
+        """What the landmark network of December 2020 alone has seen: index and time of the frame, the hand, who
+        follows it, and how many of its frames both networks had seen"""
         self.cuts: list[int] = []
         """Indices of frames that begin another shot"""
         self.counts: list[int] = []
@@ -83,13 +84,15 @@ class ClipFinder(HandTracker, Detector):
         self._searches = 0
         self._search_wait = 0
 
-    @property
-    def frames(self) -> list[tuple[Detections, ...]]:
-        """The hands of every frame so far."""
-        for index, hand, future in self._cross_checks:
-            self._frames[index] = tuple(future.result() if h is hand else h for h in self._frames[index])
-        self._cross_checks = []
-        return self._frames
+    def finish(self) -> None:
+        """Make `frames` final."""
+        for index, time, hand, tracked, count in self._seen_alone:
+            difference, *later = tracked.differences[count - 1 : count + 1]
+            if later:
+                difference = difference.towards(later[0], time)
+            better = replace(difference.added_to(hand), shown=hand.shown)
+            self.frames[index] = tuple(better if each is hand else each for each in self.frames[index])
+        self._seen_alone = []
 
     def detect_in_box(
         self,
@@ -115,10 +118,10 @@ class ClipFinder(HandTracker, Detector):
             self._track_back(self.tracked[-1], index, islice(self._past.backwards(), 1, None))
         return hand
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:  # noqa: ARG002
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:
         """The hands of the next frame (see `Detector`); `frames` may have more of it later."""
-        index = len(self._frames)
-        self._frames.append(())
+        index = len(self.frames)
+        self.frames.append(())
         if rgb is None:
             self._past.append(None)
             return Detections.of([[]])
@@ -129,14 +132,13 @@ class ClipFinder(HandTracker, Detector):
             self.cuts.append(index)
             self.tracked, self._lost, self._search_wait = [], [], 0
             self._past.clear()
-        lost = self.follow(rgb)
+        lost = self.follow(rgb, time=time)
         for tracked in lost:
             near = distance(tracked.last, self.hands) < TRACKING.occluder_distance
             tracked.occluded = bool(near.any())
         new = self._search(rgb, index, bool(lost) or cut)
         self._lost += lost
-        self.frames[index] = tuple(tracked.last for tracked in self.tracked)
-        self._submit_cross_checks(rgb, index)
+        self.frames[index] = tuple(self._checked(rgb, tracked, index, time) for tracked in self.tracked)
         for tracked in new:
             hand = tracked.last
             behind = [t for t in self._lost if t.occluded]
@@ -147,13 +149,17 @@ class ClipFinder(HandTracker, Detector):
             self._past.clear()  # Nothing is added to frames that show all hands that are wanted.
         else:
             self._past.append(rgb)
-        return Detections.of([self._frames[index]])
+        return Detections.of([self.frames[index]])
 
-    def _submit_cross_checks(self, rgb: np.ndarray, index: int) -> None:
-        for tracked in self.tracked:
-            hand, presence = tracked.last, tracked.min_presence
-            future = self._networks.submit(partial(cross_check, self._networks, rgb, hand, presence))
-            self._cross_checks.append((index, hand, future))
+    def _checked(self, rgb: np.ndarray, tracked: TrackedHand, index: int, time: float) -> Detections:
+        """A hand of that frame as it goes into `frames`."""
+        if tracked.seen_alone:
+            self._seen_alone.append((index, time, tracked.last, tracked, len(tracked.differences)))
+            return tracked.last
+        hand = cross_check(self._networks, rgb, tracked.last, tracked.min_presence)
+        if hand.asked_2020.all():
+            tracked.differences.append(Difference.of(hand, time))
+        return hand
 
     def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[TrackedHand]:
         """Search near lost hands and in the whole picture, and begin to track what is new."""

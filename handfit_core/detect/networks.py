@@ -240,7 +240,7 @@ class Networks(Runner):
         self._landmark_model = landmark_model
         self._pool: ThreadPoolExecutor | None = None
         self._background: ThreadPoolExecutor | None = None
-        """Runs the landmark network of December 2020 on a frame while the present one runs on the next"""
+        """Looks for palms in a live picture while hands are followed into it"""
         self._idle: SimpleQueue[Networks | None] = SimpleQueue()
         """Networks for the pool's threads; None: such as are not loaded yet"""
         self._palms, self._hand = self._load(path, *(name for name, _ in TASK.entries))
@@ -313,12 +313,12 @@ class Networks(Runner):
             points=(numbers[:, 2:] - crop.offset) @ inverse.T,
         )
 
-    def predict(self, rgb: np.ndarray, crop: Crop) -> Detections:
-        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB: one
-        hand, whose `certainty` is its presence, the probability that the crop shows a hand, and whose `score`
-        is that of the side."""
+    def predict(self, rgb: np.ndarray, crop: Crop, *, by_2020: bool = False) -> Detections:
+        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB; in
+        drafts, or with `by_2020`, the one of December 2020. Returns one hand, whose `certainty` is its
+        presence, the probability that the crop shows a hand, and whose `score` is that of the side."""
         pixels = crop.render(rgb)
-        if self.is_draft:
+        if by_2020 or self.is_draft:
             return self._predict_2020(pixels, crop)
         landmarks, presence, handedness, world = self._run(self._hand, pixels)
         right = float(handedness[0])
@@ -330,6 +330,11 @@ class Networks(Runner):
             certainty=float(presence[0]),
         )
         return crop.to_picture(hand)
+
+    @property
+    def has_both(self) -> bool:
+        """Whether the landmark network of December 2020 is there beside the present one."""
+        return self.quality != "draft" and self._hand_2020 is not None
 
     def with_keypoints_2020(self, rgb: np.ndarray, hand: Detections) -> Detections:
         """Add to a hand of a picture (H, W, 3) uint8 RGB the keypoints of the landmark network of December
@@ -354,12 +359,18 @@ class Networks(Runner):
         landmarks are its keypoints at the size of an average hand."""
         landmarks, presence, handedness = self._run(self._hand_2020, pixels)
         keypoints, right = _with_depth(landmarks), float(handedness[0])
-        bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
-        world = (keypoints - keypoints.mean(axis=0)) * (NETWORK.mean_bone / max(float(bones.mean()), 1e-9))
         side = "right" if right >= 0.5 else "left"
-        hand = crop.to_picture(Detections.hand(side, max(right, 1.0 - right), keypoints, world))
+        hand = crop.to_picture(
+            Detections.hand(side, max(right, 1.0 - right), keypoints, average_sized(keypoints))
+        )
         odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-NETWORK.presence_bias_2020)
         return replace(hand, keypoints_2020=hand.keypoints, certainty=np.array([odds / (1.0 + odds)]))
+
+
+def average_sized(keypoints: np.ndarray) -> np.ndarray:
+    """(21, 3) metres: keypoints (21, 3) about their mean, at the size of an average hand."""
+    bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
+    return (keypoints - keypoints.mean(axis=0)) * (NETWORK.mean_bone / max(float(bones.mean()), 1e-9))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 
 from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.crops import Crop
+from handfit_core.detect.in_turn import IN_TURN, Difference
 from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import distance, is_same_hand, mean_detection, overlaps
 from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
@@ -87,6 +88,10 @@ class TrackedHand(Tracked):
     """Where it was found last"""
     occluded: bool = False
     """True if it was lost where another hand is"""
+    differences: list[Difference] = field(default_factory=list)
+    """Of both landmark networks, in the frames in which both ran"""
+    seen_alone: bool = False
+    """True if the landmark network of December 2020 alone has seen `last`"""
     votes: np.ndarray = field(default_factory=lambda: np.zeros(2))
     """Of the last frames for each of `SIDES`, where a caller counts them"""
 
@@ -125,6 +130,11 @@ class HandTracker:
         """True if a hand is one of those that are followed."""
         return bool(is_same_hand(hand, self.hands).any())
 
+    def _is_near(self, tracked: TrackedHand, others: Sequence[TrackedHand]) -> bool:
+        """True if a hand touches another one, or crosses it."""
+        rest = [other.last for other in others if other is not tracked]
+        return bool((distance(tracked.last, Detections.of([rest])) < IN_TURN.near).any())
+
     def begin(self, hands: Iterable[Detections]) -> list[TrackedHand]:
         """Begin to follow those of these hands that are wanted and new; returns them."""
         begun = []
@@ -135,12 +145,19 @@ class HandTracker:
         return begun
 
     def follow(
-        self, rgb: np.ndarray, is_usable: Callable[[Detections], bool] = lambda _: True
+        self,
+        rgb: np.ndarray,
+        is_usable: Callable[[Detections], bool] = lambda _: True,
+        *,
+        time: float | None = None,
     ) -> list[TrackedHand]:
         """Find all hands in the next frame (H, W, 3) uint8 RGB; returns those that are lost, or not usable
-        there."""
+        there. With its `time` in seconds, both landmark networks take turns in quality `standard`."""
         self.tracked, before = [], self.tracked
-        hands = self._networks.map(lambda networks, tracked: redetect(networks, rgb, tracked), before)
+        apart = [t for t in before if time is not None and not self._is_near(t, before)]
+        hands = self._networks.map(
+            lambda networks, t: redetect(networks, rgb, t, time if t in apart else None), before
+        )
         found = [(t, hand) for t, hand in zip(before, hands, strict=True) if hand and is_usable(hand)]
         # Of two tracks that end up on one hand, the one that has come farther has taken the other's.
         for tracked, hand in sorted(found, key=lambda each: float(distance(each[0].last, each[1])[0])):
@@ -151,14 +168,25 @@ class HandTracker:
         return [tracked for tracked in before if tracked not in self.tracked]
 
 
-def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Detections | None:
+def redetect(
+    networks: Networks, rgb: np.ndarray, tracked: TrackedHand, time: float | None = None
+) -> Detections | None:
     """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
-    there. None where it is lost."""
-    expected = tracked.expected()
-    hand = networks.predict(rgb, crop_around(expected))
+    there. None where it is lost. With a `time` in seconds, the network of December 2020 may see it alone."""
+    expected, tracked.seen_alone = tracked.expected(), False
+    in_turn = time is not None and networks.quality == "standard" and networks.has_both
+    crop = crop_around(expected)
+    hand = networks.predict(rgb, crop, by_2020=in_turn)
     off = np.linalg.norm(hand.keypoints_2d[0] - expected, axis=-1).mean()
     if hand.certainty[0] >= tracked.min_presence and off > TRACKER.max_shift * hand.extent[0]:
-        hand = networks.predict(rgb, crop_around(hand.keypoints[0]))
+        crop = crop_around(hand.keypoints[0])
+        hand = networks.predict(rgb, crop, by_2020=in_turn)
+    if in_turn and time is not None:
+        last = tracked.differences[-1] if tracked.differences else None
+        if hand.certainty[0] >= IN_TURN.min_presence and last and not last.is_due(hand, time):
+            tracked.seen_alone = True
+            return replace(last.added_to(hand), shown=tracked.last.shown)
+        hand = replace(networks.predict(rgb, crop), keypoints_2020=hand.keypoints_2020)
     if hand.certainty[0] < tracked.min_presence:
         return None
     crops = list(augmented_crops(hand.keypoints[0]))[1:] if networks.quality == "best" else []

@@ -1,0 +1,113 @@
+"""Both landmark networks in turn: the fast one of December 2020 follows a hand in every frame, the present
+one runs now and then, and what both see differently is interpolated between its runs.
+
+That difference changes slowly, in sizes of the hand. It is taken anew after `seconds`, where the hand has
+changed, where the networks disagreed, and where hands are near each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Final, Self
+
+import numpy as np
+
+from handfit_core.common.skeleton import SIDES
+from handfit_core.detect.correction.corrected import disagreement
+from handfit_core.detect.keypoints import Detections
+from handfit_core.detect.networks import average_sized
+
+
+@dataclass(frozen=True)
+class InTurnSettings:
+    """When the present network runs beside the one of December 2020."""
+
+    seconds: float = 4.0 / 30.0
+    """From one of its runs to the next, at most"""
+    max_change: float = 0.06
+    """Sizes of the hand that its points have moved about their mean since then, on average"""
+    max_disagreement: float = 0.1
+    """Mean lengths of bones that both networks' points were apart in the picture"""
+    min_presence: float = 0.9
+    """Presence by the network of December 2020, below which the present one decides"""
+    near: float = 1.0
+    """Sizes of the hand up to another one"""
+
+
+IN_TURN: Final = InTurnSettings()
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """What the present network sees of a hand beyond what the one of December 2020 does, in one frame."""
+
+    time: float
+    """Seconds"""
+    disagreement: float
+    """Mean lengths of bones"""
+    extent: float
+    """Pixels; the hand's size by the network of December 2020"""
+    shape: np.ndarray
+    """(21, 2) its points about their mean, in sizes of the hand"""
+    keypoints: np.ndarray
+    """(21, 3) from its points to the present network's, in sizes of the hand"""
+    world: np.ndarray
+    """(21, 3) metres, from its world landmarks to the present network's"""
+    right: float
+    """Score of the right side by the present network"""
+
+    @classmethod
+    def of(cls, hand: Detections, time: float) -> Self:
+        """The difference of a hand that both have seen."""
+        points, by_2020 = hand.keypoints[0], _points_2020(hand)
+        extent = _extent(by_2020)
+        right = hand.side[0] == SIDES.index("right")
+        return cls(
+            time=time,
+            disagreement=float(disagreement(points[None], by_2020[None])[0]),
+            extent=extent,
+            shape=_about_mean(by_2020) / extent,
+            keypoints=(points - by_2020) / extent,
+            world=hand.world[0] - average_sized(by_2020),
+            right=float(hand.score[0] if right else 1.0 - hand.score[0]),
+        )
+
+    def is_due(self, hand: Detections, time: float) -> bool:
+        """True if it is to be taken anew of a hand that the network of December 2020 sees at that time."""
+        if self.disagreement > IN_TURN.max_disagreement or time - self.time > IN_TURN.seconds - 1e-3:
+            return True
+        moved = _about_mean(_points_2020(hand)) / self.extent - self.shape
+        return float(np.linalg.norm(moved, axis=-1).mean()) > IN_TURN.max_change
+
+    def added_to(self, hand: Detections) -> Detections:
+        """A hand that only the network of December 2020 has seen, as both are likely to see it."""
+        by_2020 = _points_2020(hand)
+        return replace(
+            hand,
+            side=np.array([SIDES.index("right" if self.right >= 0.5 else "left")]),
+            score=np.array([max(self.right, 1.0 - self.right)]),
+            keypoints=(by_2020 + _extent(by_2020) * self.keypoints)[None],
+            world=(average_sized(by_2020) + self.world)[None],
+        )
+
+    def towards(self, other: Self, time: float) -> Self:
+        """The difference at a time between this one's and the other one's."""
+        share = (time - self.time) / (other.time - self.time)
+        values = {
+            each.name: (1.0 - share) * getattr(self, each.name) + share * getattr(other, each.name)
+            for each in fields(self)
+        }
+        return type(self)(**values)
+
+
+def _points_2020(hand: Detections) -> np.ndarray:
+    assert hand.keypoints_2020 is not None
+    return hand.keypoints_2020[0]
+
+
+def _extent(points: np.ndarray) -> float:
+    return max(float(np.ptp(points[:, :2], axis=0).max()), 1e-9)
+
+
+def _about_mean(points: np.ndarray) -> np.ndarray:
+    return points[:, :2] - points[:, :2].mean(axis=0)
