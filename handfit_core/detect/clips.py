@@ -65,8 +65,8 @@ class ClipFinder(HandTracker, Detector):
         """`whole_past`: a new hand is tracked back to the first frame, not only for a second."""
         self.frames: list[tuple[Detections, ...]] = []
         """The hands of every frame so far"""
-        self._seen_alone: list[tuple[int, float, Detections, TrackedHand, int]] = []
-        """What the landmark network of December 2020 alone has seen: index and time of the frame, the hand, who
+        self._seen_alone: list[tuple[int, Detections, TrackedHand, int]] = []
+        """What the landmark network of December 2020 alone has seen: index of the frame, the hand, who
         follows it, and how many of its frames both networks had seen"""
         self.cuts: list[int] = []
         """Indices of frames that begin another shot"""
@@ -86,10 +86,10 @@ class ClipFinder(HandTracker, Detector):
 
     def finish(self) -> None:
         """Make `frames` final."""
-        for index, time, hand, tracked, count in self._seen_alone:
+        for index, hand, tracked, count in self._seen_alone:
             difference, *later = tracked.differences[count - 1 : count + 1]
             if later:
-                difference = difference.towards(later[0], time)
+                difference = difference.towards(later[0], index)
             better = replace(difference.added_to(hand), shown=hand.shown)
             self.frames[index] = tuple(better if each is hand else each for each in self.frames[index])
         self._seen_alone = []
@@ -154,11 +154,11 @@ class ClipFinder(HandTracker, Detector):
     def _checked(self, rgb: np.ndarray, tracked: TrackedHand, index: int, time: float) -> Detections:
         """A hand of that frame as it goes into `frames`."""
         if tracked.seen_alone:
-            self._seen_alone.append((index, time, tracked.last, tracked, len(tracked.differences)))
+            self._seen_alone.append((index, tracked.last, tracked, len(tracked.differences)))
             return tracked.last
         hand = cross_check(self._networks, rgb, tracked.last, tracked.min_presence)
         if hand.asked_2020.all():
-            tracked.differences.append(Difference.of(hand, time))
+            tracked.differences.append(Difference.of(hand, index, time))
         return hand
 
     def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[TrackedHand]:

@@ -26,7 +26,7 @@ class InTurnSettings:
     """From one of its runs to the next, at most"""
     max_change: float = 0.06
     """Sizes of the hand that its points have moved about their mean since then, on average"""
-    max_disagreement: float = 0.1
+    max_disagreement: float = 0.12
     """Mean lengths of bones that both networks' points were apart in the picture"""
     min_presence: float = 0.9
     """Presence by the network of December 2020, below which the present one decides"""
@@ -41,6 +41,8 @@ IN_TURN: Final = InTurnSettings()
 class Difference:
     """What the present network sees of a hand beyond what the one of December 2020 does, in one frame."""
 
+    frame: float
+    """Counted from the clip's first"""
     time: float
     """Seconds"""
     disagreement: float
@@ -57,12 +59,13 @@ class Difference:
     """Score of the right side by the present network"""
 
     @classmethod
-    def of(cls, hand: Detections, time: float) -> Self:
-        """The difference of a hand that both have seen."""
+    def of(cls, hand: Detections, frame: int, time: float) -> Self:
+        """The difference of a hand that both have seen in that frame."""
         points, by_2020 = hand.keypoints[0], _points_2020(hand)
         extent = _extent(by_2020)
         right = hand.side[0] == SIDES.index("right")
         return cls(
+            frame=frame,
             time=time,
             disagreement=float(disagreement(points[None], by_2020[None])[0]),
             extent=extent,
@@ -90,9 +93,9 @@ class Difference:
             world=(average_sized(by_2020) + self.world)[None],
         )
 
-    def towards(self, other: Self, time: float) -> Self:
-        """The difference at a time between this one's and the other one's."""
-        share = (time - self.time) / (other.time - self.time)
+    def towards(self, other: Self, frame: int) -> Self:
+        """The difference in a frame between this one's and the other one's."""
+        share = (frame - self.frame) / (other.frame - self.frame)
         values = {
             each.name: (1.0 - share) * getattr(self, each.name) + share * getattr(other, each.name)
             for each in fields(self)
