@@ -26,8 +26,9 @@ class InTurnSettings:
     """From one of its runs to the next, at most"""
     max_change: float = 0.06
     """Sizes of the hand that its points have moved about their mean since then, on average"""
-    max_disagreement: float = 0.12
-    """Mean lengths of bones that both networks' points were apart in the picture"""
+    agreement: float = 0.1
+    """Mean lengths of bones that both networks' points were apart in the picture, from which on it runs sooner,
+    by the fourth power"""
     min_presence: float = 0.9
     """Presence by the network of December 2020, below which the present one decides"""
     near: float = 1.0
@@ -77,7 +78,8 @@ class Difference:
 
     def is_due(self, hand: Detections, time: float) -> bool:
         """True if it is to be taken anew of a hand that the network of December 2020 sees at that time."""
-        if self.disagreement > IN_TURN.max_disagreement or time - self.time > IN_TURN.seconds - 1e-3:
+        sooner = min(1.0, (IN_TURN.agreement / max(self.disagreement, 1e-9)) ** 4)
+        if time - self.time > IN_TURN.seconds * sooner - 1e-3:
             return True
         moved = _about_mean(_points_2020(hand)) / self.extent - self.shape
         return float(np.linalg.norm(moved, axis=-1).mean()) > IN_TURN.max_change

@@ -66,7 +66,7 @@ def test_between_two_frames_it_is_interpolated():
 )
 def test_when_the_present_network_runs(apart, change, seconds, due):
     hand = both(apart)
-    assert (disagreement(hand.keypoints, hand.keypoints_2020)[0] > IN_TURN.max_disagreement) == (apart == 0.5)
+    assert (disagreement(hand.keypoints, hand.keypoints_2020)[0] > IN_TURN.agreement) == (apart == 0.5)
     assert Difference.of(hand, 0, 2.0).is_due(alone(hand, change), 2.0 + seconds) is due
 
 
