@@ -20,7 +20,7 @@ nox.options.error_on_missing_interpreters = True
 ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
-RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "av", "loky", "tqdm"]
+RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "av", "loky", "tqdm", "threadpoolctl"]
 """What captures, one input or many."""
 PAPER = ["torch"]
 """What the paper's experiments and the differentiable layer need on top."""

@@ -93,9 +93,13 @@ def capture(
         raise TypeError("give either a CaptureOptions, or options by their names, as in hands='left'")
     stop, report = should_stop or never, progress or (lambda _: None)
     check_options(options)
-    if options.view is not None:
-        return _capture_both(source, options, report, stop)
-    return _captured(source, options, report, stop).take
+    from threadpoolctl import threadpool_limits
+
+    # More threads only wait for each other where matrices are as small as a hand's.
+    with threadpool_limits(1, user_api="blas"):
+        if options.view is not None:
+            return _capture_both(source, options, report, stop)
+        return _captured(source, options, report, stop).take
 
 
 def _captured(

@@ -27,7 +27,7 @@ class InTurnSettings:
     max_change: float = 0.06
     """Sizes of the hand that its points have moved about their mean since then, on average"""
     agreement: float = 0.1
-    """Mean lengths of bones that both networks' points were apart in the picture, from which on it runs sooner,
+    """Mean lengths of bones that both networks' points were apart in the picture; beyond it runs sooner,
     by the fourth power"""
     min_presence: float = 0.9
     """Presence by the network of December 2020, below which the present one decides"""

@@ -41,7 +41,10 @@ PLATFORMS = {
 }
 """Blender's name of each platform that has a zip, and the wheel tags that it takes, newest first."""
 
-RUN_TIME = ("scipy", "opencv-python-headless", "mediapipe", "av", "loky", "cloudpickle", "tqdm")
+RUN_TIME = (
+    *("scipy", "opencv-python-headless", "mediapipe", "av"),
+    *("loky", "cloudpickle", "tqdm", "threadpoolctl"),
+)
 """What the worker and batches import, besides handfit_core, and NumPy, which is Blender's own. mediapipe
 declares absl-py, flatbuffers and sounddevice, but its hand landmarker imports none of them."""
 TORCH = ("torch", "typing-extensions")

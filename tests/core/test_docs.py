@@ -59,7 +59,7 @@ def test_versions_to_install_are_the_pinned_ones():
     text = text_of(ROOT / "docs" / "installing.md")
     constraints = text_of(ROOT / "constraints.txt")
     named = set(re.findall(r"([\w-]+)==([\d.]+\d)", text))
-    wanted = {"torch", "scipy", "opencv-python-headless", "mediapipe", "av", "loky", "tqdm"}
+    wanted = {"torch", "scipy", "opencv-python-headless", "mediapipe", "av", "loky", "tqdm", "threadpoolctl"}
     assert {package for package, _ in named} == wanted
     for package, version in named:
         assert re.search(rf"^{package}=={re.escape(version)}(;.*)?\s", constraints, re.MULTILINE), package
