@@ -24,9 +24,14 @@ def both(apart: float = 0.05, *, side="right", size: float = 100.0, seed: int = 
     return Detections.hand(side, 0.9, moved, RNG.normal(size=(21, 3)) * 0.03, keypoints_2020=points)
 
 
+def points_2020(hand: Detections) -> np.ndarray:
+    assert hand.keypoints_2020 is not None
+    return hand.keypoints_2020
+
+
 def alone(hand: Detections, change: np.ndarray | float = 0.0) -> Detections:
     """What the network of December 2020 says of it."""
-    points = hand.keypoints_2020 + change
+    points = points_2020(hand) + change
     return replace(hand, keypoints=points, keypoints_2020=points, world=0.0 * hand.world)
 
 
@@ -40,9 +45,7 @@ def test_what_was_seen_by_both_comes_back():
 
 def test_it_grows_with_the_hand():
     hand = both()
-    found = Difference.of(hand, 0, 0.0).added_to(
-        replace(alone(hand), keypoints_2020=2.0 * hand.keypoints_2020)
-    )
+    found = Difference.of(hand, 0, 0.0).added_to(replace(alone(hand), keypoints_2020=2.0 * points_2020(hand)))
     np.testing.assert_allclose(found.keypoints, 2.0 * hand.keypoints, atol=1e-9)
 
 
@@ -66,7 +69,7 @@ def test_between_two_frames_it_is_interpolated():
 )
 def test_when_the_present_network_runs(apart, change, seconds, due):
     hand = both(apart)
-    assert (disagreement(hand.keypoints, hand.keypoints_2020)[0] > IN_TURN.agreement) == (apart == 0.5)
+    assert (disagreement(hand.keypoints, points_2020(hand))[0] > IN_TURN.agreement) == (apart == 0.5)
     assert Difference.of(hand, 0, 2.0).is_due(alone(hand, change), 2.0 + seconds) is due
 
 
