@@ -36,7 +36,7 @@ def test_crossing_hands_keep_their_sides(frames, scale, tmp_path):
         assert hand.detected[apart].all()
         off = np.linalg.norm(hand.keypoints_2d / scale - truth[side], axis=-1).mean(axis=-1)
         assert np.nanmax(off) < 40.0  # a finger's width
-        assert hand.overlapped is not None
-        overlapped = hand.overlapped.any(axis=1)
+        assert hand.rows.overlapped is not None
+        overlapped = hand.rows.overlapped.any(axis=1)
         assert not overlapped[apart].any()
         assert overlapped.sum() > 2

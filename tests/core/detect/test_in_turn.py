@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.clips import ClipFinder
 from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.detector import DetectorSettings
@@ -16,7 +17,7 @@ from tests.core.detect.clips import picture
 RNG = np.random.default_rng(5)
 
 
-def both(apart: float = 0.05, *, side="right", size: float = 100.0, seed: int = 1) -> Detections:
+def both(apart: float = 0.05, *, side: Side = "right", size: float = 100.0, seed: int = 1) -> Detections:
     """A hand that the present network sees a little aside from the one of December 2020."""
     points = RNG.uniform(0.0, size, (21, 3))
     points[:2, :2] = [[0.0, 0.0], [size, size]]
