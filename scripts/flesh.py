@@ -389,7 +389,7 @@ def smooth_folds(model: HandModel) -> np.ndarray:
     """(V, 3, 135) posedirs in metres of a right hand: its own, and what smooths the web, the thumb's base and
     the bent knuckles."""
     rest, joints = 1000.0 * model.v_template, 1000.0 * model.shaped().joints
-    average = neighbour_mean(model.quads, len(rest))
+    average = neighbour_mean(model.polygons, len(rest))
     inner = np.ones((len(rest), 1))
     inner[wrist_ring(model.polygons)] = 0.0  # the edge stays
 
@@ -402,7 +402,7 @@ def smooth_folds(model: HandModel) -> np.ndarray:
     meets = (thumb.sum(axis=1) > 0.03) & (thumb.sum(axis=1) < 0.97) & (thumb[:, 1:].max(axis=1) < 0.9)
     web = np.clip(1.3 * smoothed(meets.astype(float), average, 3), 0.0, 1.0)
     web *= np.clip(1.5 - 2.0 * thumb[:, 2], 0.0, 1.0)
-    back = smooth_step((vertex_normals(rest, model.quads)[:, 1] - 0.1) / 0.5) * (1.0 - web)
+    back = smooth_step((vertex_normals(rest, model.polygons)[:, 1] - 0.1) / 0.5) * (1.0 - web)
     first = [chain[0] for chain in JOINTS_BY_FINGER[1:]]
     distance = np.linalg.norm(rest[:, None] - joints[first], axis=2)  # (V, 4)
     knuckle = back * smooth_step((20.0 - distance.min(axis=1)) / 8.0)
@@ -421,7 +421,7 @@ def smooth_folds(model: HandModel) -> np.ndarray:
         rounder = smoothed(skin, average, ROUNDING) - skin
         bent = nearest @ smooth_step(angle[[joint - 1 for joint in first], 2] / np.radians(75.0))
         moved = web[:, None] * mush + (knuckle * bent)[:, None] * rounder
-        normals = vertex_normals(skin, model.quads)
+        normals = vertex_normals(skin, model.polygons)
         # What is not a fold but the height of the skin around stays.
         moved -= smoothed(np.sum(moved * normals, axis=1), average, 10)[:, None] * normals
         offset[:] = np.linalg.solve(blend, moved[..., None])[..., 0]
