@@ -174,7 +174,7 @@ def _networks(take: Take) -> list[tuple[str, str]]:
     seen = [hand for hand in take.hands if hand.detected.any() and error_is_known(hand)]
     if not seen:
         return []
-    second = [(hand.keypoints_2020, hand.keypoints_2d) for hand in seen]
+    second = [(hand.rows.keypoints_2020, hand.keypoints_2d) for hand in seen]
     points = [(both, alone) for both, alone in second if both is not None]
     if not points:
         return [("networks", "the landmark network alone")]
