@@ -533,5 +533,4 @@ def mano_reader(name: str, title: str, layout: str, *layouts: ManoLayout) -> Rea
         layout,
         lambda document: any(_recognises(each, document) for each in layouts),
         read,
-        unseen=True,
     )
