@@ -308,7 +308,9 @@ FREEMOCAP: Final = PointLayout(
     "output_data, its arrays or its tables, of versions 1 and 2",
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
     table=lambda table: {"keypoint", "trajectory"} <= set(table.columns) or _in_space(table),
-    recognises=lambda document: bool(_arrays(document)) or np.shape(document.npy)[1:] == (553, 3),
+    recognises=lambda document: (
+        bool(_arrays(document)) or (document.npy is not None and document.npy.shape[1:] == (553, 3))
+    ),
     read=_of_arrays,
     order="mediapipe",
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},

@@ -21,10 +21,10 @@ def formats_table() -> list[str]:
     readers, writers = READERS.built_in(), WRITERS.built_in()
     for name in [*readers, *(name for name in writers if name not in readers)]:
         reader, writer = readers.get(name), writers.get(name)
-        title = f"{reader.title}: {reader.layout}" if reader else writer.title
-        written = ", ".join(f"`{ending}`" for ending in writer.endings) if writer else ""
-        told = (reader.assumed, reader.met or "by description") if reader else ("", "")
-        rows.append(f"| {title} | {f'`{name}`' if reader else ''} | {written} | {' | '.join(told)} |")
+        told = (reader.title, reader.assumed, reader.met or "by description") if reader else ("", "", "")
+        title, assumed, met = told if reader or not writer else (writer.title, "", "")
+        written = f"`{writer.endings[0]}`" if writer else ""
+        rows.append(f"| {title} | {f'`{name}`' if reader else ''} | {written} | {assumed} | {met} |")
     return rows
 
 
