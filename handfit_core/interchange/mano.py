@@ -61,6 +61,10 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise Unfit(f"{name} must be rotations, and is no array of numbers") from None
+    if joints == 1 and array.shape[-1:] == (4,):
+        w, xyz = np.split(numbers(name, array, 4), [1], axis=1)
+        turns = 2.0 * np.arctan2(np.linalg.norm(xyz, axis=1, keepdims=True), w)
+        array = turns * xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-12)
     three_vectors = joints == 1 and array.ndim == 2 and count == 3
     if array.shape[-2:] == (3, 3) and not three_vectors:
         matrices = numbers(name, array, joints, 3, 3)
@@ -201,6 +205,20 @@ class FoundHands(Batch):
         """The hands in another frame, but for their places: x_other = rotation x; (3, 3) or (N, 3, 3)."""
         orient = rotmat_to_rotvec(rotation @ rotvec_to_rotmat(self.global_orient))
         return replace(self, global_orient=orient)
+
+    def seen_from(self, rotation: np.ndarray, shift: np.ndarray, asked: ReadOptions) -> FoundHands:
+        """The hands in a camera's frame: x_camera = rotation x + shift, (3, 3) or (N, 3, 3), (3,) or (N, 3).
+
+        MANO's root turns about the wrist, which does not lie at the origin of the model: with J the wrist of
+        the model, the new transl is R (J + transl) + t - J.
+        """
+        wrists = np.zeros_like(self.transl)
+        for key in np.unique(np.stack([self.side, self.person]), axis=1).T:
+            mine = (self.side == key[0]) & (self.person == key[1])
+            model = load_model(asked.model, SIDES[key[0]])
+            wrists[mine] = model.shaped(shape_of(self.betas[mine], asked, [])).joints[0]
+        place = (rotation @ (self.transl + wrists)[..., None])[..., 0] - wrists + shift
+        return replace(self.turned(rotation), transl=np.where(np.isinf(self.transl), self.transl, place))
 
     def from_flat(self, asked: ReadOptions, counted: Counted) -> FoundHands:
         """The hands with poses that count from the flat hand. Raises what `from_flat` raises."""

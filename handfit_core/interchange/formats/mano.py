@@ -22,8 +22,8 @@ _HAMER: Final = ManoLayout(
     source="https://github.com/geopavlakos/hamer/blob/main/demo.py",
     keys=_HANDS,
     needs="global_orient hand_pose right",
-    nested="pred_mano_params mano_params wilor_preds",
-    many=True,
+    nested="pred_mano_params mano_params wilor_preds mano camera",
+    files=".*",
     matrices=True,
     mirrored="hands",
     camera="focal",
@@ -67,7 +67,7 @@ HAWOR: Final = mano_reader(
         },
         needs="global_orient hand_pose transl betas",
         folder="cam_space",
-        side_folders=("0", "1"),
+        sides={"0": "left", "1": "right"},
         files=r"(?P<first>\d{1,9})_(?P<last>\d{1,9})",
         first_frame=1,
         assumed=("frames count from 1, where HaWoR counts them from 0",),
@@ -83,7 +83,7 @@ HAWOR: Final = mano_reader(
             "present": "valid pred_valid",
         },
         needs="global_orient hand_pose transl present",
-        axes="tracks",
+        rows="tracks",
         listed="trans rot hand_pose betas valid",
         assumed=("its world was taken to have the camera's axes, as in HaWoR's first frame",),
     ),
@@ -106,7 +106,7 @@ DYN_HAMR: Final = mano_reader(
             "intrinsics": "intrins",
         },
         needs="global_orient hand_pose transl right",
-        axes="tracks",
+        rows="tracks",
         mirrored="world",
         camera="centred",
         mirrored_by="its is_right may be wrong",
@@ -124,7 +124,7 @@ SMPLX: Final = mano_reader(
         # `trans` is the body's; fingers alone tell nothing of where a hand is.
         keys={"body": "trans", "fps": _RATE, "present": "hands_present", "model": "model"},
         needs="body_pose SIDE_hand_pose body|fps",
-        axes="sides",
+        rows="sides",
         columns={
             "poses": {
                 156: {**_OF_BODY, "left_hand_pose": slice(66, 111), "right_hand_pose": slice(111, 156)},
@@ -138,7 +138,7 @@ SMPLX: Final = mano_reader(
         source="https://amass.is.tue.mpg.de",
         keys={"global_orient": "root_orient", "body_pose": "pose_body", "fps": _RATE},
         needs="global_orient body_pose SIDE_hand_pose",
-        axes="sides",
+        rows="sides",
         columns={"pose_hand": {90: {"left_hand_pose": slice(45), "right_hand_pose": slice(45, 90)}}},
     ),
 )
@@ -152,7 +152,7 @@ _BODY: Final = ManoLayout(
         "fps": _RATE,
     },
     needs="global_orient body_pose SIDE_hand_pose",
-    axes="sides",
+    rows="sides",
 )
 SMPLX_KEYWORDS: Final = mano_reader(
     "smplx-keywords",
@@ -170,7 +170,7 @@ SMPLX_KEYWORDS: Final = mano_reader(
             "intrinsics": "intrinsics",
         },
         needs="SIDE_global_orient SIDE_hand_pose",
-        axes="sides",
+        rows="sides",
         camera="told",
     ),
     _BODY,
