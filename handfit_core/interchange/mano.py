@@ -20,7 +20,7 @@ from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
 from handfit_core.common.values import Unfit
 from handfit_core.detect.keypoints import check_crowd
-from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotvec, rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.data import HandModel
@@ -54,17 +54,15 @@ def numbers(name: str, value: Any, *shape: int) -> np.ndarray:
 
 
 def rotations(name: str, value: Any, joints: int, count: int | None = None) -> np.ndarray:
-    """(N, 3 * joints) axis-angle in radians of a program's rotations: matrices (N, joints, 3, 3) or
-    axis-angle (N, joints, 3) or (N, 3 * joints). `count`: the N that is expected. Raises Unfit, also for
-    matrices that are no rotations and for angles in degrees."""
+    """(N, 3 * joints) axis-angle in radians of a program's rotations: matrices (N, joints, 3, 3), axis-angle
+    (N, joints, 3) or (N, 3 * joints), or a quaternion (N, 4), w first. `count`: the N that is expected.
+    Raises Unfit, also for matrices that are no rotations and for angles in degrees."""
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
         raise Unfit(f"{name} must be rotations, and is no array of numbers") from None
     if joints == 1 and array.shape[-1:] == (4,):
-        w, xyz = np.split(numbers(name, array, 4), [1], axis=1)
-        turns = 2.0 * np.arctan2(np.linalg.norm(xyz, axis=1, keepdims=True), w)
-        array = turns * xyz / np.maximum(np.linalg.norm(xyz, axis=1, keepdims=True), 1e-12)
+        array = quat_to_rotvec(numbers(name, array, 4))
     three_vectors = joints == 1 and array.ndim == 2 and count == 3
     if array.shape[-2:] == (3, 3) and not three_vectors:
         matrices = numbers(name, array, joints, 3, 3)
@@ -115,11 +113,16 @@ def from_flat(pose: np.ndarray, side: Side, asked: ReadOptions, counted: Counted
     return pose + own_model(asked, side, needed).hands_mean
 
 
-def from_directions(coefficients: np.ndarray, side: Side, asked: ReadOptions) -> np.ndarray:
-    """(N, 45) axis-angle of coefficients (N, C) of MANO's first C principal directions, without the mean.
-    Raises OptionError where these are not there."""
-    model = own_model(asked, side, "these hand poses are coefficients of MANO's principal directions")
-    return coefficients @ model.hands_components[: coefficients.shape[1]]
+def from_directions(coefficients: np.ndarray, side: np.ndarray, asked: ReadOptions) -> np.ndarray:
+    """(N, 45) axis-angle of coefficients (N, C) of MANO's first C principal directions, without the mean, of
+    hands of these SIDES (N,). Raises OptionError where the directions are not there."""
+    pose = np.empty((len(side), POSE))
+    for index in set(side.tolist()):
+        model = own_model(
+            asked, SIDES[index], "these hand poses are coefficients of MANO's principal directions"
+        )
+        pose[side == index] = coefficients[side == index] @ model.hands_components[: coefficients.shape[1]]
+    return pose
 
 
 def tell(assumed: list[str], phrase: str) -> None:

@@ -1,4 +1,4 @@
-"""Trackers that keep MANO's parameters: an entry each, read by `mano_files`."""
+"""The table of what keeps MANO's parameters: trackers, bodies and data sets, read by `mano_files`."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from typing import Final
 
 from handfit_core.interchange.mano_files import ManoLayout, mano_reader
 
-_HANDS: Final = {
-    "global_orient": "global_orient",
-    "hand_pose": "hand_pose",
-    "betas": "betas",
-    "right": "right is_right",
-    # Not pred_cam_t, which is HaMeR's for the crop alone, nor focal_length: 5000 pixels of any picture
-    "transl": "pred_cam_t_full cam_t_full cam_t",
-    "frame": "frame frames frame_id frame_ids frame_idx",
-    "focal": "scaled_focal_length",
-    "size": "img_size",
-}
 _HAMER: Final = ManoLayout(
     source="https://github.com/geopavlakos/hamer/blob/main/demo.py",
-    keys=_HANDS,
+    keys={
+        "global_orient": "global_orient",
+        "hand_pose": "hand_pose",
+        "betas": "betas",
+        "right": "right is_right",
+        # Not pred_cam_t, which is HaMeR's for the crop alone, nor focal_length: 5000 pixels of any picture
+        "transl": "pred_cam_t_full cam_t_full cam_t",
+        "frame": "frame frames frame_id frame_ids frame_idx",
+        "focal": "scaled_focal_length focal_px",
+        "size": "img_size image_size",
+    },
     needs="global_orient hand_pose right",
     nested="pred_mano_params mano_params wilor_preds mano camera",
     files=".*",
@@ -68,7 +67,7 @@ HAWOR: Final = mano_reader(
         needs="global_orient hand_pose transl betas",
         folder="cam_space",
         sides={"0": "left", "1": "right"},
-        files=r"(?P<first>\d{1,9})_(?P<last>\d{1,9})",
+        files=r"(?P<frame>\d{1,9})_\d{1,9}",
         first_frame=1,
         assumed=("frames count from 1, where HaWoR counts them from 0",),
         mirrored_by="it may be a right hand's",
@@ -88,7 +87,6 @@ HAWOR: Final = mano_reader(
         assumed=("its world was taken to have the camera's axes, as in HaWoR's first frame",),
     ),
 )
-
 DYN_HAMR: Final = mano_reader(
     "dyn-hamr",
     "Dyn-HaMR",
@@ -108,29 +106,33 @@ DYN_HAMR: Final = mano_reader(
         needs="global_orient hand_pose transl right",
         rows="tracks",
         mirrored="world",
-        camera="centred",
+        camera="intrinsics",
         mirrored_by="its is_right may be wrong",
     ),
 )
 
-_RATE: Final = "mocap_frame_rate mocap_framerate fps frame_rate"
-_OF_BODY: Final = {"global_orient": slice(3), "body_pose": slice(3, 66)}
+_RATE: Final = "mocap_frame_rate mocap_framerate fps frame_rate framerate"
+
+
+def _body(left: int) -> dict[str, slice]:
+    """The columns of a body whose left hand's begin there."""
+    hands = {"left_hand_pose": slice(left, left + 45), "right_hand_pose": slice(left + 45, left + 90)}
+    return {"global_orient": slice(3), "body_pose": slice(3, 66), **hands}
+
+
 SMPLX: Final = mano_reader(
     "smplx",
     "SMPL-X or SMPL+H",
-    "an .npz with poses of 165 or 156 numbers a frame, trans and mocap_frame_rate (AMASS, BEDLAM, BEAT2)",
+    "an .npz with poses of 165 or 156 numbers a frame, trans and mocap_frame_rate (AMASS, BEDLAM, BEAT2), or "
+    "Motion-X's .npy of 322",
     ManoLayout(
         source="https://github.com/nghorbani/amass/blob/master/notebooks/01-AMASS_Visualization.ipynb",
+        met="the AMASS samples of human_body_prior's and smplx' repositories, 2026-11",
         # `trans` is the body's; fingers alone tell nothing of where a hand is.
-        keys={"body": "trans", "fps": _RATE, "present": "hands_present", "model": "model"},
+        keys={"body": "trans", "fps": _RATE, "present": "hands_present"},
         needs="body_pose SIDE_hand_pose body|fps",
         rows="sides",
-        columns={
-            "poses": {
-                156: {**_OF_BODY, "left_hand_pose": slice(66, 111), "right_hand_pose": slice(111, 156)},
-                165: {**_OF_BODY, "left_hand_pose": slice(75, 120), "right_hand_pose": slice(120, 165)},
-            }
-        },
+        columns={"poses": {156: _body(66), 165: _body(75)}},
         # BEAT2's files are posed with a model that adds the mean; all others' with one that does not.
         mean_where=("model", "smplx2020"),
     ),
@@ -141,14 +143,21 @@ SMPLX: Final = mano_reader(
         rows="sides",
         columns={"pose_hand": {90: {"left_hand_pose": slice(45), "right_hand_pose": slice(45, 90)}}},
     ),
+    ManoLayout(
+        source="https://github.com/IDEA-Research/Motion-X/blob/main/README.md",
+        keys={},
+        needs="body_pose SIDE_hand_pose",
+        rows="sides",
+        columns={"": {322: _body(66)}},
+    ),
 )
-
-_BODY: Final = ManoLayout(
+_KEYWORDS: Final = ManoLayout(
     source="https://github.com/zc-alexfan/arctic/blob/master/docs/data/data_doc.md",
     keys={
         "global_orient": "global_orient",
         "body_pose": "body_pose",
         "SIDE_hand_pose": "SIDE_hand_pose",
+        "SIDE_present": "SIDE_hand_valid",
         "fps": _RATE,
     },
     needs="global_orient body_pose SIDE_hand_pose",
@@ -171,14 +180,133 @@ SMPLX_KEYWORDS: Final = mano_reader(
         },
         needs="SIDE_global_orient SIDE_hand_pose",
         rows="sides",
-        camera="told",
+        camera="intrinsics",
     ),
-    _BODY,
+    _KEYWORDS,
     replace(
-        _BODY,
+        _KEYWORDS,
         source="https://github.com/caizhongang/SMPLer-X/blob/main/main/inference.py",
         folder="smplx",
         files=r"(?P<frame>\d{1,9})_(?P<person>\d{1,9})",
+        counted="mean",
+    ),
+)
+
+HOT3D: Final = mano_reader(
+    "hot3d",
+    "HOT3D",
+    "mano_hand_pose_trajectory.jsonl, with wrist_xform and pose",
+    ManoLayout(
+        source="https://github.com/facebookresearch/hot3d/blob/main/hot3d/data_loaders/loader_hand_poses.py",
+        met="both sample recordings of its repository, 2026-11",
+        keys={
+            "global_orient": "q_wxyz",
+            "transl": "t_xyz",
+            "hand_pose": "pose",
+            "betas": "betas",
+            "time": "timestamp_ns",
+        },
+        needs="global_orient hand_pose transl time",
+        nested="wrist_xform",
+        sides={"0": "left", "1": "right"},
+        directions=True,
+        counted="mean",
+        world="y",
+        assumed=("its world was taken to be y-up; the headset's camera is in another file",),
+    ),
+)
+ARCTIC: Final = mano_reader(
+    "arctic",
+    "ARCTIC",
+    "a .mano.npy with rot, pose, trans and shape of left and right",
+    ManoLayout(
+        source="https://github.com/zc-alexfan/arctic/blob/master/common/body_models.py",
+        keys={"global_orient": "rot", "hand_pose": "pose", "transl": "trans", "betas": "shape"},
+        needs="global_orient hand_pose transl",
+        counted="mean",
+        world="z",
+        assumed=("its world was taken to be z-up; cameras are in another file",),
+    ),
+)
+GRAB: Final = mano_reader(
+    "grab",
+    "GRAB",
+    "an .npz with lhand and rhand, which have params with fullpose",
+    ManoLayout(
+        source="https://github.com/otaheri/GRAB/blob/master/grab/grab_preprocessing.py",
+        keys={
+            "global_orient": "global_orient",
+            "hand_pose": "fullpose",
+            "transl": "transl",
+            "fps": _RATE,
+        },
+        needs="global_orient hand_pose transl",
+        nested="params",
+        sides={"lhand": "left", "rhand": "right"},
+        world="z",
+        assumed=("its world was taken to be z-up, and its subjects' own hands are left out",),
+    ),
+)
+INTERHAND: Final = mano_reader(
+    "interhand",
+    "InterHand2.6M",
+    "_MANO.json of one capture: frames with pose, shape and trans of left and right",
+    ManoLayout(
+        source="https://github.com/facebookresearch/InterHand2.6M/blob/main/MANO_render/render.py",
+        keys={"transl": "trans", "betas": "shape"},
+        needs="global_orient hand_pose transl betas",
+        columns={"pose": {48: {"global_orient": slice(3), "hand_pose": slice(3, 48)}}},
+        counted="mean",
+        assumed=("its world was taken to have the camera's axes; cameras are in another file",),
+    ),
+)
+DEXYCB: Final = mano_reader(
+    "dexycb",
+    "DexYCB",
+    "a camera's folder with labels_000000.npz, or one of these, with pose_m",
+    ManoLayout(
+        source="https://github.com/NVlabs/dex-ycb-toolkit/blob/master/examples/visualize_pose.py",
+        keys={},
+        needs="global_orient hand_pose transl",
+        side="asked",
+        columns={
+            "pose_m": {
+                51: {"global_orient": slice(3), "hand_pose": slice(3, 48), "transl": slice(48, 51)},
+            }
+        },
+        files=r"labels_(?P<frame>\d{1,9})",
+        directions=True,
+        counted="mean",
+    ),
+)
+HO3D: Final = mano_reader(
+    "ho3d",
+    "HO-3D",
+    "a sequence's folder with meta/0000.pkl, or one of these, with handPose, handTrans and camMat",
+    ManoLayout(
+        source="https://github.com/shreyashampali/ho3d/blob/master/vis_HO3D.py",
+        keys={"transl": "handTrans", "betas": "handBeta", "intrinsics": "camMat"},
+        needs="global_orient hand_pose transl intrinsics",
+        side="right",
+        columns={"handPose": {48: {"global_orient": slice(3), "hand_pose": slice(3, 48)}}},
+        folder="meta",
+        files=r"\d+",
+        world="OpenGL",
+        camera="intrinsics",
+    ),
+)
+FREIHAND: Final = mano_reader(
+    "freihand",
+    "FreiHAND",
+    "training_mano.json, a list of 61 numbers a photo",
+    ManoLayout(
+        source="https://github.com/lmb-freiburg/freihand/blob/master/utils/model.py",
+        keys={},
+        needs="global_orient hand_pose",
+        side="right",
+        columns={
+            "": {61: {"global_orient": slice(3), "hand_pose": slice(3, 48), "betas": slice(48, 58)}},
+        },
         counted="mean",
     ),
 )
