@@ -234,12 +234,7 @@ GRAB: Final = mano_reader(
     "an .npz with lhand and rhand, which have params with fullpose",
     ManoLayout(
         source="https://github.com/otaheri/GRAB/blob/master/grab/grab_preprocessing.py",
-        keys={
-            "global_orient": "global_orient",
-            "hand_pose": "fullpose",
-            "transl": "transl",
-            "fps": _RATE,
-        },
+        keys={"global_orient": "global_orient", "hand_pose": "fullpose", "transl": "transl", "fps": _RATE},
         needs="global_orient hand_pose transl",
         nested="params",
         sides={"lhand": "left", "rhand": "right"},
@@ -270,9 +265,7 @@ DEXYCB: Final = mano_reader(
         needs="global_orient hand_pose transl",
         side="asked",
         columns={
-            "pose_m": {
-                51: {"global_orient": slice(3), "hand_pose": slice(3, 48), "transl": slice(48, 51)},
-            }
+            "pose_m": {51: {"global_orient": slice(3), "hand_pose": slice(3, 48), "transl": slice(48, 51)}}
         },
         files=r"labels_(?P<frame>\d{1,9})",
         directions=True,
@@ -304,9 +297,7 @@ FREIHAND: Final = mano_reader(
         keys={},
         needs="global_orient hand_pose",
         side="right",
-        columns={
-            "": {61: {"global_orient": slice(3), "hand_pose": slice(3, 48), "betas": slice(48, 58)}},
-        },
+        columns={"": {61: {"global_orient": slice(3), "hand_pose": slice(3, 48), "betas": slice(48, 58)}}},
         counted="mean",
     ),
 )
