@@ -138,19 +138,20 @@ class _Part:
         """With those values of a dictionary that are wanted."""
         layout, flat = self.layout, dict[str, Any]()
         nested = layout.nested.split()
+        begins = tuple(each + sign for each in nested for sign in "._/")
         for name in names:
             key = str(name)
-            for each in nested:
-                key = key.removeprefix(f"{each}.").removeprefix(f"{each}/").removeprefix(f"{each}_")
+            if key.startswith(begins) and key not in nested:
+                key = key[len(next(each for each in begins if key.startswith(each))) :]
             if key in layout.wanted or key in layout.columns:
                 flat[key] = value(name)
             elif key in nested and isinstance(inside := value(name), dict):
                 flat |= {str(k): v for k, v in inside.items() if str(k) in layout.wanted}
         values = {w: (k, flat[k]) for k, w in layout.wanted.items() if k in flat and not _holds(flat[k])}
         for key, widths in layout.columns.items():
-            value = flat.get(key)
-            if value is not None and (key or np.shape(value)[-1:] in [(width,) for width in widths]):
-                values |= {what: (key, value) for parts in widths.values() for what in parts}
+            columns = flat.get(key)
+            if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
+                values |= {what: (key, columns) for parts in widths.values() for what in parts}
         return replace(self, values={**self.values, **values})
 
     def unpacked(self) -> _Part:
@@ -169,10 +170,10 @@ class _Part:
 
 
 def _holds(value: Any) -> bool:
-    """Whether a value is nothing, or a dictionary or a list of such rather than of numbers."""
+    """Whether a value is nothing, or a dictionary or a list that may have some, rather than of numbers."""
     while isinstance(value, list) and value:
         value = value[0]
-    return value is None or isinstance(value, dict)
+    return value is None or isinstance(value, dict | list)
 
 
 def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
@@ -273,10 +274,7 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
     side, person, frames = _whose(part, asked, path, assumed)
     count = side.size if side.ndim else None
     directions = layout.directions or (np.size(value) and shape[-1:] and shape[-1] < POSE and shape[-1] != 3)
-    if directions:
-        pose = np.asarray(value, dtype=np.float64).reshape(count or -1, shape[-1])
-    else:
-        pose = mano.rotations(name, value, 15, count)
+    pose = mano.numbers(name, value, shape[-1]) if directions else mano.rotations(name, value, 15, count)
     count = len(pose)
     orient, side, place = part.rotations("global_orient", 1, count), np.broadcast_to(side, count), np.inf
     if directions:
