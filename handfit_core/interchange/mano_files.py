@@ -39,12 +39,12 @@ class ManoLayout:
 
     source: str
     """The address where this is written down"""
-    keys: Mapping[str, str]
-    """The names in a file, parted by blanks, of `global_orient`, `hand_pose`, `transl`, `betas`, `right` (1
-    and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`, `intrinsics` (fx, fy, cx, cy, or
-    a matrix), `cam_R`, `cam_t`; with `body_pose`, `global_orient` is a body's. `SIDE` stands for left and
-    right"""
-    needs: str
+    keys: str
+    """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
+    `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
+    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`; with `body_pose`, `global_orient` is a
+    body's. `SIDE` stands for left and right"""
+    needs: str = "global_orient hand_pose transl"
     """Which of them a file of this layout must have; `a|b`: one of the two"""
     met: str = ""
     """The real file that it was tried with, and when; empty: it is read by its description"""
@@ -87,15 +87,15 @@ class ManoLayout:
     """What to do, or to think, where left hands bend as if mirrored"""
 
     @cached_property
+    def names(self) -> dict[str, list[str]]:
+        """The names in a file of each of the values, the one that counts first."""
+        told = (each.replace("SIDE", side) for side in SIDES for each in self.keys.split())
+        return {each.split("=")[0]: each.split("=")[-1].split("|") for each in told}
+
+    @cached_property
     def wanted(self) -> dict[str, str]:
-        """Which value a name in a file has; of several names of one, the last one counts."""
-        named = {
-            each.replace("SIDE", side): what.replace("SIDE", side)
-            for what, names in self.keys.items()
-            for side in (SIDES if "SIDE" in names else ("",))
-            for each in names.split()
-        }
-        return dict(reversed(named.items()))
+        """Which value a name in a file has, the ones that count after the others."""
+        return {name: what for what, names in self.names.items() for name in reversed(names)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class _Part:
 
     def rotations(self, what: str, joints: int, count: int | None = None) -> np.ndarray:
         if what not in self:
-            raise Unfit(f"{self.layout.keys[what].split()[0]} is missing")
+            raise Unfit(f"{self.layout.names[what][0]} is missing")
         return mano.rotations(*self.values[what], joints, count)
 
     @property
@@ -231,11 +231,10 @@ def _recognises(layout: ManoLayout, document: Document) -> bool:
     try:
         parts = islice(_parts(layout, document), _LOOKED_AT)
         first = next((part for part in parts if part.is_hands), None)
-        shape = () if first is None or not layout.matrices else np.shape(first.values["hand_pose"][1])
+        shape = np.shape(first.values["hand_pose"][1]) if first and layout.matrices else (15, 3, 3)
     except (Unfit, ValueError, TypeError):
         return False
-    matrices = shape[-2:] == (3, 3) and np.prod(shape) % (9 * 15) == 0
-    return first is not None and (matrices or not layout.matrices)
+    return first is not None and shape[-2:] == (3, 3) and np.prod(shape) % (9 * 15) == 0
 
 
 def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part, np.ndarray | None]]:
@@ -244,19 +243,19 @@ def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part,
     if part.layout.rows != "sides":
         yield part, None
         return
-    body, turn = part.values.get("body_pose"), None
-    joints, pelvis = np.empty((0, 3 * mano.BODY_JOINTS)), np.empty((0, 3))
-    if body is not None:
-        LIMITS.check(path, np.size(body[1]) // joints.shape[1], 2)
+    body, turn, wrists = "body_pose" in part, None, dict[Side, np.ndarray]()
+    if body:
+        LIMITS.check(path, np.size(part.values["body_pose"][1]) // (3 * mano.BODY_JOINTS), 2)
         joints = part.rotations("body_pose", mano.BODY_JOINTS)
         pelvis = part.rotations("global_orient", 1, len(joints))
+        wrists = {side: mano.wrist_of_body(pelvis, joints, side) for side in SIDES}
         tell(assumed, _NO_PLACE)
         turn = mano.standing(pelvis, assumed) if "person" not in part.fixed else None
     for index, side in enumerate(SIDES):
         if f"{side}_hand_pose" in part:
             values = {what.removeprefix(f"{side}_"): of for what, of in part.values.items()}
-            if body is not None:
-                values["global_orient"] = body[0], mano.wrist_of_body(pelvis, joints, side)
+            if body:
+                values["global_orient"] = "body_pose", wrists[side]
                 values = {what: of for what, of in values.items() if what not in ("transl", "betas")}
             yield replace(part, values=values, fixed={"person": 0, **part.fixed, "side": index}), turn
 
@@ -349,26 +348,25 @@ def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
         if len(rows) != count or not np.all(rows == np.round(rows)):
             raise Unfit(f"frame must be {count} whole numbers, one for each hand")
         return rows.astype(np.int64)
-    if (part.row is not None or part.name) and (not sides or count == 1):
+    counted = count > 1 and (sides or len(set(side.tolist())) == 1)
+    if (part.row is not None or part.name) and not (sides and counted):
         return np.full(count, part.row or 0)
-    if count > 1 and len(set(side.tolist())) == 1 and not sides:
+    if counted and not sides:
         tell(assumed, "its rows were taken as one hand's frames, as it does not tell whose they are")
-    return np.arange(1, count + 1) if sides or len(set(side.tolist())) == 1 else np.ones(count, dtype=int)
+    return np.arange(1, count + 1) if counted else np.ones(count, dtype=int)
 
 
 def _before_camera(part: _Part, hands: FoundHands, asked: ReadOptions, assumed: list[str]) -> FoundHands:
     """The hands of a world whose camera is told in the camera's frame. Raises Unfit."""
-    if "cam_R" not in part.layout.keys:
-        return hands
     if "cam_R" not in part or "cam_t" not in part:
-        tell(assumed, "the camera is not told (cam_R, cam_t): the world was taken to have its axes")
+        if "cam_R" in part.layout.names:
+            tell(assumed, "the camera is not told (cam_R, cam_t): the world was taken to have its axes")
         return hands
     rotation, shift = mano.numbers(*part.values["cam_R"], 3, 3), mano.numbers(*part.values["cam_t"], 3)
     frames = len(set(hands.frame.tolist()))
     if len(rotation) != len(shift) or len(rotation) not in (frames, len(hands)):
         raise Unfit(f"cam_R and cam_t must have {frames} frames, and have {len(rotation)}, {len(shift)}")
-    times = len(hands) // len(rotation)
-    rotation = mano.checked_matrices("cam_R", rotation)
+    times, rotation = len(hands) // len(rotation), mano.checked_matrices("cam_R", rotation)
     return hands.seen_from(np.tile(rotation, (times, 1, 1)), np.tile(shift, (times, 1)), asked)
 
 
@@ -446,8 +444,8 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
         raise Unfit("there is no hand in any of its frames")
     if body and len(frames) > 1 and not any(np.ptp(h.hand_pose[h.present], axis=0).any() for h in posed):
         tell(assumed, "the fingers never move: this body was captured without its hands")
-    if "transl" in layout.keys and hands.nowhere:
-        key = layout.keys["transl"].split()[0]
+    if "transl" in layout.names and hands.nowhere:
+        key = layout.names["transl"][0]
         tell(assumed, f"where the hands are is not told ({key}): each stays in its place")
     if layout.left_assumed and any(hand.side == "left" for hand in posed):
         tell(assumed, layout.left_assumed)

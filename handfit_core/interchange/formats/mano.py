@@ -9,17 +9,10 @@ from handfit_core.interchange.mano_files import ManoLayout, mano_reader
 
 _HAMER: Final = ManoLayout(
     source="https://github.com/geopavlakos/hamer/blob/main/demo.py",
-    keys={
-        "global_orient": "global_orient",
-        "hand_pose": "hand_pose",
-        "betas": "betas",
-        "right": "right is_right",
-        # Not pred_cam_t, which is HaMeR's for the crop alone, nor focal_length: 5000 pixels of any picture
-        "transl": "pred_cam_t_full cam_t_full cam_t",
-        "frame": "frame frames frame_id frame_ids frame_idx",
-        "focal": "scaled_focal_length focal_px",
-        "size": "img_size image_size",
-    },
+    # Not pred_cam_t, which is HaMeR's for the crop alone, nor focal_length: 5000 pixels of any picture
+    keys="global_orient hand_pose betas right=right|is_right transl=pred_cam_t_full|cam_t_full|cam_t "
+    "frame=frame|frames|frame_id|frame_ids|frame_idx focal=scaled_focal_length|focal_px "
+    "size=img_size|image_size",
     needs="global_orient hand_pose right",
     nested="pred_mano_params mano_params wilor_preds mano camera",
     files=".*",
@@ -58,12 +51,7 @@ HAWOR: Final = mano_reader(
     "trans, rot, hand_pose, betas and valid",
     ManoLayout(
         source="https://github.com/ThunderVVV/HaWoR/blob/main/scripts/scripts_test_video/hawor_video.py",
-        keys={
-            "global_orient": "init_root_orient",
-            "hand_pose": "init_hand_pose",
-            "transl": "init_trans",
-            "betas": "init_betas",
-        },
+        keys="global_orient=init_root_orient hand_pose=init_hand_pose transl=init_trans betas=init_betas",
         needs="global_orient hand_pose transl betas",
         folder="cam_space",
         sides={"0": "left", "1": "right"},
@@ -74,13 +62,8 @@ HAWOR: Final = mano_reader(
     ),
     ManoLayout(
         source="https://github.com/ThunderVVV/HaWoR/blob/main/scripts/scripts_test_video/hawor_slam.py",
-        keys={
-            "global_orient": "rot pred_rot",
-            "hand_pose": "hand_pose pred_hand_pose",
-            "transl": "trans pred_trans",
-            "betas": "betas pred_betas",
-            "present": "valid pred_valid",
-        },
+        keys="global_orient=rot|pred_rot hand_pose=hand_pose|pred_hand_pose transl=trans|pred_trans "
+        "betas=betas|pred_betas present=valid|pred_valid",
         needs="global_orient hand_pose transl present",
         rows="tracks",
         listed="trans rot hand_pose betas valid",
@@ -93,16 +76,8 @@ DYN_HAMR: Final = mano_reader(
     "an .npz (*_world_results.npz) with trans, root_orient, pose_body and is_right",
     ManoLayout(
         source="https://github.com/ZhengdiYu/Dyn-HaMR/blob/main/dyn-hamr/optim/output.py",
-        keys={
-            "global_orient": "root_orient",
-            "hand_pose": "pose_body latent_pose",
-            "transl": "trans",
-            "betas": "betas",
-            "right": "is_right",
-            "cam_R": "cam_R",
-            "cam_t": "cam_t",
-            "intrinsics": "intrins",
-        },
+        keys="global_orient=root_orient hand_pose=pose_body|latent_pose transl=trans betas right=is_right "
+        "cam_R cam_t intrinsics=intrins",
         needs="global_orient hand_pose transl right",
         rows="tracks",
         mirrored="world",
@@ -111,7 +86,8 @@ DYN_HAMR: Final = mano_reader(
     ),
 )
 
-_RATE: Final = "mocap_frame_rate mocap_framerate fps frame_rate framerate"
+_TURNS: Final = {"global_orient": slice(3), "hand_pose": slice(3, 48)}
+_RATE: Final = "fps=mocap_frame_rate|mocap_framerate|fps|frame_rate|framerate"
 
 
 def _body(left: int) -> dict[str, slice]:
@@ -129,7 +105,7 @@ SMPLX: Final = mano_reader(
         source="https://github.com/nghorbani/amass/blob/master/notebooks/01-AMASS_Visualization.ipynb",
         met="the AMASS samples of human_body_prior's and smplx' repositories, 2026-11",
         # `trans` is the body's; fingers alone tell nothing of where a hand is.
-        keys={"body": "trans", "fps": _RATE, "present": "hands_present"},
+        keys=f"body=trans present=hands_present {_RATE}",
         needs="body_pose SIDE_hand_pose body|fps",
         rows="sides",
         columns={"poses": {156: _body(66), 165: _body(75)}},
@@ -138,14 +114,14 @@ SMPLX: Final = mano_reader(
     ),
     ManoLayout(
         source="https://amass.is.tue.mpg.de",
-        keys={"global_orient": "root_orient", "body_pose": "pose_body", "fps": _RATE},
+        keys=f"global_orient=root_orient body_pose=pose_body {_RATE}",
         needs="global_orient body_pose SIDE_hand_pose",
         rows="sides",
         columns={"pose_hand": {90: {"left_hand_pose": slice(45), "right_hand_pose": slice(45, 90)}}},
     ),
     ManoLayout(
         source="https://github.com/IDEA-Research/Motion-X/blob/main/README.md",
-        keys={},
+        keys="",
         needs="body_pose SIDE_hand_pose",
         rows="sides",
         columns={"": {322: _body(66)}},
@@ -153,13 +129,7 @@ SMPLX: Final = mano_reader(
 )
 _KEYWORDS: Final = ManoLayout(
     source="https://github.com/zc-alexfan/arctic/blob/master/docs/data/data_doc.md",
-    keys={
-        "global_orient": "global_orient",
-        "body_pose": "body_pose",
-        "SIDE_hand_pose": "SIDE_hand_pose",
-        "SIDE_present": "SIDE_hand_valid",
-        "fps": _RATE,
-    },
+    keys=f"global_orient body_pose SIDE_hand_pose SIDE_present=SIDE_hand_valid {_RATE}",
     needs="global_orient body_pose SIDE_hand_pose",
     rows="sides",
 )
@@ -170,14 +140,8 @@ SMPLX_KEYWORDS: Final = mano_reader(
     ".smplx.npy), or hands as this program writes them",
     ManoLayout(
         source="https://github.com/vchoutas/smplx/blob/main/smplx/body_models.py",
-        keys={
-            **{f"SIDE_{key}": f"SIDE_{key}" for key in ("global_orient", "hand_pose", "transl", "betas")},
-            "SIDE_present": "SIDE_present",
-            "fps": "fps",
-            "frame": "frame_numbers",
-            "size": "picture_size",
-            "intrinsics": "intrinsics",
-        },
+        keys="SIDE_global_orient SIDE_hand_pose SIDE_transl SIDE_betas SIDE_present fps frame=frame_numbers "
+        "size=picture_size intrinsics",
         needs="SIDE_global_orient SIDE_hand_pose",
         rows="sides",
         camera="intrinsics",
@@ -199,13 +163,7 @@ HOT3D: Final = mano_reader(
     ManoLayout(
         source="https://github.com/facebookresearch/hot3d/blob/main/hot3d/data_loaders/loader_hand_poses.py",
         met="both sample recordings of its repository, 2026-11",
-        keys={
-            "global_orient": "q_wxyz",
-            "transl": "t_xyz",
-            "hand_pose": "pose",
-            "betas": "betas",
-            "time": "timestamp_ns",
-        },
+        keys="global_orient=q_wxyz transl=t_xyz hand_pose=pose betas time=timestamp_ns",
         needs="global_orient hand_pose transl time",
         nested="wrist_xform",
         sides={"0": "left", "1": "right"},
@@ -221,8 +179,7 @@ ARCTIC: Final = mano_reader(
     "a .mano.npy with rot, pose, trans and shape of left and right",
     ManoLayout(
         source="https://github.com/zc-alexfan/arctic/blob/master/common/body_models.py",
-        keys={"global_orient": "rot", "hand_pose": "pose", "transl": "trans", "betas": "shape"},
-        needs="global_orient hand_pose transl",
+        keys="global_orient=rot hand_pose=pose transl=trans betas=shape",
         counted="mean",
         world="z",
         assumed=("its world was taken to be z-up; cameras are in another file",),
@@ -234,8 +191,7 @@ GRAB: Final = mano_reader(
     "an .npz with lhand and rhand, which have params with fullpose",
     ManoLayout(
         source="https://github.com/otaheri/GRAB/blob/master/grab/grab_preprocessing.py",
-        keys={"global_orient": "global_orient", "hand_pose": "fullpose", "transl": "transl", "fps": _RATE},
-        needs="global_orient hand_pose transl",
+        keys=f"global_orient hand_pose=fullpose transl {_RATE}",
         nested="params",
         sides={"lhand": "left", "rhand": "right"},
         world="z",
@@ -248,9 +204,9 @@ INTERHAND: Final = mano_reader(
     "_MANO.json of one capture: frames with pose, shape and trans of left and right",
     ManoLayout(
         source="https://github.com/facebookresearch/InterHand2.6M/blob/main/MANO_render/render.py",
-        keys={"transl": "trans", "betas": "shape"},
+        keys="transl=trans betas=shape",
         needs="global_orient hand_pose transl betas",
-        columns={"pose": {48: {"global_orient": slice(3), "hand_pose": slice(3, 48)}}},
+        columns={"pose": {48: _TURNS}},
         counted="mean",
         assumed=("its world was taken to have the camera's axes; cameras are in another file",),
     ),
@@ -261,12 +217,9 @@ DEXYCB: Final = mano_reader(
     "a camera's folder with labels_000000.npz, or one of these, with pose_m",
     ManoLayout(
         source="https://github.com/NVlabs/dex-ycb-toolkit/blob/master/examples/visualize_pose.py",
-        keys={},
-        needs="global_orient hand_pose transl",
+        keys="",
         side="asked",
-        columns={
-            "pose_m": {51: {"global_orient": slice(3), "hand_pose": slice(3, 48), "transl": slice(48, 51)}}
-        },
+        columns={"pose_m": {51: {**_TURNS, "transl": slice(48, 51)}}},
         files=r"labels_(?P<frame>\d{1,9})",
         directions=True,
         counted="mean",
@@ -278,10 +231,10 @@ HO3D: Final = mano_reader(
     "a sequence's folder with meta/0000.pkl, or one of these, with handPose, handTrans and camMat",
     ManoLayout(
         source="https://github.com/shreyashampali/ho3d/blob/master/vis_HO3D.py",
-        keys={"transl": "handTrans", "betas": "handBeta", "intrinsics": "camMat"},
+        keys="transl=handTrans betas=handBeta intrinsics=camMat",
         needs="global_orient hand_pose transl intrinsics",
         side="right",
-        columns={"handPose": {48: {"global_orient": slice(3), "hand_pose": slice(3, 48)}}},
+        columns={"handPose": {48: _TURNS}},
         folder="meta",
         files=r"\d+",
         world="OpenGL",
@@ -294,10 +247,10 @@ FREIHAND: Final = mano_reader(
     "training_mano.json, a list of 61 numbers a photo",
     ManoLayout(
         source="https://github.com/lmb-freiburg/freihand/blob/master/utils/model.py",
-        keys={},
+        keys="",
         needs="global_orient hand_pose",
         side="right",
-        columns={"": {61: {"global_orient": slice(3), "hand_pose": slice(3, 48), "betas": slice(48, 58)}}},
+        columns={"": {61: {**_TURNS, "betas": slice(48, 58)}}},
         counted="mean",
     ),
 )
