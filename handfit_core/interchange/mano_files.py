@@ -436,6 +436,8 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
     counted = "mean" if where and str(document.value(where)) == what else layout.counted
     hands = replace(hands.from_flat(asked, counted), frame=hands.frame + layout.first_frame)
     if layout.world:
+        if layout.world in UP_AXES:
+            tell(assumed, f"its world was taken to be {layout.world}-up, without a camera")
         hands = hands.seen_from(_WORLDS[layout.world], np.zeros(3), asked)
     frames = np.unique(hands.frame)
     posed = mano.followed(hands, frames, asked, assumed)
@@ -503,9 +505,9 @@ def _camera(
     return size, Intrinsics(focal, focal, size[0] / 2.0, size[1] / 2.0)
 
 
-def mano_reader(name: str, title: str, layout: str, *layouts: ManoLayout) -> Reader:
+def mano_reader(name: str, title: str, layout: str, assumed: str, *layouts: ManoLayout) -> Reader:
     """A reader of files in one of the layouts, the more particular ones first; `name`: the reader's own,
-    `title` and `layout` as `Reader` has them."""
+    `title`, `layout` and `assumed` as `Reader` has them."""
 
     def read(document: Document, asked: ReadOptions) -> Recording:
         fits = [each for each in layouts if _recognises(each, document)]

@@ -53,7 +53,7 @@ READERS: Final = Registry(
         "hot3d": f"{_HERE}.mano:HOT3D",
         "arctic": f"{_HERE}.mano:ARCTIC",
         "grab": f"{_HERE}.mano:GRAB",
-        "interhand": f"{_HERE}.mano:INTERHAND",
+        "interhand-mano": f"{_HERE}.mano:INTERHAND",
         "dexycb": f"{_HERE}.mano:DEXYCB",
         "ho3d": f"{_HERE}.mano:HO3D",
         "freihand": f"{_HERE}.mano:FREIHAND",

@@ -27,6 +27,8 @@ HAMER: Final = mano_reader(
     "HaMeR or WiLoR",
     "global_orient and hand_pose as matrices with right and pred_cam_t_full, in an .npz, JSON, .npy or "
     "pickle, or a folder of these with the frame's number in the names",
+    "left hands are right ones of a mirrored crop; no mean; a focal length of 5000/256 of the longer "
+    "side where none is told",
     _HAMER,
 )
 WILOR_MINI: Final = mano_reader(
@@ -34,6 +36,7 @@ WILOR_MINI: Final = mano_reader(
     "WiLoR-mini",
     "lists of hands with is_right and wilor_preds, axis-angle, in JSON, .npz, .npy or a pickle, or a folder "
     "of these with the frame's number in the names",
+    "left hands are left ones already; no mean",
     replace(
         _HAMER,
         source="https://github.com/warmshao/WiLoR-mini",
@@ -49,6 +52,7 @@ HAWOR: Final = mano_reader(
     "HaWoR",
     "a clip's folder with cam_space/0 (left) and cam_space/1 (right), or world_space_res as an .npz with "
     "trans, rot, hand_pose, betas and valid",
+    "left hands are left ones already; no mean; frames count from 1",
     ManoLayout(
         source="https://github.com/ThunderVVV/HaWoR/blob/main/scripts/scripts_test_video/hawor_video.py",
         keys="global_orient=init_root_orient hand_pose=init_hand_pose transl=init_trans betas=init_betas",
@@ -74,6 +78,8 @@ DYN_HAMR: Final = mano_reader(
     "dyn-hamr",
     "Dyn-HaMR",
     "an .npz (*_world_results.npz) with trans, root_orient, pose_body and is_right",
+    "right parameters, mirrored with their place at x = 0 of the world, then `cam_R`, `cam_t`; the "
+    "picture is twice the principal point",
     ManoLayout(
         source="https://github.com/ZhengdiYu/Dyn-HaMR/blob/main/dyn-hamr/optim/output.py",
         keys="global_orient=root_orient hand_pose=pose_body|latent_pose transl=trans betas right=is_right "
@@ -101,6 +107,8 @@ SMPLX: Final = mano_reader(
     "SMPL-X or SMPL+H",
     "an .npz with poses of 165 or 156 numbers a frame, trans and mocap_frame_rate (AMASS, BEDLAM, BEAT2), or "
     "Motion-X's .npy of 322",
+    "hands count from the flat hand, BEAT2's from the mean; y-up or z-up by how the body stands; "
+    "wrists have no place",
     ManoLayout(
         source="https://github.com/nghorbani/amass/blob/master/notebooks/01-AMASS_Visualization.ipynb",
         met="the AMASS samples of human_body_prior's and smplx' repositories, 2026-11",
@@ -138,6 +146,7 @@ SMPLX_KEYWORDS: Final = mano_reader(
     "smplx's parameters",
     "left_hand_pose and right_hand_pose with global_orient and body_pose (SMPLer-X's folder smplx, ARCTIC's "
     ".smplx.npy), or hands as this program writes them",
+    "SMPLer-X's hands count from the mean, others from the flat hand",
     ManoLayout(
         source="https://github.com/vchoutas/smplx/blob/main/smplx/body_models.py",
         keys="SIDE_global_orient SIDE_hand_pose SIDE_transl SIDE_betas SIDE_present fps frame=frame_numbers "
@@ -160,6 +169,7 @@ HOT3D: Final = mano_reader(
     "hot3d",
     "HOT3D",
     "mano_hand_pose_trajectory.jsonl, with wrist_xform and pose",
+    "coefficients of MANO's principal directions, and its mean; y-up",
     ManoLayout(
         source="https://github.com/facebookresearch/hot3d/blob/main/hot3d/data_loaders/loader_hand_poses.py",
         met="both sample recordings of its repository, 2026-11",
@@ -170,51 +180,52 @@ HOT3D: Final = mano_reader(
         directions=True,
         counted="mean",
         world="y",
-        assumed=("its world was taken to be y-up; the headset's camera is in another file",),
     ),
 )
 ARCTIC: Final = mano_reader(
     "arctic",
     "ARCTIC",
     "a .mano.npy with rot, pose, trans and shape of left and right",
+    "hands count from the mean; z-up",
     ManoLayout(
         source="https://github.com/zc-alexfan/arctic/blob/master/common/body_models.py",
         keys="global_orient=rot hand_pose=pose transl=trans betas=shape",
         counted="mean",
         world="z",
-        assumed=("its world was taken to be z-up; cameras are in another file",),
     ),
 )
 GRAB: Final = mano_reader(
     "grab",
     "GRAB",
     "an .npz with lhand and rhand, which have params with fullpose",
+    "`fullpose` counts from the flat hand; z-up",
     ManoLayout(
         source="https://github.com/otaheri/GRAB/blob/master/grab/grab_preprocessing.py",
         keys=f"global_orient hand_pose=fullpose transl {_RATE}",
         nested="params",
         sides={"lhand": "left", "rhand": "right"},
         world="z",
-        assumed=("its world was taken to be z-up, and its subjects' own hands are left out",),
     ),
 )
 INTERHAND: Final = mano_reader(
-    "interhand",
+    "interhand-mano",
     "InterHand2.6M",
     "_MANO.json of one capture: frames with pose, shape and trans of left and right",
+    "hands count from the mean; the world has the camera's axes",
     ManoLayout(
         source="https://github.com/facebookresearch/InterHand2.6M/blob/main/MANO_render/render.py",
         keys="transl=trans betas=shape",
         needs="global_orient hand_pose transl betas",
         columns={"pose": {48: _TURNS}},
         counted="mean",
-        assumed=("its world was taken to have the camera's axes; cameras are in another file",),
+        assumed=("its world was taken to have the camera's axes, without a camera",),
     ),
 )
 DEXYCB: Final = mano_reader(
     "dexycb",
     "DexYCB",
     "a camera's folder with labels_000000.npz, or one of these, with pose_m",
+    "coefficients of MANO's principal directions, and its mean; a right hand, or the one of `--hands`",
     ManoLayout(
         source="https://github.com/NVlabs/dex-ycb-toolkit/blob/master/examples/visualize_pose.py",
         keys="",
@@ -229,6 +240,7 @@ HO3D: Final = mano_reader(
     "ho3d",
     "HO-3D",
     "a sequence's folder with meta/0000.pkl, or one of these, with handPose, handTrans and camMat",
+    "a right hand, from the flat hand; OpenGL's axes",
     ManoLayout(
         source="https://github.com/shreyashampali/ho3d/blob/master/vis_HO3D.py",
         keys="transl=handTrans betas=handBeta intrinsics=camMat",
@@ -245,6 +257,7 @@ FREIHAND: Final = mano_reader(
     "freihand",
     "FreiHAND",
     "training_mano.json, a list of 61 numbers a photo",
+    "right hands that count from the mean, without a place",
     ManoLayout(
         source="https://github.com/lmb-freiburg/freihand/blob/master/utils/model.py",
         keys="",

@@ -310,7 +310,7 @@ def data_sets() -> dict[str, tuple[str, dict[str, Any]]]:
         "HOT3D": ("hot3d", {"a.jsonl": hot3d()}),
         "ARCTIC's hands": ("arctic", {"a.mano.npy": arctic}),
         "GRAB": ("grab", {"a.npz": grab}),
-        "InterHand2.6M": ("interhand", {"a_MANO.json": interhand}),
+        "InterHand2.6M": ("interhand-mano", {"a_MANO.json": interhand}),
         "DexYCB": ("dexycb", dexycb),
         "HO-3D": ("ho3d", ho3d),
         "FreiHAND": ("freihand", {"training_mano.json": photos.tolist()}),

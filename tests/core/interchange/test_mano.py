@@ -55,13 +55,13 @@ SAID = {
     "smplx": ("-up, as the body stands so", "where the wrists are is not known"),
     "smplx-keywords": ("-up, as the body stands so",),
     "hot3d": ("taken to be y-up",),
-    "interhand": ("cameras are in another file",),
+    "interhand-mano": ("the camera's axes",),
     "dexycb": ("taken for a right hand",),
     "freihand": ("one hand's frames",),
 }
 
 
-OF_MEAN = {"hot3d", "arctic", "interhand", "dexycb", "freihand"}
+OF_MEAN = {"hot3d", "arctic", "interhand-mano", "dexycb", "freihand"}
 ONE_HAND = {"dexycb", "ho3d", "freihand"}
 
 
