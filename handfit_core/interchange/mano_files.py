@@ -518,5 +518,6 @@ def mano_reader(name: str, title: str, layout: str, assumed: str, *layouts: Mano
         layout,
         lambda document: any(_recognises(each, document) for each in layouts),
         read,
-        unseen=not any(each.met for each in layouts),
+        "; ".join(each.met for each in layouts if each.met),
+        assumed,
     )
