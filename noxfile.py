@@ -276,7 +276,7 @@ def run_blender_tests(session: nox.Session, version: str, marked: str = "") -> N
             ]
         else:
             paths = ["tests/blender", "tests/e2e"]
-        fewer = "chroot,handfit-core[farm]" + (",USD file's rate" if version == "4.2" else "")
+        fewer = "chroot,handfit-core[farm]" + (",opens USD files" if version == "4.2" else "")
         run_pytest(session, *paths, allowed_skips=fewer, env=env, workers=2)
 
 

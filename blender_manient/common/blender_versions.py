@@ -136,12 +136,12 @@ def with_textures() -> dict[str, Any]:
     return {name: value for name, value in told.items() if name in known}
 
 
-def usd_rate(path: str) -> float | None:
-    """The frames per second of a USD file, which Blender's importer leaves alone; None where this Blender has
-    no module for it, as the bpy wheel of 4.2."""
+def usd_stage(path: str) -> Any:
+    """An open USD file, a pxr.Usd.Stage; None where this Blender has no module for it, as the bpy wheel of
+    4.2."""
     getattr(bpy.utils, "expose_bundled_modules", lambda: None)()
     with contextlib.suppress(ImportError):
-        return importlib.import_module("pxr.Usd").Stage.Open(path).GetTimeCodesPerSecond()
+        return importlib.import_module("pxr.Usd").Stage.Open(path)
     return None
 
 

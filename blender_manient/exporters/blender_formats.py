@@ -6,6 +6,7 @@ import contextlib
 import json
 import mmap
 import os
+import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from bpy_extras.io_utils import axis_conversion
 from handfit_core.common.errors import OptionError
 from handfit_core.common.files import check_room
 
-from ..common.blender_versions import gltf_left_out, usd_rate, with_textures
+from ..common.blender_versions import gltf_left_out, usd_stage, with_textures
 from ..rigs.arm import has_arm
 from ..scene.timing import nearest_rate
 from .exporter import APART, Exporter, HandObjects, Preset, blank
@@ -251,11 +252,24 @@ class UsdExporter(BlenderFormat, Exporter):
     }
 
     def read(self, path: Path, operator: str, /) -> set[str]:
-        """Import a file into the open scene, which gets its rate."""
+        """Import a file into the open scene, which gets its rate: Blender's importer leaves that alone."""
         done, render = super().read(path, operator), bpy.context.scene.render
-        if "FINISHED" in done and (rate := usd_rate(str(path))):
+        if "FINISHED" in done and (stage := usd_stage(str(path))) and (rate := stage.GetTimeCodesPerSecond()):
             render.fps, render.fps_base = nearest_rate(rate)
         return done
+
+    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+        """Its skeletons name their joints, with an underscore for all that is no letter or digit."""
+        if (stage := usd_stage(str(path))) is None:
+            return ""
+        there, moves = set[str](), False
+        for prim in stage.Traverse():
+            if prim.GetTypeName() == "Skeleton":
+                there |= {joint.rpartition("/")[2] for joint in prim.GetAttribute("joints").Get()}
+            elif prim.GetTypeName() == "SkelAnimation":
+                moves = moves or prim.GetAttribute("rotations").GetNumTimeSamples() > 0
+        named = [bone for bone in bones if bone.isascii() and not bone[0].isdigit()]
+        return _missing([bone for bone in named if re.sub(r"\W", "_", bone) not in there], moves=moves)
 
     def is_whole(self, stream: BinaryIO, size: int, /) -> bool:
         """The header, written last, tells where the table of the sections is, which ends the file."""

@@ -134,11 +134,24 @@ class _ExportOperator(ManientOperator):
             self.file_format,
             preset=self.preset if self._exporter.presets else "PLAIN",
         )
-        return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{self._left_out(chosen)}"
+        more = self._left_out(chosen) + self._cut_off(context.scene, chosen)
+        return f"Wrote {', '.join(f.name for f in files)} to {path.parent}{more}"
 
     def _left_out(self, _chosen: Sequence[HandObjects]) -> str:
-        """What the report says of what is not in the file."""
+        """What the report says of objects that are not in the file."""
         return ""
+
+    def _cut_off(self, scene: bpy.types.Scene, chosen: Sequence[HandObjects]) -> str:
+        """What the report says of keys before or after the frames in the file."""
+        if self.frame_range != "SCENE" or self._exporter.writes != "hands":
+            return ""
+        frames, last = self._keyed(chosen), scene.frame_end
+        if not frames or (scene.frame_start <= min(frames) and max(frames) <= last):
+            return ""
+        return (
+            f"; of keys on {min(frames):.0f} to {max(frames):.0f} it has the scene's frames, "
+            f"{scene.frame_start} to {last}: choose Keys for all"
+        )
 
     def _draw_own(self, layout: bpy.types.UILayout) -> None:
         """What only this operator has."""

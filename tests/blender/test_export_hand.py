@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_manient.common.blender_versions import use_nodes
+from blender_manient.common.blender_versions import usd_stage, use_nodes
 from blender_manient.exporters import EXPORTERS
 from blender_manient.exporters.export_hands import export_take
 from blender_manient.panels.export import MANIENT_PT_export
@@ -128,7 +128,7 @@ def glb_times(path: Path) -> list[tuple[float, float]]:
     return [tuple(content["accessors"][i][end][0] for end in ("min", "max")) for i in inputs]
 
 
-def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
+def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path, capfd):
     made, built = build(make_take(sides=("right",)))
     armature = built.hands[0].armature
     frame = made.seen[2][1]
@@ -142,6 +142,8 @@ def test_the_artists_own_keys_and_range_are_written(make_take, tmp_path):
     for name, last in (("KEYS", 30), ("SCENE", 5)):
         path = write(tmp_path / f"{name}.glb", file_format="glb", frame_range=name)
         assert max(end for _, end in glb_times(path)) == pytest.approx(last / 30.0, abs=1e-4)
+        said = "; of keys on 3 to 30 it has the scene's frames, 3 to 5: choose Keys for all"
+        assert (said in capfd.readouterr().out) == (name == "SCENE")
     path = write(tmp_path / "a.fbx", file_format="fbx", frame_range="KEYS", preset="UNREAL")
     read_back(path)
     bpy.context.scene.frame_set(30)
@@ -181,7 +183,10 @@ def test_it_comes_back_in_metres_out_of_other_units(make_take, tmp_path, fmt, pr
 
 @pytest.mark.parametrize(
     ("fmt", "preset"),
-    [*((fmt, preset) for fmt in ("fbx", "glb") for preset in ("PLAIN", "UNITY", "UNREAL")), ("bvh", "PLAIN")],
+    [
+        *((fmt, preset) for fmt in ("fbx", "glb") for preset in ("PLAIN", "UNITY", "UNREAL")),
+        *((fmt, "PLAIN") for fmt in ("bvh", "usd")),
+    ],
 )
 @pytest.mark.parametrize("by", ["parent", "constraint"])
 def test_a_hand_that_something_carries_moves_in_the_world(make_take, tmp_path, fmt, preset, by):
@@ -200,32 +205,44 @@ def test_a_hand_that_something_carries_moves_in_the_world(make_take, tmp_path, f
     expected = {}
     for _, frame in made.seen[:: len(made.seen) - 1]:
         bpy.context.scene.frame_set(frame)
-        expected[frame] = joint_heads(armature, "right")
+        expected[frame] = joint_heads(armature, "right"), evaluated_vertices(built.hands[0].mesh)
     before = snapshot()
-    path = write(tmp_path / f"a.{fmt}", file_format=fmt, preset=preset)
+    path = write(tmp_path / f"a{EXPORTERS[fmt].suffix}", file_format=fmt, preset=preset)
     assert snapshot() == before
     read_back(path, first=bpy.context.scene.frame_start)
-    for frame, heads in expected.items():
+    for frame, (heads, skin) in expected.items():
         bpy.context.scene.frame_set(frame)
-        np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
+        if fmt == "usd":  # whose bones have other names
+            (mesh,) = (o for o in bpy.data.objects if o.type == "MESH")
+            np.testing.assert_allclose(evaluated_vertices(mesh), skin, atol=5e-4)
+        else:
+            np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
 
 
-@pytest.mark.parametrize("fmt", ["fbx", "glb"])
-def test_what_blender_left_out_is_not_called_written(make_take, tmp_path, monkeypatch, fmt):
+NO_BONES = "the bone 'wrist.R' and 15 others"
+
+
+@pytest.mark.parametrize(
+    ("fmt", "arguments", "words"),
+    [
+        ("fbx", {"bake_anim": False}, "any motion"),
+        ("fbx", {"object_types": {"MESH"}}, NO_BONES),
+        ("glb", {"export_animations": False}, "any motion"),
+        ("glb", {"export_skins": False}, NO_BONES),
+        ("usd", {"export_animation": False}, "any motion"),
+        ("usd", {"export_armatures": False}, NO_BONES),
+    ],
+)
+def test_what_blender_left_out_is_not_called_written(make_take, tmp_path, monkeypatch, fmt, arguments, words):
     build(make_take(sides=("right",)))
-    there = tmp_path / f"a.{fmt}"
+    exporter, there = EXPORTERS[fmt], tmp_path / f"a{EXPORTERS[fmt].suffix}"
+    if fmt == "usd" and usd_stage(str(write(there, file_format=fmt))) is None:
+        pytest.skip("this Blender has nothing that opens USD files")
     there.write_bytes(b"what was there")
-    for name, value, words in (
-        ("animations" if fmt == "glb" else "anim", False, "any motion"),
-        ("skins" if fmt == "glb" else None, False, "the bone 'wrist.R' and 15 others"),
-    ):
-        arguments = {"fbx": {"bake_anim": value}, "glb": {f"export_{name}": value}}[fmt]
-        if fmt == "fbx" and name is None:
-            arguments = {"object_types": {"MESH"}}
-        monkeypatch.setattr(EXPORTERS[fmt], "arguments", {**type(EXPORTERS[fmt]).arguments, **arguments})
-        with pytest.raises(RuntimeError, match=f"without {words}, so what was there is kept"):
-            write(there, file_format=fmt)
-        assert there.read_bytes() == b"what was there"
+    monkeypatch.setattr(exporter, "arguments", {**type(exporter).arguments, **arguments})
+    with pytest.raises(RuntimeError, match=f"without {words}, so what was there is kept"):
+        write(there, file_format=fmt)
+    assert there.read_bytes() == b"what was there"
 
 
 def assert_same_take(found: Take, expected: Take) -> None:

@@ -222,6 +222,4 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, bool]
     return frames[best], bool(best)
 
 
-READER = Reader(
-    "OpenXR and WebXR", "JSON of frames with 25 or 26 joints a hand", _recognises, _read, unseen=True
-)
+READER = Reader("OpenXR and WebXR", "JSON of frames with 25 or 26 joints a hand", _recognises, _read)

@@ -134,4 +134,11 @@ def _body(document: Document) -> tuple[np.ndarray, np.ndarray]:
     return body, np.asarray(camera)
 
 
-READER = Reader("SAM 3D Body", "an .npz a person, or a folder of them", _recognises, _read)
+READER = Reader(
+    "SAM 3D Body",
+    "an .npz a person, or a folder of them",
+    _recognises,
+    _read,
+    "four results of its estimator, 2026-11",
+    "the picture's size, from its camera's centre; the frame and the person, from files' names",
+)

@@ -481,7 +481,7 @@ WRONG: list[tuple[Callable[..., Path], dict[str, Any], str]] = [
     (hamer, {"hand_pose": np.degrees(HANDS["right"].hand_pose)}, "degrees"),
     (hamer, {"pred_cam_t_full": np.full((FRAMES, 3), 1e12)}, "beyond"),
     (hawor, {"init_trans": [[[0.0, 0.0, 1.0]]]}, "init_trans has 1 rows where 3 are expected"),
-    (hawor, {"init_root_orient": None}, "no hands or keypoints of a program that is known"),
+    (hawor, {"init_root_orient": None}, "no hands of a layout that is known"),
     (dyn, {"is_right": np.ones(FRAMES)}, "is_right must have the shape BxT"),
     (dyn, {"intrins": np.array([1.0, 1.0, -5.0, 2.0])}, "intrins must be"),
     (amass, {"poses": np.zeros((FRAMES, 72))}, "without hands it has fewer"),
