@@ -58,24 +58,20 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
     (N, joints, 3) or (N, 3 * joints), or a quaternion (N, 4), w first. `count`: the N that is expected.
     Raises Unfit, also for matrices that are no rotations and for angles in degrees."""
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise Unfit(f"{name} must be rotations, and is no array of numbers") from None
-    if joints == 1 and array.shape[-1:] == (4,):
-        array = quat_to_rotvec(numbers(name, array, 4))
-    three_vectors = joints == 1 and array.ndim == 2 and count == 3
-    if array.shape[-2:] == (3, 3) and not three_vectors:
-        matrices = numbers(name, array, joints, 3, 3)
-        rotvec = np.concatenate(
-            [rotmat_to_rotvec(checked_matrices(name, matrices[part])) for part in slices(len(matrices))]
-        ).reshape(-1, 3 * joints)
+        shape = np.shape(value)
+    except ValueError:
+        shape = ()
+    if joints == 1 and shape[-1:] == (4,):
+        rotvec = quat_to_rotvec(numbers(name, value, 4))
+    elif shape[-2:] == (3, 3) and not (joints == 1 and len(shape) == 2 and count == 3):
+        matrices = checked_matrices(name, numbers(name, value, joints, 3, 3))
+        parts = [rotmat_to_rotvec(matrices[part]) for part in slices(len(matrices))]
+        rotvec = np.concatenate(parts).reshape(-1, 3 * joints)
     else:
-        rotvec = numbers(name, array, 3 * joints)
-        angles = np.linalg.norm(rotvec.reshape(len(rotvec), joints, 3), axis=-1)
-        if np.any(angles > 4.0 * np.pi):
-            raise Unfit(
-                f"{name} holds turns by {np.nanmax(angles):.0f} radians: these are degrees, or no axis-angle"
-            )
+        rotvec = numbers(name, value, 3 * joints)
+    most = np.nanmax(np.linalg.norm(rotvec.reshape(-1, 3), axis=-1), initial=0.0)
+    if most > 4.0 * np.pi:
+        raise Unfit(f"{name} holds turns by {most:.0f} radians: these are degrees, or no axis-angle")
     if count is not None and len(rotvec) != count:
         raise Unfit(f"{name} has {len(rotvec)} rows where {count} are expected")
     return rotvec
@@ -83,11 +79,12 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
 
 def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
     """Matrices that are rotations but for their rounding. Raises Unfit."""
-    there = np.isfinite(matrices).all(axis=(-1, -2))
-    product = matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)
-    # What the elements of R R^T may differ from those of I
-    if np.any(np.abs(product[there]) > 0.05) or np.any(np.linalg.det(matrices[there]) < 0.0):
-        raise Unfit(f"{name} holds matrices that are no rotations")
+    for part in slices(len(matrices)):
+        told = matrices[part][np.isfinite(matrices[part]).all(axis=(-1, -2))]
+        # What the elements of R R^T may differ from those of I
+        off = np.abs(told @ np.swapaxes(told, -1, -2) - np.eye(3)).max(initial=0.0)
+        if off > 0.05 or np.any(np.linalg.det(told) < 0.0):
+            raise Unfit(f"{name} holds matrices that are no rotations")
     return matrices
 
 
@@ -96,8 +93,8 @@ def own_model(asked: ReadOptions, side: Side, needed: str) -> HandModel:
     HandModelError."""
     if asked.model is None or asked.model == OPEN_HAND:
         raise OptionError(
-            f"{needed}, which belongs to MANO's licensed files and is not part of this program: give your "
-            "own MANO folder or file as the model (--model)"
+            f"{needed}: give your own MANO folder or file as the model (--model), as MANO's license keeps both "
+            "out of this program"
         )
     return load_model(asked.model, side)
 
@@ -346,10 +343,9 @@ def doubts(hands: Sequence[HandMotion], asked: ReadOptions, mirrored_by: str = "
         if mirrored_by and hand.side == "left":
             said = f"as if a mirror were missing or were one too many: {mirrored_by}"
             others.append((said, mirrored_pose(poses[:, :3], poses)[1]))
-        best, said = min((beyond_range(other, hand.side), said) for said, other in others)
+        best, said = min((beyond_range(other, hand.side), f", {said}") for said, other in others)
         if best >= 0.4 * now:
-            said = "the poses may be of another model, or their joints in another order"
+            said = ": the poses may be of another model, or their joints in another order"
         how = "further back" if np.median(_bends(poses, hand.side)) < 0.0 else "further"
-        comma = ": " if best >= 0.4 * now else ", "
-        tell(phrases, f"the {hand.side} hand's fingers bend {how} than fingers can{comma}{said}")
+        tell(phrases, f"the {hand.side} hand's fingers bend {how} than fingers can{said}")
     return phrases
