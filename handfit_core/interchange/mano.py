@@ -93,8 +93,8 @@ def own_model(asked: ReadOptions, side: Side, needed: str) -> HandModel:
     HandModelError."""
     if asked.model is None or asked.model == OPEN_HAND:
         raise OptionError(
-            f"{needed}: give your own MANO folder or file as the model (--model), as MANO's license keeps both "
-            "out of this program"
+            f"{needed}: give your own MANO folder or file as the model (--model), as MANO's license keeps "
+            "both out of this program"
         )
     return load_model(asked.model, side)
 
