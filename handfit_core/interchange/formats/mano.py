@@ -12,7 +12,7 @@ _HAMER: Final = ManoLayout(
     # Not pred_cam_t, which is HaMeR's for the crop alone, nor focal_length: 5000 pixels of any picture
     keys="global_orient hand_pose betas right=right|is_right transl=pred_cam_t_full|cam_t_full|cam_t "
     "frame=frame|frames|frame_id|frame_ids|frame_idx focal=scaled_focal_length|focal_px "
-    "size=img_size|image_size",
+    "size=img_size|image_size fps",
     needs="global_orient hand_pose right",
     nested="pred_mano_params mano_params wilor_preds mano camera",
     files=".*",

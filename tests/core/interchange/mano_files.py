@@ -104,6 +104,20 @@ def mini(frame: int) -> list[dict[str, Any]]:
     ]
 
 
+def frames_with_hands() -> dict[str, Any]:
+    """As people write WiLoR-mini's hands into JSON of their own, here without any in the first frame."""
+    frames = []
+    for n in NUMBERS:
+        hands = []
+        for hand in mini(n - 1):
+            found = hand["wilor_preds"]
+            camera = {name: found[name] for name in ("pred_cam_t_full", "scaled_focal_length")}
+            turns = {name: found[name] for name in ("global_orient", "hand_pose", "betas")}
+            hands.append({"is_right": hand["is_right"], "mano": turns, "camera": camera})
+        frames.append({"frame": n, "image_size": [1280, 720], "hands": hands})
+    return {"fps": 25.0, "frames": [{"frame": 0, "hands": []}, *frames]}
+
+
 # HaWoR
 
 
@@ -336,6 +350,8 @@ def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
         "WiLoR-mini, JSON": ("wilor-mini", {"a.json": [*minis.values()]}),
         "WiLoR-mini, pickle": ("wilor-mini", {"a.pkl": [*minis.values()]}),
         "WiLoR-mini, a file a picture": ("wilor-mini", {f"{n:03}.json": v for n, v in minis.items()}),
+        "WiLoR-mini, frames with hands": ("wilor-mini", {"a.json": frames_with_hands()}),
+        "WiLoR-mini, lists, at first empty": ("wilor-mini", {"a.json": [[], *minis.values()]}),
         "HaWoR, a clip": ("hawor", hawor()),
         "HaWoR, its world": ("hawor", {"world_space_res.npz": hawor_world()}),
         "HaWoR, its world as pred_": ("hawor", {"world_space_res.npz": hawor_world("pred_")}),

@@ -191,6 +191,21 @@ def test_rows_of_one_side_and_points_beside_hands(tmp_path: Path) -> None:
     assert read(folder).frame_numbers.tolist() == list(NUMBERS)
 
 
+def test_frames_that_are_told_and_hands_that_are_none(tmp_path: Path) -> None:
+    """A frame's number, size and rate stand around its hands; zeros are no hand; captures are not mixed."""
+    told = read(written(tmp_path / "a.json", files.frames_with_hands()))
+    assert (told.frame_numbers.tolist(), told.size, told.fps) == (list(NUMBERS), (1280, 720), 25.0)
+    model = str(own_mano(tmp_path / "mano"))
+    labels = dict(LAYOUTS["DexYCB"][1])
+    labels["labels_000003.npz"] = {"pose_m": np.zeros((1, 51))}
+    (left,) = read(laid_out(tmp_path / "dexycb", labels), model=model, hands="left").posed
+    assert left.side == "left"
+    assert np.flatnonzero(~left.present).tolist() == [2]
+    (frames,) = LAYOUTS["InterHand2.6M"][1]["a_MANO.json"].values()
+    with pytest.raises(InputError, match=r"several clips \(0/\.\. and 1/\.\."):
+        read(written(tmp_path / "b.json", {"0": frames, "1": frames}), model=model)
+
+
 # Persons
 
 
