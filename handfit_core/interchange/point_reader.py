@@ -332,8 +332,8 @@ def points_of_arrays(document: Document) -> ParsedPoints | None:
     arrays = [(name, array) for name, array in arrays if array.shape[-1] == widest]
     if len(arrays) > 1 and not all(side_named(name) for name, _ in arrays):
         raise ValueError(
-            f"it has several arrays of points ({', '.join(name for name, _ in arrays)[:200]}); save the right one "
-            "alone as .npy, or those of both hands as left and right"
+            f"it has several arrays of points ({', '.join(name for name, _ in arrays)[:200]}); save the right "
+            "one alone as .npy, or those of both hands as left and right"
         )
     for name, array in arrays:
         frames, people, count, width = array.shape
