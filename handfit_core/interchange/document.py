@@ -177,6 +177,9 @@ class Document:
             rows = _rows_of_trc(rows)
         if len(rows) < 2 or not 1 < len(rows[0]) <= LIMITS.columns:
             return None
+        if len(rows) > 2 and len(rows[-1]) < len(rows[0]):
+            self.cut = "its last line breaks off, and is left out"
+            rows.pop()
         if any(len(row) != len(rows[0]) for row in rows):
             return None
         if any(len(cell) > LIMITS.letters for row in rows for cell in row):
@@ -359,7 +362,9 @@ class Document:
         if self.bytes.lstrip()[:1] in (b"{", b"["):
             return _damage(self.bytes)
         if self.text is not None:
-            return f"a text that begins with {shown(self.text.strip()[:40])!r}"
+            return (
+                f"a text, and no table with a cell below each name; it begins with {self.text.strip()[:40]!r}"
+            )
         return f"a file of {len(self.bytes)} bytes of a kind that is not known"
 
 

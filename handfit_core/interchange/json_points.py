@@ -37,6 +37,7 @@ _OF_SIDE: Final = (
 _SIDE: Final = "multihandedness handedness handednesses side label type handtype hand chirality".split()
 _SCORE: Final = "score confidence handednessscore".split()
 _WITHIN: Final = "result results hands observations detections".split()
+_PICTURES: Final = (".jpg", ".jpeg", ".png", ".bmp")
 _CHIRALITY: Final = {-1: SIDES[0], 1: SIDES[1]}
 
 
@@ -140,11 +141,16 @@ def frames_of(document: Document, is_one: Callable[[Any], bool], *, grouped: boo
     header = keyed(content)
     if isinstance(content, Mapping):
         listed = next((header[key] for key in _FRAMES if isinstance(header.get(key), list | dict)), None)
+        # Where more hands stand beside one another than a picture has, they are one hand's frames.
+        many = (header[key] for key in (*_PICTURE, *_WORLD) if isinstance(header.get(key), list))
+        listed = listed or next((each for each in many if len(each) > 8 and all(map(is_hand, each))), None)
         if listed is not None:
             content = listed
             header = {k: v for k, v in header.items() if k == "images" or not isinstance(v, list | dict)}
     alone = is_one(content)
-    if isinstance(content, Mapping) and content and not alone and all(map(_digits, content)):
+    keys = [_number_of(key) for key in content] if isinstance(content, Mapping) and not alone else []
+    numbers = [number for number in keys if number is not None]
+    if isinstance(content, Mapping) and numbers and len(numbers) == len(keys):
         of = next(iter(content.values()))
         if isinstance(of, Mapping) and of and all(map(_digits, of)):
             if len(content) > 1:
@@ -153,18 +159,18 @@ def frames_of(document: Document, is_one: Callable[[Any], bool], *, grouped: boo
                     f"{shown(document.path)}: it has {len(content)} clips ({some} ..); give each its own file"
                 )
             content = of
-        return _in_order(document, [int(key) for key in content], list(content.values()), header)
+            numbers = [int(key) for key in content]
+        return _in_order(document, numbers, list(content.values()), header)
     if isinstance(content, Mapping) or alone:
         number = _number_in(content) or _number_in({"frame": document.path.stem}) or 1
         return _in_order(document, [number], [content], header)
     if not isinstance(content, list) or not content:
         raise InputError(f"{shown(document.path)}: there is no frame in it ({document.found})")
-    cut = (document.cut,) if document.cut else ()
     told = [number for each in content if (number := _number_in(each)) is not None]
     if len(told) == len(content):
-        return _in_order(document, told, content, header, cut, grouped=grouped)
+        return _in_order(document, told, content, header, grouped=grouped)
     assumed = ("its frames have no numbers: they are counted from 1",) if len(content) > 1 else ()
-    return _in_order(document, range(1, len(content) + 1), content, header, (*cut, *assumed))
+    return _in_order(document, range(1, len(content) + 1), content, header, assumed)
 
 
 def _in_order(
@@ -177,7 +183,7 @@ def _in_order(
     grouped: bool = False,
 ) -> JsonFrames:
     """Frames by their numbers. Raises InputError where one comes twice, or there are too many."""
-    if grouped:
+    if grouped and len(set(told)) < len(told):
         together: dict[int, list[Any]] = {}
         for number, content in zip(told, contents, strict=True):
             together.setdefault(number, []).append(content)
@@ -222,6 +228,14 @@ def _last_number(text: str) -> re.Match[str] | None:
 
 def _digits(key: Any) -> bool:
     return isinstance(key, str) and key.isascii() and key.isdigit() and len(key) <= LIMITS.number_digits
+
+
+def _number_of(key: Any) -> int | None:
+    """The frame that a key counts, or whose picture it names."""
+    if _digits(key):
+        return int(key)
+    stem = key.rpartition(".")[0] if isinstance(key, str) and key.lower().endswith(_PICTURES) else ""
+    return _number_in({"frame": stem}) if stem else None
 
 
 def _number_in(content: Any) -> int | None:

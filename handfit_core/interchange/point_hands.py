@@ -124,6 +124,16 @@ def is_world(hands: ParsedHands) -> bool:
     return bool(np.median(middles[:, :2].max(axis=1)) < 0.05 and np.median(reach) < 0.2)
 
 
+def in_metres(hands: ParsedHands) -> bool:
+    """True if points with a depth are in metres before a camera, rather than parts of a picture, where a
+    depth counts from a point of the hand: whose own is then zero."""
+    points = hands.points[known(hands.points).all(axis=1)]
+    if not len(points) or (np.abs(points[..., 2]) < 1e-5).all(axis=0).any() or is_world(hands):
+        return False
+    reach = np.median(np.ptp(points, axis=1).max(axis=-1))
+    return bool(0.07 < reach < 0.3 and np.median(points[..., 2]) > 0.1)
+
+
 def seen_hands(hands: ParsedHands) -> SeenHands:
     """Hands of known sides whose points are in the plane. Depth and world landmarks are kept where every hand
     has them."""
@@ -247,10 +257,10 @@ def with_sides(hands: ParsedHands, wanted: str, shapes: np.ndarray) -> tuple[Par
     return replace(hands, side=side), tuple(sorted(said))
 
 
-def check_some(hands: ParsedHands, what: str) -> None:
-    """Raise InputError where no hand has enough points. `what`: the sentence's beginning."""
+def check_some(hands: ParsedHands, what: str, hint: str) -> None:
+    """Raise InputError where no hand has enough points. `what`, `hint`: how the sentence begins and ends."""
     if not np.any(known(hands.in_plane).sum(axis=1) >= LEAST_POINTS):
-        raise InputError(f"{what}, but none of its frames has a hand with at least {LEAST_POINTS} points")
+        raise InputError(f"{what}, none of its frames has a hand with at least {LEAST_POINTS} points{hint}")
 
 
 def without_hidden(hands: ParsedHands, least: float) -> tuple[ParsedHands, tuple[str, ...]]:

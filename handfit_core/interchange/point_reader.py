@@ -32,6 +32,7 @@ from handfit_core.interchange.point_hands import (
     ParsedPoints,
     check_some,
     hands_in_space,
+    in_metres,
     in_order,
     is_world,
     metres_of,
@@ -124,7 +125,7 @@ class PointLayout:
         return Reader(self.title, self.files, self._recognises, self._read, self.met, self.assumes)
 
     def _recognises(self, document: Document) -> bool:
-        if document.table is not None:
+        if document.table is not None and document.numbers is None:
             return self.table(document.table)
         marks = [set(mark.split()) for mark in self.marks]
         objects = (each for content in some_contents(document) for each in objects_in(content))
@@ -143,7 +144,9 @@ class PointLayout:
                     first=self.first, in_space=self.units is not None, ours=self.ours
                 )
             told = told or self._of_json(document, asked)
-            return self._recording(replace(told, order=told.order or self.order), document, asked)
+            said = (document.cut, *told.assumed) if document.cut else told.assumed
+            told = replace(told, order=told.order or self.order, assumed=said)
+            return self._recording(told, document, asked)
         except InputError:
             raise
         except ValueError as error:
@@ -200,7 +203,9 @@ class PointLayout:
             return [self.hands(content)]
         found = keyed(content)
         key = next((key for key in self.people.split() if key in found), "")
-        people = found[key] if key else None if isinstance(content, Mapping) and not self.grouped else content
+        people = found[key] if key else content
+        if not key and isinstance(content, Mapping):
+            people = [content] if self.grouped else None
         if not isinstance(people, list):
             raise ValueError(f"it has no list of {self.people}")
         return people
@@ -223,7 +228,7 @@ class PointLayout:
 
     def _recording(self, told: ParsedPoints, document: Document, asked: ReadOptions) -> Recording:
         """The recording: hands of known sides, in pixels or in parts of the picture, or before the camera."""
-        hands, what = told.hands, f"{shown(document.path)}: {self.title}'s hands{self.hint}"
+        hands, what = told.hands, f"{shown(document.path)}: read as {self.title}"
         made = Recording(
             self.name,
             (str(document.path.absolute()),),
@@ -235,6 +240,9 @@ class PointLayout:
         if self.ours and np.any(hands.side == UNKNOWN):
             raise ValueError("some of them have no side; expected left or right")
         parts = bool(np.nanmax(np.abs(hands.in_plane), initial=0.0) <= LIMITS.relative)
+        if not told.in_space and parts and self.units is None and in_metres(hands):
+            said = "its points are metres before the camera: x right, y down, z away"
+            told = replace(told, in_space=True, assumed=(*told.assumed, said))
         hands, ordered = in_order(told, asked.order, parts=parts)
         said, in_space = (*told.assumed, *ordered), told.in_space
         if not in_space and (not known(hands.points[..., :2]).any() or is_world(hands)):
@@ -245,7 +253,7 @@ class PointLayout:
                 True,
             )
         hands, hidden = without_hidden(hands, 0.0 if in_space else self.least)
-        check_some(hands, what)
+        check_some(hands, what, self.hint)
         said = (*said, *hidden)
         whole = np.isfinite(hands.world).all(axis=(1, 2), keepdims=True)
         shapes = np.where(whole, hands.world, hands.points)
@@ -312,15 +320,15 @@ def _laid_out(array: np.ndarray) -> np.ndarray | None:
     counts = HANDS | set(WHOLE_BODIES)
     if array.ndim == 2 and array.shape[0] in counts and array.shape[1] in (2, 3, 4):
         return array[None, None]
-    if array.ndim == 2:
-        columns = array.shape[1]
-        if columns > 40 and not width_of(columns, (2, 3, 4)) and (np.diff(array[:, 0]) == 1.0).all():
-            array = array[:, 1:]  # The first one counts frames.
+    if array.ndim == 2 and array.size:
+        if len(array) > 1 and (np.diff(array[:, 0]) == 1.0).all():
+            array = array[:, 1:]  # The first column counts frames.
         width = width_of(array.shape[1], (2, 3, 4))
-        return array.reshape(len(array), 1, -1, width) if width and array.shape[1] >= 40 else None
+        fits = width and array.shape[1] // width in counts
+        return array.reshape(len(array), 1, -1, width) if fits else None
     if array.ndim == 3:
         array = array[:, None]
-    fits = array.ndim == 4 and array.shape[2] in counts and array.shape[3] in (2, 3, 4)
+    fits = array.size and array.ndim == 4 and array.shape[2] in counts and array.shape[3] in (2, 3, 4)
     return array if fits and 0 < array.shape[1] < 20 else None
 
 
@@ -331,9 +339,10 @@ def points_of_arrays(document: Document) -> ParsedPoints | None:
     widest = max((array.shape[-1] for _, array in arrays), default=0)
     arrays = [(name, array) for name, array in arrays if array.shape[-1] == widest]
     if len(arrays) > 1 and not all(side_named(name) for name, _ in arrays):
+        names = ", ".join(name for name, _ in arrays)[:200]
         raise ValueError(
-            f"it has several arrays of points ({', '.join(name for name, _ in arrays)[:200]}); save the right "
-            "one alone as .npy, or those of both hands as left and right"
+            f"it has several arrays of points ({names}); save the right "
+            "one as .npy, or both hands' as left and right"
         )
     for name, array in arrays:
         frames, people, count, width = array.shape
@@ -342,13 +351,13 @@ def points_of_arrays(document: Document) -> ParsedPoints | None:
         for side, chosen in (whole if count in HANDS else WHOLE_BODIES[count]).items():
             points = np.full((frames * people, len(chosen), 4), np.nan)
             points[..., :width] = array[:, :, list(chosen)].reshape(len(points), -1, width)
-            third = points[..., 2]
+            x, third = (np.nan_to_num(points[..., axis]) for axis in (0, 2))
             if (
                 width == 3
-                and np.nanmin(third) >= 0.0
-                and np.nanmax(third) <= 1.0 < np.nanmax(points[..., 0]) / 10.0
+                and third.min(initial=1.0) >= 0.0
+                and third.max(initial=0.0) <= 1.0 < x.max() / 10.0
             ):
-                points[..., 3], points[..., 2] = third.copy(), np.nan
+                points[..., 3], points[..., 2] = third, np.nan
             code = UNKNOWN if side is None else SIDES.index(side)
             row, hand = np.divmod(np.arange(len(points)), people)
             told.append((row, np.full(len(row), code), hand + people * len(told), points))

@@ -54,7 +54,7 @@ OPENPOSE: Final = PointLayout(
     assumes="no hands below 0.2 in the mean",
     least=0.2,  # --hand_render_threshold: OpenPose does not draw less sure hands
     halved=_from_minus_one,
-    hint=" (written with --hand, or of a whole-body model)",
+    hint="; OpenPose writes hands with --hand",
 )
 
 MMPOSE: Final = PointLayout(
@@ -68,7 +68,7 @@ MMPOSE: Final = PointLayout(
     persons="told",
     assumes="no hands below 0.3 in the mean",
     least=0.3,  # --kpt-thr: the demos draw no less sure point
-    hint=" (a whole-body or a hand model writes some)",
+    hint="; a whole-body or a hand model writes some",
 )
 
 
@@ -99,7 +99,7 @@ ALPHAPOSE: Final = PointLayout(
     persons="told",
     assumes="frames, by pictures' names",
     least=0.2,
-    hint=" (a Halpe or COCO-WholeBody model writes some)",
+    hint="; a Halpe or COCO-WholeBody model writes some",
 )
 
 
@@ -170,7 +170,6 @@ TRC: Final = PointLayout(
     table=lambda table: table.is_trc,
     persons="one",
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
-    hint=", by its markers' names",
     assumed=("y is up, as in OpenSim",),
     assumes="y up; the unit, by the palm",
 )
@@ -239,6 +238,7 @@ MEDIAPIPE: Final = PointLayout(
     "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
     table=is_hand_table,
     recognises=_has_hand,
+    grouped=True,
     met="MediaPipe (2026-11)",
     assumes="the order, by the bones; the sides, by the fingers",
 )

@@ -537,6 +537,48 @@ def test_bones_tell_the_order(tmp_path: Path, order: str, kind: str) -> None:
         assert np.nanmax(off) < 0.01
 
 
+@pytest.mark.parametrize("shape", ["T21-3", "T63", "T64", "21-3", "T2-21-3", "text"])
+def test_arrays_of_points(tmp_path: Path, shape: str) -> None:
+    right = TOLD.points["right"]
+    both = np.stack([TOLD.points[side] for side in SIDES], axis=1)
+    rows = np.column_stack([ALL, 1000.0 * right.reshape(FRAMES, -1)])
+    arrays = {
+        "T21-3": right, "T63": right.reshape(FRAMES, -1), "T64": rows, "21-3": right[0], "T2-21-3": both, "text": rows
+    }  # fmt: skip
+    path = tmp_path / ("a.txt" if shape == "text" else "a.npy")
+    (np.savetxt if shape == "text" else np.save)(path, arrays[shape])
+    recording = read(path)
+    assert [hand.side for hand in recording.points] == (
+        ["left", "right"] if shape == "T2-21-3" else ["right"]
+    )
+    count = 1 if shape == "21-3" else FRAMES
+    assert np.abs(recording.points[-1].points - right[:count]).max() < 1e-6
+
+
+def test_several_arrays_are_not_mixed(tmp_path: Path) -> None:
+    arrays = {"keypoints_2d": TOLD.pixels["left"], "keypoints_3d": TOLD.points["left"], "betas": np.zeros(10)}
+    np.savez(tmp_path / "a.npz", **arrays)
+    assert np.abs(read(tmp_path / "a.npz").points[0].points - TOLD.points["left"]).max() < 1e-6
+    np.savez(tmp_path / "a.npz", first=TOLD.points["left"], second=TOLD.points["right"])
+    with pytest.raises(InputError, match=r"several arrays of points \(first, second\)"):
+        read(tmp_path / "a.npz")
+
+
+def test_metres_before_a_camera_are_no_parts_of_a_picture(tmp_path: Path) -> None:
+    path = saved(tmp_path / "xyz.json", TOLD.points["left"].tolist())
+    (hand,) = read(path).points
+    assert (hand.side, np.abs(hand.points - TOLD.points["left"]).max() < 1e-6) == ("left", True)
+
+
+def test_hands_in_lines_of_their_own_belong_to_their_frame(tmp_path: Path) -> None:
+    lines = [
+        {"frame": i, "side": side, "landmarks": landmarks(side, i).tolist()} for i in ALL for side in SIDES
+    ]
+    recording = read(saved(tmp_path / "a.json", lines))
+    assert recording.frame_numbers.tolist() == ALL
+    assert worst(recording) < 0.01
+
+
 @pytest.mark.parametrize("count", [20, 21])
 def test_points_in_no_order_are_refused(tmp_path: Path, count: int) -> None:
     shuffled = np.random.default_rng(0).permutation(21)[:count]
