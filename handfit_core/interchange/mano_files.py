@@ -330,10 +330,7 @@ def _shapes(part: _Part, count: int) -> np.ndarray:
     if "betas" not in part or not np.size(part.values["betas"][1]):
         return shapes
     name, value = part.values["betas"]
-    try:
-        rows = mano.numbers(name, np.asarray(value, dtype=np.float64)[..., :NUM_BETAS], NUM_BETAS)
-    except (TypeError, ValueError, IndexError):
-        raise Unfit(f"{name} must be numbers of the shape Nx{NUM_BETAS}") from None
+    rows = mano.numbers(name, np.asarray(value, dtype=np.float64)[..., :NUM_BETAS], NUM_BETAS)
     return np.repeat(rows, count // len(rows), axis=0) if count % len(rows) == 0 else shapes
 
 
@@ -444,15 +441,20 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
     posed = tuple(hand for hand in posed if hand.present.any())
     if not posed:
         raise Unfit("there is no hand in any of its frames")
-    if body and len(frames) > 1 and not any(np.ptp(h.hand_pose[h.present], axis=0).any() for h in posed):
-        tell(assumed, "the fingers never move: this body was captured without its hands")
-    if "transl" in layout.names and hands.nowhere:
-        key = layout.names["transl"][0]
-        tell(assumed, f"where the hands are is not told ({key}): each stays in its place")
-    if layout.left_assumed and any(hand.side == "left" for hand in posed):
-        tell(assumed, layout.left_assumed)
-    if len(set(hands.person.tolist())) > 1 and "person" in parts[0].fixed:
-        tell(assumed, "persons are told apart by the number in the files' names, which may change places")
+    still = not any(np.ptp(hand.hand_pose[hand.present], axis=0).any() for hand in posed)
+    persons = len(set(hands.person.tolist())) > 1 and "person" in parts[0].fixed
+    place = layout.names.get("transl", [""])[0]
+    for there, phrase in (
+        (
+            body and still and len(frames) > 1,
+            "the fingers never move: this body was captured without its hands",
+        ),
+        (place and hands.nowhere, f"where the hands are is not told ({place}): each stays in its place"),
+        (layout.left_assumed and any(hand.side == "left" for hand in posed), layout.left_assumed),
+        (persons, "persons are told apart by the number in the files' names, which may change places"),
+    ):
+        if there:
+            tell(assumed, phrase)
     size, camera = _camera(layout, parts, asked, assumed, nowhere=hands.nowhere)
     told = parts[0].numbers("fps", 1)
     return Recording(
