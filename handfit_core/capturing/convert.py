@@ -14,7 +14,15 @@ import numpy as np
 from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import capture, hand_summaries
 from handfit_core.common.errors import InputError, NoHandFoundError, OptionError
-from handfit_core.common.files import check_writable, output_path, path_of, printable, shown, written_whole
+from handfit_core.common.files import (
+    check_writable,
+    data_dir,
+    output_path,
+    path_of,
+    printable,
+    shown,
+    written_whole,
+)
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.opening import is_recording, read_recording
 from handfit_core.interchange.readers import READERS, tried_with
@@ -47,7 +55,11 @@ def add_interchange_commands(commands: Any) -> None:
     )
     convert.set_defaults(handler=_convert)
 
-    info = commands.add_parser("info", help="what a file of hands or keypoints is, and what is assumed of it")
+    info = commands.add_parser(
+        "info",
+        help="what a file of hands or keypoints is, and what is assumed of it",
+        epilog=f"Layouts of your own (docs/extending.md) are files in {data_dir() / 'layouts'}",
+    )
     info.add_argument("input", metavar="FILE", help="a take, or a file or folder of docs/interchange.md")
     add_options(info, ("reader", "order", "person", "hands", "fps", "picture_size", "hand_mean", "model"))
     info.set_defaults(handler=_info)

@@ -106,6 +106,7 @@ WHOLE_BODIES: Final = {
         (136, 94, 115),  # Halpe
         (137, 95, 116),  # OpenPose's body and a face
         (543, 468, 522),  # MediaPipe Holistic: face, left hand, body, right hand
+        (553, 54, 33),  # FreeMoCap 1: body, right hand, left hand, face
     )
 }
 """Where whole bodies have hands in MediaPipe's order, by how many points they have"""

@@ -99,6 +99,8 @@ class PointLayout:
     or in metres of the camera frame"""
     up: str = "y"
     """Of `AXES`: which axis of such space is up, or whose axes they are"""
+    mirrored: bool = False
+    """Whether such space may be left-handed, with z away from who looks, as Unity's is"""
     on_joints: bool = False
     """Whether points in space are a skeleton's joints"""
     sigma: float | None = 0.005
@@ -291,6 +293,9 @@ class PointLayout:
             unit, guessed = metres_of(points, self.units)
             axes = unit * AXES[self.up].T
             points = tuple(replace(hand, points=hand.points @ axes) for hand in points)
+            if self.mirrored and odd_sides(points):
+                points = tuple(replace(hand, points=hand.points * [1.0, 1.0, -1.0]) for hand in points)
+                said = (*said, "its space is left-handed, as Unity's: so its fingers bend as their sides'")
             # Devices that know joints know which hand they see.
             said = (*said, *guessed, *(() if self.on_joints else odd_sides(points)))
         return points, said

@@ -1,6 +1,7 @@
 """Readers of other programs' files, found by name or by what they recognise.
 
-Those of other packages are found by their entry points of the group `handfit.readers` (see `registry`).
+Those of other packages are found by their entry points of the group `handfit.readers` (see `registry`), and
+a user's own as files in the folder `layouts` of `data_dir`.
 """
 
 from __future__ import annotations
@@ -74,6 +75,7 @@ READERS: Final = Registry(
         "arrays": f"{_HERE}.keypoints:ARRAYS.reader",
         "mediapipe": f"{_HERE}.keypoints:MEDIAPIPE.reader",
     },
+    "layouts",
 )
 """The readers by their names on the command line, the more particular ones first. MediaPipe's comes last: it
 takes whatever has 21 points a hand"""

@@ -222,4 +222,10 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, bool]
     return frames[best], bool(best)
 
 
-READER = Reader("OpenXR and WebXR", "JSON of frames with 25 or 26 joints a hand", _recognises, _read)
+READER = Reader(
+    "OpenXR and WebXR",
+    "JSON of frames with 25 or 26 joints a hand, with orientations",
+    _recognises,
+    _read,
+    assumed="the mean hand's shape; the frame rate, by time stamps",
+)

@@ -43,13 +43,15 @@ def _from_minus_one(frames: JsonFrames) -> bool:
 OPENPOSE: Final = PointLayout(
     "openpose",
     "OpenPose",
-    "JSON with people and hand_left_keypoints_2d, or whole bodies in pose_keypoints_2d; a file a frame",
+    "JSON with people, a file a frame, with hands or whole bodies",
     "https://github.com/CMU-Perceptual-Computing-Lab/openpose/blob/master/doc/02_output.md",
     marks=("people", "bodies version"),
     columns="xyc",
     people="people bodies",
     order="mediapipe",
     persons="told",
+    met="OpenPose 1.2, in MocapNET's sources (2026-11)",
+    assumes="pixels, or parts of the picture; no hands below 0.2 in the mean",
     least=0.2,  # --hand_render_threshold: OpenPose does not draw less sure hands
     halved=_from_minus_one,
     hint=" (written with --hand, or of a whole-body model)",
@@ -58,12 +60,13 @@ OPENPOSE: Final = PointLayout(
 MMPOSE: Final = PointLayout(
     "mmpose",
     "MMPose",
-    "JSON of its inferencer or demos, with instances of 133 whole-body or 21 hand keypoints",
+    "JSON of its inferencer or demos, of whole bodies or hands",
     "https://github.com/open-mmlab/mmpose/blob/main/mmpose/structures/utils.py",
     marks=("keypoints keypoint_scores", "instance_info", "instances frame_id"),
     columns="xy",
     people="instances",
     persons="told",
+    assumes="pixels; no hands below 0.3 in the mean",
     least=0.3,  # --kpt-thr: the demos draw no less sure point
     hint=" (a whole-body or a hand model writes some)",
 )
@@ -72,7 +75,7 @@ MMPOSE: Final = PointLayout(
 COCO: Final = PointLayout(
     "coco-wholebody",
     "COCO-WholeBody",
-    "annotations or results, with lefthand_kpts or 133 points in keypoints",
+    "annotations with lefthand_kpts",
     "https://github.com/jin-s13/COCO-WholeBody/blob/master/data_format.md",
     marks=("lefthand_kpts righthand_kpts",),
     columns="xyc",
@@ -80,12 +83,13 @@ COCO: Final = PointLayout(
     people="annotations",
     order="mediapipe",
     persons="told",
+    assumes="frames are the pictures' ids",
 )
 
 ALPHAPOSE: Final = PointLayout(
     "alphapose",
     "AlphaPose",
-    "a list of image_id and keypoints, of 136 (Halpe) or 133 points a person",
+    "a list of image_id and keypoints, of Halpe or COCO-WholeBody",
     "https://github.com/MVIG-SJTU/AlphaPose/blob/master/docs/output.md",
     marks=("image_id keypoints score",),
     columns="xyc",
@@ -93,6 +97,7 @@ ALPHAPOSE: Final = PointLayout(
     people="annotations",
     order="mediapipe",
     persons="told",
+    assumes="frames are the last numbers of pictures' names",
     least=0.2,
     hint=" (a Halpe or COCO-WholeBody model writes some)",
 )
@@ -109,7 +114,7 @@ def _interhand(frame: Any) -> Any:
 INTERHAND: Final = PointLayout(
     "interhand",
     "InterHand2.6M",
-    "a capture's frames with world_coord, joint_valid and hand_type",
+    "a capture's world_coord and joint_valid",
     "https://mks0601.github.io/InterHand2.6M",
     marks=("world_coord joint_valid",),
     columns="xyz",
@@ -132,15 +137,16 @@ ARIA: Final = PointLayout(
     persons="one",
     units={"metres": 1.0},
     up="aria",
+    assumed=("its glasses are taken for the camera",),
     on_joints=True,
-    met="projectaria_tools' mps_sample, hand_tracking_results_v2.csv (2026-11)",
-    assumes="hands are where the glasses, which are the camera, see them",
+    met="projectaria_tools' mps_sample (2026-11)",
+    assumes="the glasses are the camera",
 )
 
 XR_POINTS: Final = PointLayout(
     "xr-points",
     "A headset's joints",
-    "JSON or a table of points by OpenXR's, MRTK's or visionOS' names, without orientations",
+    "places of joints by OpenXR's, MRTK's or visionOS' names",
     "https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html",
     table=lambda table: is_hand_table(table) and _names_xr(table.columns),
     recognises=lambda document: any(map(_names_xr_hand, map(objects_in, some_contents(document)))),
@@ -149,26 +155,30 @@ XR_POINTS: Final = PointLayout(
     persons="one",
     units={"metres": 1.0, "centimetres": 1e-2, "millimetres": 1e-3},
     on_joints=True,
+    mirrored=True,
     sigma=0.003,
+    met="HoloLens 2, by bluewolf2735 (2026-11)",
     assumed=("y is up, and z leads towards who looks",),
+    assumes="y is up; z towards who looks, or away (Unity), by how fingers bend",
 )
 
 TRC: Final = PointLayout(
     "trc",
     "OpenSim's markers",
-    "a .trc whose markers are the points of hands, as Pose2Sim and FreeMoCap write them",
+    "a .trc whose markers are points of hands",
     "https://simtk-confluence.stanford.edu/display/OpenSim/Marker+(.trc)+Files",
     table=lambda table: table.is_trc,
     persons="one",
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     hint=", by its markers' names",
     assumed=("y is up, as in OpenSim",),
+    assumes="y is up; the unit, by the palm's length",
 )
 
 ARRAYS: Final = PointLayout(
     "arrays",
     "Points in an array",
-    "a .npy, .npz or table of numbers: frames by 20, 21 or 42 points, or those of a whole body, by x, y (z)",
+    "a .npy, .npz or table of numbers: frames by points by x, y (z)",
     "docs/interchange.md",
     recognises=lambda document: bool(arrays_of(document)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
@@ -194,12 +204,13 @@ def _names_apples(rows: Iterable[Iterable[str]]) -> bool:
 APPLE_VISION: Final = PointLayout(
     "apple-vision",
     "Apple Vision",
-    "JSON or CSV with points by its names, such as VNHLKITIP or indexTip",
+    "JSON or CSV with its names (VNHLKITIP, indexTip)",
     "https://developer.apple.com/documentation/vision/vnhumanhandposeobservation",
     table=lambda table: is_hand_table(table) and _names_apples((table.columns, *table.rows[:50])),
     recognises=lambda document: any(map(_names_apples, map(objects_in, some_contents(document)))),
     columns="xy xyc xyzc",
     order="mediapipe",
+    assumes="parts of the picture from the lower left corner, or pixels from the upper left",
     from_below=True,
 )
 
@@ -224,10 +235,12 @@ def _first_hand(frame: Any) -> bool:
 MEDIAPIPE: Final = PointLayout(
     "mediapipe",
     "MediaPipe",
-    "JSON or CSV with 21 landmarks a hand, whoever has written it",
+    "JSON or CSV with 21 landmarks a hand, of anybody",
     "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
     table=is_hand_table,
     recognises=_has_hand,
+    met="MediaPipe's own results (2026-11)",
+    assumes="the order, by the bones; whose sides labels tell, by the fingers",
 )
 
 
@@ -292,15 +305,18 @@ def _in_space(table: Table) -> bool:
 FREEMOCAP: Final = PointLayout(
     "freemocap",
     "FreeMoCap",
-    "output_data with *left_hand_3d_xyz.npy, one such file, or a table of trajectories",
+    "output_data, its arrays or its tables, of versions 1 and 2",
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
     table=lambda table: {"keypoint", "trajectory"} <= set(table.columns) or _in_space(table),
-    recognises=lambda document: bool(_arrays(document)),
+    recognises=lambda document: (
+        bool(_arrays(document)) or (document.npy is not None and document.npy.shape[1:] == (553, 3))
+    ),
     read=_of_arrays,
     order="mediapipe",
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
     first=0,
+    assumes="Z is up, Y leads away from who looks; the unit, by the palm's length",
     assumed=("Z is up, and Y leads away from who looks",),
 )
 
@@ -352,6 +368,8 @@ LEAP: Final = PointLayout(
     up="y",
     on_joints=True,
     sigma=0.003,
+    met="leapjs' frames (2026-11)",
+    assumes="the device lies on a table",
     assumed=("the device lies on a table and looks up: y is up",),
 )
 
@@ -393,7 +411,7 @@ def _own_points(document: Document) -> ParsedPoints:
 POINTS: Final = PointLayout(
     "points",
     "Points",
-    "the JSON of docs/interchange.md",
+    "our JSON",
     "docs/interchange.md",
     recognises=lambda document: (
         isinstance(document.json, dict) and document.json.get("format") == "handfit-points"
@@ -401,6 +419,7 @@ POINTS: Final = PointLayout(
     read=_own_points,
     order="mediapipe",
     persons="one",
+    met="ours",
     on_joints=True,
     sigma=None,
     ours=True,
@@ -409,7 +428,7 @@ POINTS: Final = PointLayout(
 POINTS_TABLE: Final = PointLayout(
     "points-table",
     "Points as a table",
-    "the CSV of docs/interchange.md",
+    "our CSV",
     "docs/interchange.md",
     table=lambda table: any(
         {"frame", "side", "point", *axes.split()} <= set(table.columns)
@@ -417,6 +436,7 @@ POINTS_TABLE: Final = PointLayout(
     ),
     order="mediapipe",
     persons="one",
+    met="ours",
     on_joints=True,
     sigma=None,
     ours=True,

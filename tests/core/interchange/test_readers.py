@@ -9,8 +9,29 @@ import pytest
 from handfit_core.common.errors import InputError
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
+from handfit_core.interchange.writers import WRITERS
+from tests.conftest import ROOT
 from tests.core.interchange.every_format import keypoint_files, other_files
 from tests.core.interchange.known_hands import read
+
+
+def formats_table() -> list[str]:
+    """The lines of docs/interchange.md's table."""
+    rows = ["| format | read | write | what is assumed | tried with |", "|---|---|---|---|---|"]
+    readers, writers = READERS.built_in(), WRITERS.built_in()
+    for name in [*readers, *(name for name in writers if name not in readers)]:
+        reader, writer = readers.get(name), writers.get(name)
+        told = (reader.title, reader.assumed, reader.met or "description") if reader else ("", "", "")
+        title, assumed, met = told if reader or not writer else (writer.title, "", "")
+        written = f"`{writer.endings[0]}`" if writer else ""
+        rows.append(f"| {title} | {f'`{name}`' if reader else ''} | {written} | {assumed} | {met} |")
+    return rows
+
+
+def test_the_pages_table_is_the_codes() -> None:
+    page = (ROOT / "docs" / "interchange.md").read_text(encoding="utf-8")
+    assert [line for line in page.splitlines() if line.startswith("|")] == formats_table()
+    assert len(page.replace("|", " ").split()) <= 1500
 
 
 @pytest.fixture(scope="module")
