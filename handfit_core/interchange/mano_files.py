@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
@@ -155,8 +156,11 @@ class _Part:
         return replace(self, values={**self.values, **values})
 
     def unpacked(self) -> _Part:
-        """With the columns of its arrays apart. Raises Unfit."""
+        """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
         values = dict(self.values)
+        for what, (name, value) in self.values.items():
+            with suppress(TypeError, ValueError):
+                values[what] = name, np.asarray(value, dtype=np.float64)
         for name, what in [(of[0], what) for what, of in values.items() if of[0] in self.layout.columns]:
             widths, array = self.layout.columns[name], np.asarray(values[what][1], dtype=np.float64)
             array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
@@ -199,8 +203,9 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
 
 def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
     if document.npz is None:
-        held = next((h for h in (document.held, document.lines, document.npy) if h is not None), None)
-        yield from _walk(held, part)
+        held = document.held
+        held = document.lines if held is None else held
+        yield from _walk(document.npy if held is None else held, part)
         return
     mine = part.having(document.names, document.value)
     yield mine
@@ -283,15 +288,16 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
         raise Unfit(f"{part.values['transl'][0]} has {len(place)} rows where {count} are expected")
     person, place = np.broadcast_to(person, count), np.broadcast_to(place, (count, 3))
     found = FoundHands(frames, side, person, _shapes(part, count), orient, pose, place)
-    # Nothing but zeros is the place of a hand that was not there.
-    found = found.at(np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1))
+    there = np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1)
     if "present" in part:
         name, value = part.values["present"]
         rows = mano.numbers(name, value, 1)[:, 0]
         rows = rows if len(rows) == count else mano.numbers(name, value, 2)[:, int(side[0])]
         if len(rows) != count:
             raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
-        found = found.at(rows > 0.0)
+        there &= rows > 0.0
+    # Nothing but zeros is the place of a hand that was not there.
+    found = found if there.all() else found.at(there)
     return found if layout.mirrored == "no" else found.mirrored(places=layout.mirrored == "world")
 
 
