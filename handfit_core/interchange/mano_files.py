@@ -153,7 +153,7 @@ class _Part:
             columns = flat.get(key)
             if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
                 values |= {what: (key, columns) for parts in widths.values() for what in parts}
-        return replace(self, values={**self.values, **values})
+        return replace(self, values={**self.values, **values}) if values else self
 
     def unpacked(self) -> _Part:
         """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
@@ -192,7 +192,7 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
         mine = (inner if layout.rows == "sides" else part).having(held, held.get)
         yield mine
         if not mine.is_hands:
-            inner = replace(inner, values=mine.values)
+            inner = inner if mine.values is part.values else replace(inner, values=mine.values)
             for key, value in held.items():
                 if isinstance(value, dict | list) and _holds(value):
                     yield from _walk(value, inner.under(str(key)))
