@@ -328,6 +328,13 @@ def points_of_arrays(document: Document) -> ParsedPoints | None:
     """The hands of a document's arrays; None where there are none. Raises ValueError."""
     told: list[tuple[np.ndarray, ...]] = []
     arrays = arrays_of(document)
+    widest = max((array.shape[-1] for _, array in arrays), default=0)
+    arrays = [(name, array) for name, array in arrays if array.shape[-1] == widest]
+    if len(arrays) > 1 and not all(side_named(name) for name, _ in arrays):
+        raise ValueError(
+            f"it has several arrays of points ({', '.join(name for name, _ in arrays)[:200]}); save the right "
+            "one alone as .npy, or those of both hands as left and right"
+        )
     for name, array in arrays:
         frames, people, count, width = array.shape
         LIMITS.check(document.path, frames, people * (2 if count in WHOLE_BODIES else 1))

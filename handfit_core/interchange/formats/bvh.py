@@ -351,6 +351,6 @@ READER = Reader(
     _recognises,
     _read,
     met="Blender's exporter (2026-11)",
-    assumed="the unit, by the hands' size; what is up, by the body; the mean hand's shape, but for our own",
+    assumed="the unit, by the hands' size; up, by the body",
 )
 WRITER = Writer("BVH", (".bvh",), _write)

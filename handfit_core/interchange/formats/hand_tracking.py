@@ -227,5 +227,5 @@ READER = Reader(
     "JSON of frames with 25 or 26 joints a hand, with orientations",
     _recognises,
     _read,
-    assumed="the mean hand's shape; the frame rate, by time stamps",
+    assumed="the mean hand's shape",
 )

@@ -50,8 +50,8 @@ OPENPOSE: Final = PointLayout(
     people="people bodies",
     order="mediapipe",
     persons="told",
-    met="OpenPose 1.2, in MocapNET's sources (2026-11)",
-    assumes="pixels, or parts of the picture; no hands below 0.2 in the mean",
+    met="OpenPose 1.2, in MocapNET (2026-11)",
+    assumes="no hands below 0.2 in the mean",
     least=0.2,  # --hand_render_threshold: OpenPose does not draw less sure hands
     halved=_from_minus_one,
     hint=" (written with --hand, or of a whole-body model)",
@@ -66,7 +66,7 @@ MMPOSE: Final = PointLayout(
     columns="xy",
     people="instances",
     persons="told",
-    assumes="pixels; no hands below 0.3 in the mean",
+    assumes="no hands below 0.3 in the mean",
     least=0.3,  # --kpt-thr: the demos draw no less sure point
     hint=" (a whole-body or a hand model writes some)",
 )
@@ -97,7 +97,7 @@ ALPHAPOSE: Final = PointLayout(
     people="annotations",
     order="mediapipe",
     persons="told",
-    assumes="frames are the last numbers of pictures' names",
+    assumes="frames, by pictures' names",
     least=0.2,
     hint=" (a Halpe or COCO-WholeBody model writes some)",
 )
@@ -124,7 +124,7 @@ INTERHAND: Final = PointLayout(
     units={"millimetres": 1e-3},
     up="camera",
     assumed=("its world's axes are taken for the camera's: x right, y down, z away",),
-    assumes="one capture; the world's axes are the camera's",
+    assumes="the world's axes are the camera's",
 )
 
 ARIA: Final = PointLayout(
@@ -159,7 +159,7 @@ XR_POINTS: Final = PointLayout(
     sigma=0.003,
     met="HoloLens 2, by bluewolf2735 (2026-11)",
     assumed=("y is up, and z leads towards who looks",),
-    assumes="y is up; z towards who looks, or away (Unity), by how fingers bend",
+    assumes="y up; z, by how fingers bend",
 )
 
 TRC: Final = PointLayout(
@@ -172,7 +172,7 @@ TRC: Final = PointLayout(
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     hint=", by its markers' names",
     assumed=("y is up, as in OpenSim",),
-    assumes="y is up; the unit, by the palm's length",
+    assumes="y up; the unit, by the palm",
 )
 
 ARRAYS: Final = PointLayout(
@@ -183,7 +183,7 @@ ARRAYS: Final = PointLayout(
     recognises=lambda document: bool(arrays_of(document)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     up="camera",
-    assumes="the unit, by the palm's length; the camera's axes",
+    assumes="the camera's axes; the unit, by the palm",
 )
 
 
@@ -210,7 +210,7 @@ APPLE_VISION: Final = PointLayout(
     recognises=lambda document: any(map(_names_apples, map(objects_in, some_contents(document)))),
     columns="xy xyc xyzc",
     order="mediapipe",
-    assumes="parts of the picture from the lower left corner, or pixels from the upper left",
+    assumes="parts of the picture from below, or pixels",
     from_below=True,
 )
 
@@ -239,8 +239,8 @@ MEDIAPIPE: Final = PointLayout(
     "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
     table=is_hand_table,
     recognises=_has_hand,
-    met="MediaPipe's own results (2026-11)",
-    assumes="the order, by the bones; whose sides labels tell, by the fingers",
+    met="MediaPipe (2026-11)",
+    assumes="the order, by the bones; the sides, by the fingers",
 )
 
 
@@ -316,7 +316,7 @@ FREEMOCAP: Final = PointLayout(
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
     first=0,
-    assumes="Z is up, Y leads away from who looks; the unit, by the palm's length",
+    assumes="Z up, Y away from who looks; the unit, by the palm",
     assumed=("Z is up, and Y leads away from who looks",),
 )
 

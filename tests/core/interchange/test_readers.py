@@ -19,7 +19,7 @@ def formats_table() -> list[str]:
     """The lines of docs/interchange.md's table."""
     rows = ["| format | read | write | what is assumed | tried with |", "|---|---|---|---|---|"]
     readers, writers = READERS.built_in(), WRITERS.built_in()
-    for name in [*readers, *(name for name in writers if name not in readers)]:
+    for name in [*readers, *(name for name in writers if name not in {"take", *readers})]:
         reader, writer = readers.get(name), writers.get(name)
         told = (reader.title, reader.assumed, reader.met or "description") if reader else ("", "", "")
         title, assumed, met = told if reader or not writer else (writer.title, "", "")
