@@ -208,7 +208,7 @@ INTERHAND: Final = mano_reader(
     "interhand-mano",
     "InterHand2.6M",
     "_MANO.json of one capture: frames with pose, shape and trans of left and right",
-    "mean",
+    "mean; the world's axes are the camera's",
     ManoLayout(
         source="https://github.com/facebookresearch/InterHand2.6M/blob/main/MANO_render/render.py",
         keys="transl=trans betas=shape",

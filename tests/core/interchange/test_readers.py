@@ -21,7 +21,7 @@ def formats_table() -> list[str]:
     readers, writers = READERS.built_in(), WRITERS.built_in()
     for name in [*readers, *(name for name in writers if name not in {"take", *readers})]:
         reader, writer = readers.get(name), writers.get(name)
-        told = (reader.title, reader.assumed, reader.met or "description") if reader else ("", "", "")
+        told = (reader.title, reader.assumed, reader.met or "by description") if reader else ("", "", "")
         title, assumed, met = told if reader or not writer else (writer.title, "", "")
         written = f"`{writer.endings[0]}`" if writer else ""
         rows.append(f"| {title} | {f'`{name}`' if reader else ''} | {written} | {assumed} | {met} |")
