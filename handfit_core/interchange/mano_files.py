@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import islice
@@ -152,11 +153,14 @@ class _Part:
             columns = flat.get(key)
             if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
                 values |= {what: (key, columns) for parts in widths.values() for what in parts}
-        return replace(self, values={**self.values, **values})
+        return replace(self, values={**self.values, **values}) if values else self
 
     def unpacked(self) -> _Part:
-        """With the columns of its arrays apart. Raises Unfit."""
+        """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
         values = dict(self.values)
+        for what, (name, value) in self.values.items():
+            with suppress(TypeError, ValueError):
+                values[what] = name, np.asarray(value, dtype=np.float64)
         for name, what in [(of[0], what) for what, of in values.items() if of[0] in self.layout.columns]:
             widths, array = self.layout.columns[name], np.asarray(values[what][1], dtype=np.float64)
             array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
@@ -188,7 +192,7 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
         mine = (inner if layout.rows == "sides" else part).having(held, held.get)
         yield mine
         if not mine.is_hands:
-            inner = replace(inner, values=mine.values)
+            inner = inner if mine.values is part.values else replace(inner, values=mine.values)
             for key, value in held.items():
                 if isinstance(value, dict | list) and _holds(value):
                     yield from _walk(value, inner.under(str(key)))
@@ -199,8 +203,9 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
 
 def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
     if document.npz is None:
-        held = next((h for h in (document.held, document.lines, document.npy) if h is not None), None)
-        yield from _walk(held, part)
+        held = document.held
+        held = document.lines if held is None else held
+        yield from _walk(document.npy if held is None else held, part)
         return
     mine = part.having(document.names, document.value)
     yield mine
@@ -283,15 +288,16 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
         raise Unfit(f"{part.values['transl'][0]} has {len(place)} rows where {count} are expected")
     person, place = np.broadcast_to(person, count), np.broadcast_to(place, (count, 3))
     found = FoundHands(frames, side, person, _shapes(part, count), orient, pose, place)
-    # Nothing but zeros is the place of a hand that was not there.
-    found = found.at(np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1))
+    there = np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1)
     if "present" in part:
         name, value = part.values["present"]
         rows = mano.numbers(name, value, 1)[:, 0]
         rows = rows if len(rows) == count else mano.numbers(name, value, 2)[:, int(side[0])]
         if len(rows) != count:
             raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
-        found = found.at(rows > 0.0)
+        there &= rows > 0.0
+    # Nothing but zeros is the place of a hand that was not there.
+    found = found if there.all() else found.at(there)
     return found if layout.mirrored == "no" else found.mirrored(places=layout.mirrored == "world")
 
 
@@ -330,10 +336,7 @@ def _shapes(part: _Part, count: int) -> np.ndarray:
     if "betas" not in part or not np.size(part.values["betas"][1]):
         return shapes
     name, value = part.values["betas"]
-    try:
-        rows = mano.numbers(name, np.asarray(value, dtype=np.float64)[..., :NUM_BETAS], NUM_BETAS)
-    except (TypeError, ValueError, IndexError):
-        raise Unfit(f"{name} must be numbers of the shape Nx{NUM_BETAS}") from None
+    rows = mano.numbers(name, np.asarray(value, dtype=np.float64)[..., :NUM_BETAS], NUM_BETAS)
     return np.repeat(rows, count // len(rows), axis=0) if count % len(rows) == 0 else shapes
 
 
@@ -444,15 +447,20 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
     posed = tuple(hand for hand in posed if hand.present.any())
     if not posed:
         raise Unfit("there is no hand in any of its frames")
-    if body and len(frames) > 1 and not any(np.ptp(h.hand_pose[h.present], axis=0).any() for h in posed):
-        tell(assumed, "the fingers never move: this body was captured without its hands")
-    if "transl" in layout.names and hands.nowhere:
-        key = layout.names["transl"][0]
-        tell(assumed, f"where the hands are is not told ({key}): each stays in its place")
-    if layout.left_assumed and any(hand.side == "left" for hand in posed):
-        tell(assumed, layout.left_assumed)
-    if len(set(hands.person.tolist())) > 1 and "person" in parts[0].fixed:
-        tell(assumed, "persons are told apart by the number in the files' names, which may change places")
+    still = not any(np.ptp(hand.hand_pose[hand.present], axis=0).any() for hand in posed)
+    persons = len(set(hands.person.tolist())) > 1 and "person" in parts[0].fixed
+    place = layout.names.get("transl", [""])[0]
+    for there, phrase in (
+        (
+            body and still and len(frames) > 1,
+            "the fingers never move: this body was captured without its hands",
+        ),
+        (place and hands.nowhere, f"where the hands are is not told ({place}): each stays in its place"),
+        (layout.left_assumed and any(hand.side == "left" for hand in posed), layout.left_assumed),
+        (persons, "persons are told apart by the number in the files' names, which may change places"),
+    ):
+        if there:
+            tell(assumed, phrase)
     size, camera = _camera(layout, parts, asked, assumed, nowhere=hands.nowhere)
     told = parts[0].numbers("fps", 1)
     return Recording(

@@ -27,8 +27,7 @@ HAMER: Final = mano_reader(
     "HaMeR or WiLoR",
     "global_orient and hand_pose as matrices with right and pred_cam_t_full, in an .npz, JSON, .npy or "
     "pickle, or a folder of these with the frame's number in the names",
-    "left hands are right ones of a mirrored crop; no mean; a focal length of 5000/256 of the longer "
-    "side where none is told",
+    "left hands mirrored, no mean; the networks' focal length",
     _HAMER,
 )
 WILOR_MINI: Final = mano_reader(
@@ -36,7 +35,7 @@ WILOR_MINI: Final = mano_reader(
     "WiLoR-mini",
     "lists of hands with is_right and wilor_preds, axis-angle, in JSON, .npz, .npy or a pickle, or a folder "
     "of these with the frame's number in the names",
-    "left hands are left ones already; no mean",
+    "no mirror, no mean",
     replace(
         _HAMER,
         source="https://github.com/warmshao/WiLoR-mini",
@@ -52,7 +51,7 @@ HAWOR: Final = mano_reader(
     "HaWoR",
     "a clip's folder with cam_space/0 (left) and cam_space/1 (right), or world_space_res as an .npz with "
     "trans, rot, hand_pose, betas and valid",
-    "left hands are left ones already; no mean; frames count from 1",
+    "no mirror, no mean; frames from 1",
     ManoLayout(
         source="https://github.com/ThunderVVV/HaWoR/blob/main/scripts/scripts_test_video/hawor_video.py",
         keys="global_orient=init_root_orient hand_pose=init_hand_pose transl=init_trans betas=init_betas",
@@ -78,8 +77,7 @@ DYN_HAMR: Final = mano_reader(
     "dyn-hamr",
     "Dyn-HaMR",
     "an .npz (*_world_results.npz) with trans, root_orient, pose_body and is_right",
-    "right parameters, mirrored with their place at x = 0 of the world, then `cam_R`, `cam_t`; the "
-    "picture is twice the principal point",
+    "left hands mirrored with their places",
     ManoLayout(
         source="https://github.com/ZhengdiYu/Dyn-HaMR/blob/main/dyn-hamr/optim/output.py",
         keys="global_orient=root_orient hand_pose=pose_body|latent_pose transl=trans betas right=is_right "
@@ -107,11 +105,10 @@ SMPLX: Final = mano_reader(
     "SMPL-X or SMPL+H",
     "an .npz with poses of 165 or 156 numbers a frame, trans and mocap_frame_rate (AMASS, BEDLAM, BEAT2), or "
     "Motion-X's .npy of 322",
-    "hands count from the flat hand, BEAT2's from the mean; y-up or z-up by how the body stands; "
-    "wrists have no place",
+    "no mean, but BEAT2's; up as the body stands; no places",
     ManoLayout(
         source="https://github.com/nghorbani/amass/blob/master/notebooks/01-AMASS_Visualization.ipynb",
-        met="the AMASS samples of human_body_prior's and smplx' repositories, 2026-11",
+        met="two samples of AMASS (2026-11)",
         # `trans` is the body's; fingers alone tell nothing of where a hand is.
         keys=f"body=trans present=hands_present {_RATE}",
         needs="body_pose SIDE_hand_pose body|fps",
@@ -146,7 +143,7 @@ SMPLX_KEYWORDS: Final = mano_reader(
     "smplx's parameters",
     "left_hand_pose and right_hand_pose with global_orient and body_pose (SMPLer-X's folder smplx, ARCTIC's "
     ".smplx.npy), or hands as this program writes them",
-    "SMPLer-X's hands count from the mean, others from the flat hand",
+    "no mean, but SMPLer-X's",
     ManoLayout(
         source="https://github.com/vchoutas/smplx/blob/main/smplx/body_models.py",
         keys="SIDE_global_orient SIDE_hand_pose SIDE_transl SIDE_betas SIDE_present fps frame=frame_numbers "
@@ -169,10 +166,10 @@ HOT3D: Final = mano_reader(
     "hot3d",
     "HOT3D",
     "mano_hand_pose_trajectory.jsonl, with wrist_xform and pose",
-    "coefficients of MANO's principal directions, and its mean; y-up",
+    "directions and mean; y-up",
     ManoLayout(
         source="https://github.com/facebookresearch/hot3d/blob/main/hot3d/data_loaders/loader_hand_poses.py",
-        met="both sample recordings of its repository, 2026-11",
+        met="its two samples (2026-11)",
         keys="global_orient=q_wxyz transl=t_xyz hand_pose=pose betas time=timestamp_ns",
         needs="global_orient hand_pose transl time",
         nested="wrist_xform",
@@ -186,7 +183,7 @@ ARCTIC: Final = mano_reader(
     "arctic",
     "ARCTIC",
     "a .mano.npy with rot, pose, trans and shape of left and right",
-    "hands count from the mean; z-up",
+    "mean; z-up",
     ManoLayout(
         source="https://github.com/zc-alexfan/arctic/blob/master/common/body_models.py",
         keys="global_orient=rot hand_pose=pose transl=trans betas=shape",
@@ -198,7 +195,7 @@ GRAB: Final = mano_reader(
     "grab",
     "GRAB",
     "an .npz with lhand and rhand, which have params with fullpose",
-    "`fullpose` counts from the flat hand; z-up",
+    "no mean; z-up",
     ManoLayout(
         source="https://github.com/otaheri/GRAB/blob/master/grab/grab_preprocessing.py",
         keys=f"global_orient hand_pose=fullpose transl {_RATE}",
@@ -211,7 +208,7 @@ INTERHAND: Final = mano_reader(
     "interhand-mano",
     "InterHand2.6M",
     "_MANO.json of one capture: frames with pose, shape and trans of left and right",
-    "hands count from the mean; the world has the camera's axes",
+    "mean; the world's axes are the camera's",
     ManoLayout(
         source="https://github.com/facebookresearch/InterHand2.6M/blob/main/MANO_render/render.py",
         keys="transl=trans betas=shape",
@@ -225,7 +222,7 @@ DEXYCB: Final = mano_reader(
     "dexycb",
     "DexYCB",
     "a camera's folder with labels_000000.npz, or one of these, with pose_m",
-    "coefficients of MANO's principal directions, and its mean; a right hand, or the one of `--hands`",
+    "directions and mean; a right hand, or `--hands`",
     ManoLayout(
         source="https://github.com/NVlabs/dex-ycb-toolkit/blob/master/examples/visualize_pose.py",
         keys="",
@@ -240,7 +237,7 @@ HO3D: Final = mano_reader(
     "ho3d",
     "HO-3D",
     "a sequence's folder with meta/0000.pkl, or one of these, with handPose, handTrans and camMat",
-    "a right hand, from the flat hand; OpenGL's axes",
+    "no mean; a right hand, OpenGL's axes",
     ManoLayout(
         source="https://github.com/shreyashampali/ho3d/blob/master/vis_HO3D.py",
         keys="transl=handTrans betas=handBeta intrinsics=camMat",
@@ -257,7 +254,7 @@ FREIHAND: Final = mano_reader(
     "freihand",
     "FreiHAND",
     "training_mano.json, a list of 61 numbers a photo",
-    "right hands that count from the mean, without a place",
+    "mean; right hands",
     ManoLayout(
         source="https://github.com/lmb-freiburg/freihand/blob/master/utils/model.py",
         keys="",

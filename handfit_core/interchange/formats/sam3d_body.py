@@ -139,6 +139,6 @@ READER = Reader(
     "an .npz a person, or a folder of them",
     _recognises,
     _read,
-    "four results of its estimator, 2026-11",
-    "the picture's size, from its camera's centre; the frame and the person, from files' names",
+    "four results (2026-11)",
+    "the picture's size, by its camera's centre",
 )
