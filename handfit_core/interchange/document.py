@@ -330,6 +330,10 @@ class Document:
             return (
                 "PyTorch's file, which is not read; write its arrays as .npz in the program's own environment"
             )
+        names = set(self.names)
+        what = next((what for sign, what in _NAMED if set(sign.split()) <= names), "")
+        if what:
+            return what
         if self.npz is not None:
             return f"an .npz with {_some(self.npz.names)}"
         if self.bytes[:2] == b"PK":
@@ -385,6 +389,13 @@ _OTHERS: Final = (
     (b"\x02P", "a C3D; export its markers as .trc"),
 )
 """What files begin with that are not read"""
+_NAMED: Final = (
+    ("hands_components", "MANO's own model, which is given as --model"),
+    ("pred_vertices", "surfaces without MANO's parameters; have the program save pred_mano_params, too"),
+    ("global_orient body_pose", "a body of SMPL without hands"),
+    ("root_orient pose_body", "a body of SMPL without hands"),
+)
+"""What arrays or keys tell of files whose hands no reader knows"""
 
 
 def _damage(data: bytes) -> str:

@@ -73,6 +73,7 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
         ("a.npz", b"PK\3\4", "a zip archive, or a damaged .npz"),
         ("a.pkl", b"\x80\x02cposix\nsystem\n.", "a pickle that .* can run programs"),
         ("a.npz", b"\x89HDF\r\n", "HDF5"),
+        ("a.json", b'{"root_orient": [0], "pose_body": [0]}', "a body of SMPL without hands"),
     ],
 )
 def test_a_file_of_no_known_format_is_described(
