@@ -83,7 +83,7 @@ def is_recording(source: MediaInput) -> bool:
 
 def _holds_data(document: Document) -> bool:
     """Whether files of data are in a folder, or lie in folders of it as a reader knows them."""
-    if document.files(*DATA_SUFFIXES):
+    if document.files(*(DATA_SUFFIXES - {".txt"})):  # Notes lie beside clips.
         return True
     return any(reader.recognises(document) for reader in READERS.built_in().values())
 

@@ -93,6 +93,8 @@ class ParsedPoints:
     assumed: tuple[str, ...] = ()
     order: str = ""
     """Of `ORDERS`, as the file tells; empty: it does not"""
+    guessed: bool = False
+    """Whether which hand is the left one is guessed by its place in a list"""
 
 
 def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[ParsedHands, tuple[str, ...]]:
@@ -229,8 +231,12 @@ def own_sides(
     swap = share < 0.0 if abs(share) > LEAST_SURE else bool(mirrored)
     if not told.any() or not swap:
         return hands, ()
-    how = "as its fingers bend" if abs(share) > LEAST_SURE else "as multi_handedness does"
-    said = f"left and right are swapped: it names them for mirrored pictures, {how}"
+    how = (
+        "as its fingers bend"
+        if abs(share) > LEAST_SURE
+        else "as multi_handedness names them for mirrored pictures"
+    )
+    said = f"left and right are swapped, {how}"
     return replace(hands, side=np.where(told, 1 - hands.side, hands.side)), (said,)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from handfit_core.common.errors import InputError, OptionError
 from handfit_core.common.files import shown
-from handfit_core.common.skeleton import SIDES, Side
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import (
     JsonFrames,
@@ -257,7 +257,7 @@ class PointLayout:
         said = (*said, *hidden)
         whole = np.isfinite(hands.world).all(axis=(1, 2), keepdims=True)
         shapes = np.where(whole, hands.world, hands.points)
-        if not self.ours and self.units is None:
+        if told.guessed or (not self.ours and self.units is None):
             hands, swapped = own_sides(hands, shapes, told.mirrored)
             said = (*said, *swapped)
         hands, sides = with_sides(hands, asked.hands, shapes)
@@ -370,7 +370,8 @@ def points_of_arrays(document: Document) -> ParsedPoints | None:
     # MediaPipe's depths count from the wrist, whose own is zero.
     deep = np.nan_to_num(hands.points[..., 2], nan=0.0)
     in_space = bool(len(hands) and not (np.abs(deep) < 1e-9).all(axis=0).any())
-    return ParsedPoints(np.arange(1, row.max() + 2), hands, in_space=in_space)
+    both = any(array.shape[2] == 2 * NUM_KEYPOINTS for _, array in arrays)
+    return ParsedPoints(np.arange(1, row.max() + 2), hands, in_space=in_space, guessed=both)
 
 
 def is_hand_table(table: Table) -> bool:

@@ -553,6 +553,17 @@ def test_arrays_of_points(tmp_path: Path, shape: str) -> None:
     assert np.abs(recording.points[-1].points - right[:count]).max() < 1e-6
 
 
+def test_which_of_both_hands_comes_first(tmp_path: Path) -> None:
+    """InterHand2.6M's right hand does."""
+    order = SHUFFLED["interhand"]
+    both = [TOLD.points[side][:, order] for side in ("right", "left")]
+    np.save(tmp_path / "a.npy", np.concatenate(both, axis=1))
+    recording = read(tmp_path / "a.npy")
+    assert says(recording, "left and right are swapped, as its fingers bend")
+    for hand in recording.points:
+        assert np.abs(hand.points - TOLD.points[hand.side]).max() < 1e-6
+
+
 def test_several_arrays_are_not_mixed(tmp_path: Path) -> None:
     arrays = {"keypoints_2d": TOLD.pixels["left"], "keypoints_3d": TOLD.points["left"], "betas": np.zeros(10)}
     np.savez(tmp_path / "a.npz", **arrays)
