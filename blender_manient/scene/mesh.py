@@ -20,6 +20,8 @@ from ..rigs.rig import Rig
 
 _LEAST_WEIGHT = 1e-6
 """Weights below this move nothing visibly; they would only make every export larger"""
+IN_RENDERS = "Round in Renders"
+"""The modifier that subdivides the mesh where it is rendered: bent joints and the thumb's root show edges"""
 _ALONE = 1e-3
 """Weight of the wrist where skin follows the forearm, that moves it once the artist has deleted the arm"""
 _SKIN = {
@@ -63,6 +65,8 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy
             group.add([vertex], float(weights[vertex]), "REPLACE")
     obj.parent = rig.armature
     obj.modifiers.new("Armature", "ARMATURE").object = rig.armature
+    rounded: Any = obj.modifiers.new(IN_RENDERS, "SUBSURF")
+    rounded.levels, rounded.render_levels = 0, 2
     return obj
 
 
