@@ -16,7 +16,6 @@ from handfit_core.capturing.pipeline import capture, hand_summaries
 from handfit_core.common.errors import InputError, NoHandFoundError, OptionError
 from handfit_core.common.files import (
     check_writable,
-    data_dir,
     output_path,
     path_of,
     printable,
@@ -55,11 +54,7 @@ def add_interchange_commands(commands: Any) -> None:
     )
     convert.set_defaults(handler=_convert)
 
-    info = commands.add_parser(
-        "info",
-        help="what a file of hands or keypoints is, and what is assumed of it",
-        epilog=f"Layouts of your own (docs/extending.md) are files in {data_dir() / 'layouts'}",
-    )
+    info = commands.add_parser("info", help="what a file of hands or keypoints is, and what is assumed of it")
     info.add_argument("input", metavar="FILE", help="a take, or a file or folder of docs/interchange.md")
     add_options(info, ("reader", "order", "person", "hands", "fps", "picture_size", "hand_mean", "model"))
     info.set_defaults(handler=_info)

@@ -124,4 +124,3 @@ def test_a_trackers_points_in_the_users_folder(tmp_path, monkeypatch):
     done = run(tmp_path, "info", tmp_path / "a.json", "--reader", "studio-glove")
     assert f"points in space: {hand.side} hand in 1 frames" in done.stdout
     assert "broken" in run(tmp_path, "info", tmp_path / "a.json").stderr
-    assert str(folder) in run(tmp_path, "info", "--help").stdout.replace("\n", "")
