@@ -282,7 +282,7 @@ class Refiner:
         gaps, there = np.full(len(touches), np.nan), poses.present
         rows = np.array([row for row, of_row in enumerate(touches) for _ in of_row if there[row]], dtype=int)
         if len(rows):
-            points = np.array([p for row in np.flatnonzero(there) for p in touches[row].items()])
+            points = np.array([p for row in np.flatnonzero(there) for p in touches[int(row)].items()])
             pose = self._hand_poses(poses)[rows]
             np.fmax.at(gaps, rows, gaps_between(self.model, self.hand.betas, pose, points))
         return gaps
