@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))
 
-from handfit_core.capturing.detection import detect_frames
+from handfit_core.capturing.detection import detect_frames, open_detector
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
 from handfit_core.common.errors import HandfitError, OptionError
@@ -91,15 +91,23 @@ def solvers(source: str, frames: FrameRange | None, slow: str) -> Timed:
 
 
 def captures(source: str, frames: FrameRange | None) -> Timed:
-    """Reading and detecting an input, and capturing it from file to take. Raises HandfitError."""
+    """Reading an input and finding its hands with MediaPipe's VIDEO mode, two at most, and with our detector;
+    and capturing it from file to take. Raises HandfitError."""
+
+    def by_mediapipe() -> None:
+        with open_detector(CaptureOptions(detector="mediapipe", max_hands=2), video=True) as detector:
+            for frame in open_media(source, frames).frames():
+                detector.find(frame.rgb, frame.time)
 
     def detect() -> int:
-        return len(detect_frames(open_media(source, frames), CaptureOptions(processes=1)).numbers)
+        return len(detect_frames(open_media(source, frames), CaptureOptions()).numbers)
 
     count = detect()
     return {
+        "MediaPipe's VIDEO": (by_mediapipe, count),
         "detection": (detect, count),
-        "whole capture": (lambda: capture(source, frames=frames, processes=1), count),
+        "capture": (lambda: capture(source, frames=frames), count),
+        "capture, draft": (lambda: capture(source, frames=frames, quality="draft"), count),
     }
 
 
