@@ -121,7 +121,8 @@ class _TouchFit(RangeFit):
         """(N,) metres between the two points"""
         point, other = self.pair
         self._touches = [{**refiner.touches(row), point: other} for row in rows]
-        self.fields = refiner.request(rows, list(map(refiner.pins, rows)), start, touches=self._touches)
+        pins = list(map(refiner.pins, rows))
+        self.requests = [(len(rows), refiner.request(rows, pins, start, touches=self._touches))]
 
     def received(self, poses):
         super().received(poses)

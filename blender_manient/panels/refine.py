@@ -59,6 +59,7 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
             row.prop(context.window_manager, "manient_smoothing", slider=True)
             self._fitting(row.row(align=True), "manient.smooth_motion", "PREVIEW_RANGE", text="", stop="")
         self._fitting(layout.row(), "manient.touch", "SNAP_ON")
+        self._fitting(layout.row(), "manient.grip", "VIEW_PAN")
 
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""
