@@ -15,7 +15,7 @@ CC0 as well; see `handfit_core/hand_model/data/LICENSE-open-hand.md`. What happe
    moves within its skin to where labelled hands have it;
 4. principal components over these phenotypes give ten shape directions;
 5. vertices are re-ordered so that MANO's fingertip indices name the fingertips;
-6. pose correctives are regressed to an elastic hand that is bent (`scripts/flesh.py`);
+6. pose correctives are regressed to an elastic hand that is bent, and folds smoothed (`scripts/flesh.py`);
 7. the left hand is the exact mirror image.
 
 Millimetres are used up to the point where the model is assembled, metres from there on.
@@ -26,7 +26,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -51,7 +51,7 @@ from handfit_core.hand_model.checks import checked_model
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.files import ARRAY_NAMES, OPEN_HAND, load_model_npz, save_model_npz
 from scripts.benchmark.meshes import face_normals, vertex_normals
-from scripts.flesh import neighbour_mean, pose_correctives, smoothed
+from scripts.flesh import neighbour_mean, pose_correctives, smooth_folds, smoothed
 
 DATA: Final = Path(__file__).resolve().parents[1] / "handfit_core" / "hand_model" / "data"
 
@@ -833,7 +833,8 @@ def right_hand(source: Source) -> HandModel:
         "uv_faces": source.uv_faces,
     }
     flat_only = assembled("right", raw | {"hands_mean": np.zeros(45), "hands_components": np.eye(45)})
-    raw["posedirs"] = rounded(pose_correctives(flat_only), POSE_GRAIN)
+    full = replace(flat_only, posedirs=rounded(pose_correctives(flat_only), POSE_GRAIN))
+    raw["posedirs"] = rounded(smooth_folds(full), POSE_GRAIN)
     axes = anatomical_axes(flat_only)
     return assembled(
         "right", raw | {"hands_mean": relaxed_pose(axes), "hands_components": pose_directions(axes)}

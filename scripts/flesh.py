@@ -6,6 +6,10 @@ turned by random poses of the whole hand, and the rubber is brought to rest; whe
 passes the plane that halves the bend. How the skin then differs from skinning is regressed to products of
 each joint's quaternion, which are linear in MANO's features R - I.
 
+That leaves folds of single quads where the weights of several bones meet. `smooth_folds` takes them away:
+the web and the thumb's base are smoothed as delta mush does (Mancewicz et al. 2014), bent knuckles are
+rounded, both at the height that the skin around has, and the difference is regressed in the same way.
+
 Millimetres, right hand, model frame.
 """
 
@@ -24,7 +28,8 @@ from handfit_core.geometry.rotations import rotmat_to_quat, rotmat_to_rotvec
 from handfit_core.hand_model.anatomy import anatomical_axes, joint_limits, rotmats_from_angles
 from handfit_core.hand_model.axes import QUATERNION_PRODUCTS, REST_FROM_MODEL, bone_frames, posedirs_of
 from handfit_core.hand_model.data import HandModel, forward_kinematics
-from handfit_core.hand_model.forearm import with_wrist
+from handfit_core.hand_model.forearm import with_wrist, wrist_ring
+from scripts.benchmark.meshes import vertex_normals
 
 POSES: Final = 60
 SEED: Final = 20250612
@@ -53,6 +58,11 @@ RIDGE: Final = 2e-4
 """of the mean square of a product"""
 SMOOTHING: Final = 5
 """Rounds of averaging that take the tetrahedra's grain off the skin"""
+FOLD_POSES: Final = 150
+MUSH: Final = 10
+"""Rounds of averaging of the web and the thumb's base"""
+ROUNDING: Final = 3
+"""the same of the knuckles"""
 HINGE: Final = ("w*x", "x*x")
 KNUCKLE: Final = (*HINGE, "w*z", "z*z", "x*z")
 """The products of two joints: bones bend about X and spread about Z. The thumb's saddle uses all"""
@@ -279,8 +289,8 @@ def smooth_step(values: np.ndarray) -> np.ndarray:
     return values * values * (3.0 - 2.0 * values)
 
 
-def reaches(model: HandModel) -> np.ndarray:
-    """(V, 15) how far each joint may move each vertex, 0..1."""
+def reaches(model: HandModel, wider: float = 1.0) -> np.ndarray:
+    """(V, 15) how far each joint may move each vertex, 0..1; `wider` multiplies the distances."""
     shaped = model.shaped()
     skin, joints = 1000.0 * shaped.vertices, 1000.0 * shaped.joints
     fingers = np.stack([model.weights[:, chain].sum(axis=1) for chain in JOINTS_BY_FINGER], axis=1)
@@ -290,7 +300,7 @@ def reaches(model: HandModel) -> np.ndarray:
         on_tip = np.where(model.weights[:, chain[2]] > 0.5, (TIP[1] - beyond) / (TIP[1] - TIP[0]), 1.0)
         others = fingers.sum(axis=1) - fingers[:, i]
         for place, joint in enumerate(chain):
-            reach = REACH["thumb" if finger == "thumb" else "finger"][place]
+            reach = wider * REACH["thumb" if finger == "thumb" else "finger"][place]
             near = (reach - np.linalg.norm(skin - joints[joint], axis=1)) / (0.5 * reach)
             own = 1.0 - 2.0 * others if place == 0 else 2.0 * fingers[:, i]
             mask[:, joint - 1] = smooth_step(near) * smooth_step(own) * smooth_step(on_tip)
@@ -311,8 +321,11 @@ def random_angles(rng: np.random.Generator) -> np.ndarray:
     return angles
 
 
-def regressed(model: HandModel, angles: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """(15, 9, V, 3) metres, what `posedirs_of` takes, from poses (S, 15, 3) and their offsets (S, V, 3)."""
+def regressed(
+    model: HandModel, angles: np.ndarray, offsets: np.ndarray, reach: np.ndarray, smoothing: int
+) -> np.ndarray:
+    """(15, 9, V, 3) metres, what `posedirs_of` takes, from poses (S, 15, 3) and their offsets (S, V, 3), of
+    joints that move the skin by `reach` (V, 15)."""
     frames = bone_frames(model.shaped(), model.side)
     rotmats = REST_FROM_MODEL @ rotmats_from_angles(angles, anatomical_axes(model)) @ REST_FROM_MODEL.T
     quats = rotmat_to_quat(np.swapaxes(frames[1:], -1, -2) @ rotmats @ frames[1:])
@@ -323,7 +336,7 @@ def regressed(model: HandModel, angles: np.ndarray, offsets: np.ndarray) -> np.n
         for joint, products in zip(chain - 1, (first, HINGE, HINGE), strict=True):
             columns += [(joint, product) for product in products]
     values = np.stack([factors[p[0]][:, j] * factors[p[2]][:, j] for j, p in columns], axis=1)  # (S, P)
-    mask = reaches(model)[:, [joint for joint, _ in columns]]  # (V, P)
+    mask = reach[:, [joint for joint, _ in columns]]  # (V, P)
     found = np.zeros((len(mask), NUM_JOINTS - 1, len(QUATERNION_PRODUCTS), 3))
     for v in range(len(mask)):
         used = np.flatnonzero(mask[v])
@@ -334,7 +347,7 @@ def regressed(model: HandModel, angles: np.ndarray, offsets: np.ndarray) -> np.n
             joint, product = columns[column]
             found[v, joint, QUATERNION_PRODUCTS.index(product)] = share
     average = neighbour_mean(model.polygons, len(mask))
-    found = smoothed(found.reshape(len(mask), -1), average, SMOOTHING).reshape(found.shape)
+    found = smoothed(found.reshape(len(mask), -1), average, smoothing).reshape(found.shape)
     found[model.tip_vertices] = 0.0
     return found.transpose(1, 2, 0, 3) @ REST_FROM_MODEL.T / 1000.0
 
@@ -354,12 +367,83 @@ def pose_correctives(model: HandModel) -> np.ndarray:
     hand, rng = ElasticHand(model), np.random.default_rng(SEED)
     angles = np.stack([random_angles(rng) for _ in range(POSES)])
     skins, offsets = map(np.stack, zip(*map(hand.bent, angles), strict=True))
-    found, frames = regressed(model, angles, offsets), bone_frames(model.shaped(), model.side)
-    poses = rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(model))).reshape(POSES, 45)
+    found = regressed(model, angles, offsets, reaches(model), SMOOTHING)
+    frames = bone_frames(model.shaped(), model.side)
     skinned, corrected = (
-        volumes(model, each.posed(None, np.zeros((POSES, 3)), poses, np.zeros((POSES, 3))).vertices).mean()
+        volumes(model, bent_skins(each, angles) / 1000.0).mean()
         for each in (model, replace(model, posedirs=posedirs_of(found, frames)))
     )
     gain = (volumes(model, skins / 1000.0).mean() - skinned) / (corrected - skinned)
     print(f"regressed to {POSES} poses, enlarged by {gain:.2f}", flush=True)
     return posedirs_of(gain * found, frames)
+
+
+def bent_skins(model: HandModel, angles: np.ndarray) -> np.ndarray:
+    """(S, V, 3) the model's skin under angles (S, 15, 3)."""
+    poses = rotmat_to_rotvec(rotmats_from_angles(angles, anatomical_axes(model))).reshape(-1, 45)
+    still = np.zeros((len(poses), 3))
+    return 1000.0 * model.posed(None, still, poses, still).vertices
+
+
+def smooth_folds(model: HandModel) -> np.ndarray:
+    """(V, 3, 135) posedirs in metres of a right hand: its own, and what smooths the web, the thumb's base and
+    the bent knuckles."""
+    rest, joints = 1000.0 * model.v_template, 1000.0 * model.shaped().joints
+    average = neighbour_mean(model.polygons, len(rest))
+    inner = np.ones((len(rest), 1))
+    inner[wrist_ring(model.polygons)] = 0.0  # the edge stays
+
+    def averaged(field: np.ndarray, rounds: int) -> np.ndarray:
+        for _ in range(rounds):
+            field = field + 0.5 * inner * (average @ field - field)
+        return field
+
+    thumb = model.weights[:, list(FINGER_JOINTS["thumb"])]
+    meets = (thumb.sum(axis=1) > 0.03) & (thumb.sum(axis=1) < 0.97) & (thumb[:, 1:].max(axis=1) < 0.9)
+    web = np.clip(1.3 * smoothed(meets.astype(float), average, 3), 0.0, 1.0)
+    web *= np.clip(1.5 - 2.0 * thumb[:, 2], 0.0, 1.0)
+    back = smooth_step((vertex_normals(rest, model.polygons)[:, 1] - 0.1) / 0.5) * (1.0 - web)
+    first = [chain[0] for chain in JOINTS_BY_FINGER[1:]]
+    distance = np.linalg.norm(rest[:, None] - joints[first], axis=2)  # (V, 4)
+    knuckle = back * smooth_step((20.0 - distance.min(axis=1)) / 8.0)
+    nearest = np.exp(-((distance / 8.0) ** 2)) + 1e-30
+    nearest /= nearest.sum(axis=1, keepdims=True)
+
+    rng = np.random.default_rng(SEED)
+    angles = np.stack([random_angles(rng) for _ in range(FOLD_POSES)])
+    skins, axes, detail = bent_skins(model, angles), anatomical_axes(model), rest - averaged(rest, MUSH)
+    offsets = np.empty_like(skins)
+    for angle, skin, offset in zip(angles, skins, offsets, strict=True):
+        rotmats = np.concatenate([np.eye(3)[None], rotmats_from_angles(angle, axes)])
+        blend = np.einsum("vj,jab->vab", model.weights, forward_kinematics(rotmats, joints)[0])
+        left, _, right = np.linalg.svd(blend)
+        mush = averaged(skin, MUSH) + np.einsum("vab,vb->va", left @ right, detail) - skin
+        rounder = smoothed(skin, average, ROUNDING) - skin
+        bent = nearest @ smooth_step(angle[[joint - 1 for joint in first], 2] / np.radians(75.0))
+        moved = web[:, None] * mush + (knuckle * bent)[:, None] * rounder
+        normals = vertex_normals(skin, model.polygons)
+        # What is not a fold but the height of the skin around stays.
+        moved -= smoothed(np.sum(moved * normals, axis=1), average, 10)[:, None] * normals
+        offset[:] = np.linalg.solve(blend, moved[..., None])[..., 0]
+    reach = reaches(model, 1.5)
+    # The palm's capsules (`hand_model/surface.py`) are measured here, on a hand whose thumb is flat.
+    reach[:, : FINGER_JOINTS["thumb"][0] - 1] *= 1.0 - measured_palm(model, average)[:, None]
+    found = regressed(model, angles, offsets, reach, 0)
+    return model.posedirs + posedirs_of(found, bone_frames(model.shaped(), model.side))
+
+
+def measured_palm(model: HandModel, average) -> np.ndarray:
+    """(V,) 1 where the palm's skin decides about its capsules, falling to 0 around."""
+    bends = np.zeros((NUM_JOINTS - 1, 3))
+    bends[: FINGER_JOINTS["thumb"][0] - 1, 2] = np.radians(np.tile((75.0, 90.0, 55.0), 4))
+    joints = 1000.0 * model.shaped().joints
+    skin = bent_skins(model, bends[None])[0] - joints[0]
+    measured = np.zeros(len(skin), dtype=bool)
+    for chain in JOINTS_BY_FINGER[1:]:
+        knuckle = joints[chain[0]] - joints[0]
+        across = np.cross(knuckle, [0.0, 1.0, 0.0])
+        along = skin @ knuckle / (knuckle @ knuckle)
+        near = np.abs(skin @ across) < 9.5 * np.linalg.norm(across)
+        measured |= near & (along > 0.2) & (along < 1.0)
+    measured &= model.weights.argmax(axis=1) == 0
+    return np.clip(2.0 * smoothed(measured.astype(float), average, 1), 0.0, 1.0)

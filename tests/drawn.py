@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import bpy
+
+
+@dataclass
+class _Line:
+    text: str
+    """Of a message all of it, which is its tooltip"""
+    seen: str
+    page: Page
 
 
 class Page:
@@ -17,47 +26,73 @@ class Page:
     def __init__(self, within: Page | None = None) -> None:
         self.enabled, self.alert = True, False
         self._within = within
-        self._shown: list[tuple[str, Page]] = [] if within is None else within._shown
+        self._shown: list[_Line] = [] if within is None else within._shown
 
     @property
     def said(self) -> str:
-        """All texts, and the names of what has none, in a line: sentences are wrapped anywhere."""
-        return " ".join(text for text, _ in self._shown if text)
+        """All texts, those of messages whole, and the names of what has none."""
+        return " ".join(line.text for line in self._shown if line.text)
 
     @property
     def rows(self) -> list[str]:
         """Each text for itself, and the names of what has none, in their order."""
-        return [text for text, _ in self._shown]
+        return [line.text for line in self._shown]
+
+    @property
+    def seen(self) -> list[str]:
+        """Each line as an artist reads it: of a message what one line shows of it."""
+        return [line.seen for line in self._shown]
+
+    def words_before(self, text: str) -> int:
+        """The number of words above the line that says just this."""
+        return len(" ".join(self.seen[: self.seen.index(text)]).split())
 
     @property
     def loud(self) -> str:
         """What of it is red."""
-        return " ".join(text for text, page in self._shown if page.alert)
+        return " ".join(line.text for line in self._shown if line.page.alert)
 
     @property
     def grey(self) -> list[str]:
         """Those that cannot be used."""
-        return [text for text, page in self._shown if not page._usable()]
+        return [line.text for line in self._shown if not line.page._usable()]
 
     def prop(self, data: Any, name: str, *, text: str | None = None, **_: Any) -> None:
-        getattr(data, name)
-        self._shown.append((name if text is None else text, self))
+        value, of = getattr(data, name), data.bl_rna.properties.get(name)
+        seen = [text] if text is not None else [of.name] if of is not None else [name]
+        if isinstance(value, str) and value:
+            items = getattr(of, "enum_items", {})
+            seen.append(items[value].name if value in items else value)
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            seen.append(str(value))
+        self._show(name if text is None else text, " ".join(seen))
 
     def prop_search(self, data: Any, name: str, among: Any, _field: str, *, text: str | None = None) -> None:
         assert among is not None
         self.prop(data, name, text=text)
 
-    def prop_enum(self, _data: Any, _name: str, value: str) -> None:
-        self._shown.append((value, self))
+    def prop_enum(self, data: Any, name: str, value: str) -> None:
+        self._show(value, data.bl_rna.properties[name].enum_items[value].name)
 
     def operator(self, name: str, *, text: str | None = None, **_: Any) -> SimpleNamespace:
         assert hasattr(bpy.ops, name.partition(".")[0])
-        self._shown.append((name if text is None else text, self))
+        module, _, function = name.partition(".")
+        title = getattr(getattr(bpy.ops, module), function).get_rna_type().name
+        line = self._show(name if text is None else text, title if text is None else text)
+        if name == "manient.note":
+            return cast(SimpleNamespace, line)
         return SimpleNamespace()
 
     def label(self, *, text: str = "", **_: Any) -> None:
         assert isinstance(text, str)
-        self._shown.append((text, self))
+        self._show(text, text)
+
+    def progress(self, *, text: str, **_: Any) -> None:
+        self._show(text, text)
+
+    def _show(self, text: str, seen: str) -> _Line:
+        self._shown.append(_Line(text, seen, self))
+        return self._shown[-1]
 
     def __getattr__(self, _: str) -> Callable[..., Page]:
         return lambda *_, **__: Page(self)

@@ -6,6 +6,7 @@ the sidebar and the headers cover a part.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Sequence
 
@@ -14,10 +15,14 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from .section import CAPTURE, EDIT
+
 _MARGIN = 6
 """pixels at scale 1 between the picture and what is around it"""
 _LEAST = 80
 """pixels at scale 1. Where less is left free, the picture may lie below what covers it"""
+_LEAST_HAND = 40
+"""pixels at scale 1 of a hand that one sees"""
 _LOWEST_ZOOM, _HIGHEST_ZOOM = -30.0, 600.0
 """of RegionView3D.view_camera_zoom"""
 _OVER_THE_VIEW = {"HEADER", "TOOL_HEADER", "TOOLS", "UI", "ASSET_SHELF", "ASSET_SHELF_HEADER"}
@@ -51,6 +56,15 @@ def redraw_sidebars() -> None:
         for region in area.regions:
             if region.type == "UI":
                 region.tag_redraw()
+
+
+def open_edit_tab() -> None:
+    """Show the tab Hand Edit in sidebars that show Hand Capture."""
+    for area in areas("VIEW_3D"):
+        for region in area.regions:
+            if region.type == "UI" and getattr(region, "active_panel_category", "") == CAPTURE:
+                with contextlib.suppress(AttributeError, TypeError):  # Blender does not let scripts do it
+                    region.active_panel_category = EDIT
 
 
 def draw_shape(kind: str, points: np.ndarray, colors: np.ndarray, line_width: float = 0.0) -> None:
@@ -90,14 +104,42 @@ def draw_texture(texture: gpu.types.GPUTexture, box: Box) -> None:
     batch.draw(shader)
 
 
-def look_through_camera(context: bpy.types.Context) -> None:
-    """Turn the view of the active area, else of the largest 3D viewport, to the scene's camera, with the
-    whole picture in it."""
+def _main_view(context: bpy.types.Context) -> bpy.types.Area | None:
+    """The active area where that is a 3D viewport, else the largest one."""
     views = list(areas("VIEW_3D"))
-    if not views:
+    largest = max(views, key=lambda a: a.width * a.height, default=None)
+    return context.area if context.area in views else largest
+
+
+def frame_selected(context: bpy.types.Context, armatures: Sequence[bpy.types.Object]) -> None:
+    """Have the main view frame what is selected, unless it shows one of these armatures already, looks
+    through a camera, or shows some objects alone."""
+    area = _main_view(context)
+    region = camera_region(area) if area is not None else None
+    if area is None or region is None or context.mode != "OBJECT":
         return
-    area = context.area if context.area in views else max(views, key=lambda a: a.width * a.height)
-    assert area is not None
+    space, (left, bottom, right, top) = area.spaces.active, free_box(area, region)
+    if space.region_3d.view_perspective == "CAMERA" or space.local_view is not None:
+        return
+    for armature in armatures:
+        points = [armature.matrix_world @ bone.head for bone in armature.pose.bones]
+        clip = np.array([space.region_3d.perspective_matrix @ point.to_4d() for point in points])
+        places = (clip[:, :2] / clip[:, 3:] + 1.0) * [region.width / 2.0, region.height / 2.0]
+        inside = (places >= [left, bottom]) & (places <= [right, top]) & (clip[:, 3:] > 0.0)
+        if inside.all() and np.ptp(places, axis=0).max() >= _LEAST_HAND * ui_scale():
+            return
+    windows = context.window_manager.windows
+    window = next(one for one in windows if area in one.screen.areas[:])
+    with context.temp_override(window=window, area=area, region=region):
+        if bpy.ops.view3d.view_selected.poll():
+            bpy.ops.view3d.view_selected()
+
+
+def look_through_camera(context: bpy.types.Context) -> None:
+    """Turn the main view to the scene's camera, with the whole picture in it."""
+    area = _main_view(context)
+    if area is None:
+        return
     space = area.spaces.active
     camera = context.scene.camera
     if camera is None or space.use_local_camera:

@@ -2,27 +2,48 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Callable
 from typing import Any
 
 import blf
 import bpy
 
-from .wording import shortened
+from .wording import headline
 
-CATEGORY = "Hand Capture"
+CAPTURE, EDIT = "Hand Capture", "Hand Edit"
+"""The tabs of the sidebar"""
 
 _LABEL_MARGIN = 100
-"""Pixels at scale 1 of a sidebar that are no label: margins, those of a box too, icon, the tabs"""
-_BUTTON = 22
-"""pixels at scale 1 of a button that is only an icon"""
+"""Pixels at scale 1 of a dialog or region that are no label: margins, those of a box too, and the icon"""
 
 
 class Section:
-    """A panel of the tab."""
+    """A panel of the tab in which hands are captured."""
 
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
-    bl_category = CATEGORY
+    bl_category = CAPTURE
+
+
+class EditSection(Section):
+    """A panel of the tab in which captured hands are edited."""
+
+    bl_category = EDIT
+    works_on: Callable[[bpy.types.Context], Any] = staticmethod(lambda context: context.scene)
+
+    @classmethod
+    def poll(cls, context):
+        """True if there is something that it works on."""
+        return cls.works_on(context) is not None
+
+
+def note(layout: bpy.types.UILayout, text: str, icon: str = "NONE", short: str = "") -> None:
+    """A message in one line, whatever its length: `short`, else as much of it as there is room for. All of it
+    is the tooltip. With the icon ERROR it is red."""
+    row = layout.row(align=True)
+    row.alert, row.emboss, row.alignment = icon == "ERROR", "NONE", "LEFT"
+    row.operator("manient.note", text=short or headline(text), icon=icon, translate=False).text = text
 
 
 def sentence(
@@ -32,8 +53,8 @@ def sentence(
     icon: str = "NONE",
     width: int | None = None,
 ) -> None:
-    """A text of any length, wrapped to the region's width; in a dialog, which has none, to `width` pixels at
-    scale 1. With the icon ERROR it is red."""
+    """A text of any length in a dialog of `width` pixels at scale 1, or wrapped to the region's width. With
+    the icon ERROR it is red."""
     column = layout.column(align=True)
     column.alert = icon == "ERROR"
     column.scale_y = 0.8
@@ -54,13 +75,6 @@ def split(layout: bpy.types.UILayout) -> bpy.types.UILayout:
     return layout
 
 
-def fitted(context: bpy.types.Context, text: str, beside: str = "", buttons: int = 0) -> str:
-    """A name shortened in its middle so that it fits into one line, with the text `beside` it and so many
-    square buttons at the line's end."""
-    room = _room(context, None) - buttons * _BUTTON * context.preferences.system.ui_scale
-    return shortened(text, lambda name: blf.dimensions(0, name + beside)[0] <= room)
-
-
 def _room(context: bpy.types.Context, width: int | None) -> float:
     """Pixels that a label beside an icon has; sets the font's size for measuring."""
     scale = context.preferences.system.ui_scale
@@ -72,20 +86,5 @@ def _room(context: bpy.types.Context, width: int | None) -> float:
 
 def wrapped(text: str, room: float) -> list[str]:
     """The text's lines that have room in so many pixels, in the font's present size."""
-    lines, line = [], ""
-    for word in text.split():
-        longer = f"{line} {word}" if line else word
-        if blf.dimensions(0, longer)[0] <= room:
-            line = longer
-            continue
-        if line:
-            lines.append(line)
-        # Paths have no spaces to break at.
-        while len(word) > 1 and blf.dimensions(0, word)[0] > room:
-            fits = next(
-                n for n in range(len(word) - 1, 0, -1) if n == 1 or blf.dimensions(0, word[:n])[0] <= room
-            )
-            lines.append(word[:fits])
-            word = word[fits:]
-        line = word
-    return [*lines, line]
+    letter = blf.dimensions(0, "n")[0] or 1.0
+    return textwrap.wrap(text, max(8, int(room / letter))) or [""]

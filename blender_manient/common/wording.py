@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable, Sequence
 
 NAME_BYTES = 63
 """What Blender has room for in a data-block's name; it cuts off the rest"""
+
+LINE = 38
+"""Letters in a line of the sidebar, as wide as Blender makes it"""
 
 _GAP = "..."
 _NAME_OF_A_FILE = re.compile(r"[/\\]|\.\w{1,5}$")
@@ -19,6 +23,13 @@ def capitalised(sentence: str) -> str:
     if _NAME_OF_A_FILE.search(head.rstrip(".,;")):
         return sentence
     return sentence[:1].upper() + sentence[1:]
+
+
+def headline(text: str, most: int = LINE) -> str:
+    """As much of a message as one line of the sidebar shows: its first sentence, cut behind a word."""
+    first = text.partition(". ")[0]
+    cut = textwrap.shorten(first, most, placeholder=_GAP)
+    return cut if cut != _GAP else shortened(first, lambda part: len(part) <= most)
 
 
 def counted(number: int, thing: str) -> str:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PureWindowsPath
 
@@ -38,6 +38,7 @@ from ..rigs.controls import control_bones
 from ..scene.build import BuiltTake
 from ..scene.camera import frame_scene
 from ..scene.characters import CharacterObjects
+from ..scene.mesh import IN_RENDERS
 from ..scene.own_scene import object_mode, own_scene, shown_in_pose, unseen_scene
 from ..scene.proof import prove_whole
 from ..scene.timing import set_timing
@@ -242,6 +243,7 @@ def _opened(
             scene.unit_settings.scale_length = stage.metres_per_unit
         else:
             copies.enter_context(_files_by_name([hand.armature for hand in hands]))
+            copies.enter_context(_unrounded([mesh for hand in hands for mesh in hand.meshes]))
             for obj in _linked(hands, carriers=not preset.clean):
                 scene.collection.objects.link(obj)
             if not preset.clean:
@@ -291,6 +293,20 @@ def _linked(hands: Sequence[HandObjects], *, carriers: bool) -> dict[bpy.types.O
         while (obj := obj.parent) is not None:
             found[obj] = None
     return found
+
+
+@contextlib.contextmanager
+def _unrounded(meshes: Iterable[bpy.types.Object]) -> Iterator[None]:
+    """Meshes are not subdivided meanwhile: files have the model's own vertices, and its shape keys."""
+    rounded = [mesh.modifiers[IN_RENDERS] for mesh in meshes if IN_RENDERS in mesh.modifiers]
+    shown = [(modifier, modifier.show_render, modifier.show_viewport) for modifier in rounded]
+    for modifier in rounded:
+        modifier.show_render = modifier.show_viewport = False
+    try:
+        yield
+    finally:
+        for modifier, in_renders, in_viewport in shown:
+            modifier.show_render, modifier.show_viewport = in_renders, in_viewport
 
 
 @contextlib.contextmanager

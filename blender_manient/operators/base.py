@@ -122,6 +122,7 @@ class CharacterOperator(ManientOperator):
 class ModalState:
     """A modal operator that goes on."""
 
+    timer: Any = None
     can_stop: bool = True
     """Whether it can still be stopped before anything is changed"""
     stopped: bool = False
@@ -167,7 +168,7 @@ class ModalOperator(ManientOperator):
         if result is None:
             self._timer = context.window_manager.event_timer_add(self.tick, window=context.window)
             context.window_manager.modal_handler_add(self)  # type: ignore[arg-type]
-            self.running[type(self).bl_idname] = ModalState()
+            self.running[type(self).bl_idname] = ModalState(self._timer)
         return result or {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -302,5 +303,11 @@ def show_frame_again(context: bpy.types.Context) -> None:
 
 
 def unregister() -> None:
-    """Forget what goes on: Blender has ended it."""
+    """End the timers and the status line of what goes on, and forget it: Blender has ended it without
+    asking."""
+    context = bpy.context
+    for state in ModalOperator.running.values():
+        context.window_manager.event_timer_remove(state.timer)
+    if ModalOperator.running and context.workspace is not None:
+        context.workspace.status_text_set(None)
     ModalOperator.running.clear()

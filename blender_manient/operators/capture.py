@@ -22,7 +22,7 @@ from ..scene.matching import matches
 from ..scene.store import active_hand
 from ..scene.timing import frame_rate
 from ..session import jobs, live, source_info
-from .base import LINKED_SCENE, InternalOperator, ModalOperator
+from .base import LINKED_SCENE, InternalOperator, ManientOperator, ModalOperator
 
 
 class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
@@ -62,7 +62,9 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         return None
 
     def follow(self, context, event):
-        """Tick the queue; Esc stops everything."""
+        """Tick the queue; Esc stops everything, and quitting asks first."""
+        if event.type == "Q" and event.value == "PRESS" and (event.ctrl or event.oskey):
+            return bpy.ops.manient.quit("INVOKE_DEFAULT") and {"RUNNING_MODAL"}
         if event.type == "ESC" and event.value == "PRESS" and live.running() is None:  # which Esc ends first
             jobs.cancel_all()
         elif event.type != "TIMER":
@@ -105,6 +107,12 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
                 self._report(job)
                 if job.state == "done" and (job.matched or job.in_front):
                     screen.look_through_camera(context)
+                elif job.state == "done" and job.building.target == "NEW":
+                    objects = context.view_layer.objects
+                    screen.frame_selected(context, [o for name in job.hands if (o := objects.get(name))])
+                goes_on = job.offer or job.bare or job.then_add_hand or jobs.busy()
+                if job.state == "done" and not goes_on:
+                    screen.open_edit_tab()
                 if job.hands_to_choose and not jobs.busy():
                     bpy.ops.manient.find_hands("INVOKE_DEFAULT")
                 if (job.bare or job.then_add_hand) and job.state == "done" and not jobs.busy():
@@ -118,6 +126,40 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
         else:
             said = ". ".join(filter(None, (job.message, job.views_message, job.scene_message)))
             self.report({"INFO"}, f"{job.name}: {said}")
+
+
+class MANIENT_OT_queue_capture(ManientOperator, bpy.types.Operator):
+    """Capture this as well, after the captures before."""
+
+    # Not Capture itself: where two buttons are of one operator, and the mouse is on the one that goes,
+    # Blender takes the other one for it, and clicks go there.
+    bl_label = "Add to Queue"
+    bl_options = {"REGISTER"}
+
+    @classmethod
+    def poll_reason(cls, context):
+        return why_no_capture(context)
+
+    def run(self, context):
+        jobs.submit(new_job(context, only_frame=False, ask_if_many=True))
+        return bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
+
+
+class MANIENT_OT_quit(InternalOperator, bpy.types.Operator):
+    """Quit Blender and lose the capture that runs."""
+
+    bl_label = "Quit"
+
+    def invoke(self, context, event):
+        """Ask first."""
+        question = "A capture is running. Quit and lose it?"
+        return context.window_manager.invoke_confirm(
+            self, event, title="Quit Blender", message=question, confirm_text="Quit", icon="WARNING"
+        )
+
+    def run(self, context):
+        """Blender asks by itself where the file has changes."""
+        return bpy.ops.wm.quit_blender("INVOKE_DEFAULT")
 
 
 class MANIENT_OT_cancel_capture(InternalOperator, bpy.types.Operator):
@@ -137,9 +179,9 @@ class MANIENT_OT_cancel_capture(InternalOperator, bpy.types.Operator):
 
 
 class MANIENT_OT_clear_captures(InternalOperator, bpy.types.Operator):
-    """Remove finished captures from this list. The hands stay."""
+    """Remove these messages. The captured hands stay."""
 
-    bl_label = "Clear List"
+    bl_label = "Dismiss"
 
     def run(self, context):
         jobs.forget_finished()
@@ -173,7 +215,7 @@ def new_job(
     if target != "NEW" and hand is None:
         raise OptionError("select the captured hand that is to be animated, or choose New Hands")
     camera = scene.camera if settings.camera == "ACTIVE" else None
-    only = source_info.shown_frame(context, source) if only_frame else None
+    only = _shown_frame(context, source) if only_frame else None
     view = None if only_frame or bare else _second_view(settings, source)
     cameras = _full_path(settings.cameras) if view else None
     clip = source_info.camera_clip(settings, source)
@@ -240,12 +282,23 @@ def _frames(settings, source: source_info.SourceFiles, only: int | None) -> Fram
     if source.kind == "photo":
         return None
     if only is not None:
-        return FrameRange(max(only, 0), max(only, 0))
+        return FrameRange(only, only)
     if not settings.use_frames:
         return FrameRange(step=settings.frame_step) if settings.frame_step > 1 else None
     if settings.last_frame < settings.first_frame:
         raise OptionError("the last frame lies before the first: mend the frame range")
     return FrameRange(settings.first_frame, settings.last_frame, settings.frame_step)
+
+
+def _shown_frame(context: bpy.types.Context, source: source_info.SourceFiles) -> int:
+    """The source's frame at the scene's current one. Raises OptionError where it has none there."""
+    info, shown = source_info.of(context.scene.manient), source_info.shown_frame(context, source)
+    if not info.has_frame(shown):
+        raise OptionError(
+            f"the source has no frame {shown}, which the scene shows: go to its frames {info.first} to "
+            f"{info.last}"
+        )
+    return shown
 
 
 def _second_view(settings, source: source_info.SourceFiles) -> str | None:

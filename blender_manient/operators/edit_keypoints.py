@@ -64,8 +64,7 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
             return self.end(context)
         trouble = _mode.trouble(context)
         if trouble is not None:
-            if trouble:
-                self.report({"INFO"}, trouble)
+            self.report({"INFO"}, trouble)
             return self.end(context)
         _mode.tick(context)
         if event.type == "TIMER":
@@ -106,15 +105,17 @@ class MANIENT_OT_edit_keypoints(ModalOperator, bpy.types.Operator):
             return {"RUNNING_MODAL"}
         if event.value != "PRESS":
             return {"PASS_THROUGH"}
-        if event.type == "LEFTMOUSE" and inside:
+        if event.type in ("LEFTMOUSE", "RIGHTMOUSE") and inside and not event.alt:
             keypoint = _mode.handle_at(viewport, event.mouse_x, event.mouse_y)
-            if keypoint is None:
+            if keypoint is None and viewport.has_gizmos(viewport.mouse(event)):
                 return {"PASS_THROUGH"}
-            if event.ctrl:
-                _mode.unpin(keypoint)
-            else:
-                _mode.press(context, viewport, event.mouse_x, event.mouse_y)
-            viewport.area.tag_redraw()
+            # What hits no point is swallowed: it would select, or deselect, what lies behind.
+            if keypoint is not None and event.type == "LEFTMOUSE":
+                if event.ctrl:
+                    _mode.unpin(keypoint)
+                else:
+                    _mode.press(context, viewport, event.mouse_x, event.mouse_y)
+                viewport.area.tag_redraw()
             return {"RUNNING_MODAL"}
         if event.type == "Z" and (event.ctrl or event.oskey):
             _mode.undo(context, redo=event.shift)
@@ -222,10 +223,11 @@ def _on_undo(*_args) -> None:
 
 
 def unregister(*_args) -> None:
-    """End the mode; its operator finds out with its next event."""
+    """End the mode; its operator, where it is still there, finds out with its next event."""
+    global _mode
     if _mode is not None:
         _mode.end(bpy.context)
-        _mode.ended = ""
+        _mode = None
 
 
 def _on_load(*_args) -> None:

@@ -11,7 +11,7 @@ import bpy
 
 from handfit_core.common.errors import OptionError
 
-from ..common.section import sentence, split
+from ..common.section import note, split
 from ..exporters import EXPORTERS, PRESETS
 from ..exporters.export_hands import Stage, export_hands
 from ..exporters.exporter import Exporter, HandObjects
@@ -32,7 +32,6 @@ def _why_no_format(exporter: Exporter, *, character: bool) -> str:
 
 def format_buttons(
     layout: bpy.types.UILayout,
-    context: bpy.types.Context,
     data: bpy.types.bpy_struct,
     name: str,
     *,
@@ -52,7 +51,7 @@ def format_buttons(
             if reason:
                 reasons.setdefault(reason, []).append(label)
     for reason, labels in reasons.items():
-        sentence(layout, context, f"{', '.join(labels)}: {reason}", "INFO")
+        note(layout, f"{', '.join(labels)}: {reason}", "INFO")
     return not _why_no_format(EXPORTERS[getattr(data, name)], character=character)
 
 
@@ -111,7 +110,7 @@ class _ExportOperator(ManientOperator):
 
     def draw(self, context):
         layout = self.layout
-        format_buttons(layout, context, self, "file_format", character=self.character)
+        format_buttons(layout, self, "file_format", character=self.character)
         split(layout)
         if self._exporter.presets:
             layout.prop(self, "preset")

@@ -69,6 +69,22 @@ class MANIENT_OT_check_mano(InternalOperator, bpy.types.Operator):
         screen.redraw("PREFERENCES")
 
 
+class MANIENT_OT_note(InternalOperator, bpy.types.Operator):
+    """A message of the sidebar, which has room for its beginning."""
+
+    bl_label = "Message"
+
+    text: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
+
+    @classmethod
+    def description(cls, _context, properties):
+        return properties.text.removesuffix(".")
+
+    def run(self, context):
+        """Report it, since reports can be copied."""
+        return self.text
+
+
 class MANIENT_OT_clear_cache(InternalOperator, bpy.types.Operator):
     """Remove the add-on's temporary files. Pictures that the open file shows stay; other files that show
     pictures from there lose them."""

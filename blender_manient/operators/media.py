@@ -60,9 +60,7 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
         props(layout, self, "pose_correctives", "picture", "render_setup", "matching")
         # After the import the scene is another one, which the choice is not about.
         if context.space_data is not None and context.space_data.type == "FILE_BROWSER":
-            text = scene_sentence(
-                scene, self.matching, None, scene.frame_current, render_setup=self.render_setup
-            )
+            text = scene_sentence(scene, self.matching, None, scene.frame_current)
             sentence(layout, context, text, "SCENE_DATA")
 
     def run(self, context):
@@ -131,10 +129,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
         layout.prop(settings, "hands")
         if settings.target == "NEW":
             layout.prop(settings, "matching")
-            ready = settings.render_setup and settings.camera != "ACTIVE"
-            text = scene_sentence(
-                scene, settings.matching, self._footage, scene.frame_current, render_setup=ready
-            )
+            text = scene_sentence(scene, settings.matching, self._footage, scene.frame_current)
             sentence(layout, context, text, "SCENE_DATA", width=_WIDTH)
 
     def run(self, context):

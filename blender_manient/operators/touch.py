@@ -8,7 +8,9 @@ import bpy
 import numpy as np
 
 from handfit_core.common.errors import HandfitError, OptionError
+from handfit_core.common.skeleton import FINGERS
 from handfit_core.edit import POINT_NAMES, touching_pair
+from handfit_core.edit.corrections import Touches
 
 from ..common.wording import capitalised, counted
 from ..scene.corrections import correct_frames
@@ -65,9 +67,7 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
             return capitalised(str(error)), True
         if np.isnan(gaps).all():
             return "There is no hand in these frames", True
-        ends = 1000 * np.maximum([np.nanmin(gaps), np.nanmax(gaps)], 0.0)
-        far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
-        return f"{counted(len(gaps), 'frame')}. The points are {far} mm apart there", False
+        return f"{counted(len(gaps), 'frame')}. {_far_apart(gaps, 'The points')} apart there", False
 
     def make_fit(self, context):
         return _TouchFit(self, context)
@@ -76,57 +76,125 @@ class MANIENT_OT_touch(RangeFitOperator, bpy.types.Operator):
         return {"point": self.point, "other": self.other}
 
     def report_text(self, fit):
-        names = " and ".join(POINT_NAMES[point] for point in fit.pair)
-        apart = np.flatnonzero(~(np.abs(fit.gaps) <= _MAX_TOUCH_GAP))
-        if not len(apart):
-            return "INFO", f"{names} touch in {counted(fit.fitted, 'frame')}"
-        most = 1000 * np.nanmax(np.abs(fit.gaps))
-        return "WARNING", (
-            f"{names} stay up to {most:.0f} mm apart in {counted(len(apart), 'frame')}: other fingers or "
-            "locked joints are in the way"
-        )
+        return _touch_report(fit, " and ".join(POINT_NAMES[point] for point in fit.pair))
+
+
+class MANIENT_OT_press_together(RangeFitOperator, bpy.types.Operator):
+    """Press together, skin to skin, what lies over each other in the picture over a range of frames: thumb
+    and fingers that cross, and fingertips on the palm. One camera cannot tell whether they touch: you can.
+    Asks for the range first."""
+
+    bl_label = "Press Together"
+    progress_text = "Pressing together"
+
+    def suggest(self, context):
+        """The frames around the present one in which something lies over each other."""
+        refiner, near = _refiner_near(context)
+        touches = refiner.lying_over(refiner.keyed_poses(near.rows))
+        self.first, self.last = near.around(np.array([not of_row for of_row in touches]), context)
+
+    def summary(self, context):
+        """What would be pressed together, and how far apart it is."""
+        try:
+            fit = _PressFit(self, context)
+        except HandfitError as error:
+            return capitalised(str(error)), True
+        return f"{counted(fit.count, 'frame')}. {_far_apart(fit.gaps, fit.names)} apart there", False
+
+    def make_fit(self, context):
+        return _PressFit(self, context)
+
+    def report_text(self, fit):
+        return _touch_report(fit, fit.names)
+
+
+class _Near:
+    """The rows of a take within some seconds of the scene's current frame."""
+
+    def __init__(self, scene: bpy.types.Scene, refiner: Refiner) -> None:
+        self._frames, span = refiner.scene_frames(), _SEARCH_SECONDS * frame_rate(scene)
+        now = scene.frame_current
+        self._rows = rows_within(self._frames, now - span, now + span)
+        self.rows: list[int] = self._rows.tolist()
+        self.here = int(np.abs(self._frames[self._rows] - now).argmin()) if self.rows else -1
+        """The current one's index among the rows"""
+
+    def around(self, others: np.ndarray, context: bpy.types.Context) -> tuple[int, int]:
+        """First and last scene frame of the rows around the current one that are not among the `others` (N,)
+        bool; what Re-fit Range suggests where the current one is, and the preview range where it is used."""
+        if context.scene.use_preview_range or not self.rows or others[self.here]:
+            return suggested_range(context)
+        far = np.flatnonzero(others)
+        first = max([-1, *far[far < self.here]]) + 1
+        last = min([len(self.rows), *far[far > self.here]]) - 1
+        ends = self._frames[self._rows[[first, last]]]
+        return round(float(ends[0])), round(float(ends[1]))
+
+
+def _refiner_near(context: bpy.types.Context) -> tuple[Refiner, _Near]:
+    refiner = Refiner(polled_hand(context).armature)
+    return refiner, _Near(context.scene, refiner)
 
 
 def touching_range(context: bpy.types.Context, point: int, other: int) -> tuple[int, int]:
     """First and last scene frame around the present one in which two points are about as near as here; the
     preview range where it is used. Raises HandfitError."""
-    scene, refiner = context.scene, Refiner(polled_hand(context).armature)
-    frames, around = refiner.scene_frames(), _SEARCH_SECONDS * frame_rate(scene)
-    rows = rows_within(frames, scene.frame_current - around, scene.frame_current + around)
+    refiner, near = _refiner_near(context)
     try:
-        pair = touching_pair(point, other)
+        first, second = touching_pair(point, other)
     except OptionError:
         return suggested_range(context)
-    if scene.use_preview_range or not len(rows):
-        return suggested_range(context)
-    here = int(np.abs(frames[rows] - scene.frame_current).argmin())
-    gaps = refiner.gaps(refiner.keyed_poses(rows.tolist()), pair)
-    far = np.flatnonzero(~(gaps <= gaps[here] + _MAX_EXTRA_GAP))
-    first = max([-1, *far[far < here]]) + 1
-    last = min([len(rows), *far[far > here]]) - 1
-    if first > last:
-        return suggested_range(context)
-    return round(float(frames[rows[first]])), round(float(frames[rows[last]]))
+    gaps = refiner.gaps(refiner.keyed_poses(near.rows), [{first: second}] * len(near.rows))
+    far = ~(gaps <= gaps[near.here] + _MAX_EXTRA_GAP) if near.rows else gaps
+    return near.around(far, context)
+
+
+def _far_apart(gaps: np.ndarray, what: str) -> str:
+    """How far apart these parts are, as gaps (N,) in metres have it, in words."""
+    ends = 1000 * np.maximum([np.nanmin(gaps), np.nanmax(gaps)], 0.0)
+    far = " to ".join(dict.fromkeys(f"{millimetres:.0f}" for millimetres in ends))
+    return f"{what} are {far} mm"
+
+
+def _touch_report(fit: _TouchFit, names: str) -> tuple[str, str]:
+    """The kind and the text of the report of a fit in which these parts were to touch."""
+    apart = np.flatnonzero(~(np.abs(fit.gaps) <= _MAX_TOUCH_GAP))
+    if not len(apart):
+        return "INFO", f"{names} touch in {counted(fit.fitted, 'frame')}"
+    most = 1000 * np.nanmax(np.abs(fit.gaps))
+    return "WARNING", (
+        f"{names} stay up to {most:.0f} mm apart in {counted(len(apart), 'frame')}: other fingers or "
+        "locked joints are in the way"
+    )
 
 
 class _TouchFit(RangeFit):
     """The frames of a range, fitted so that two points of the hand touch."""
 
-    def __init__(self, operator: MANIENT_OT_touch, context: bpy.types.Context) -> None:
-        self.pair = touching_pair(int(operator.point), int(operator.other))
+    def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
         super().__init__(operator, context)
-        rows, refiner = self.rows.tolist(), self.refiner
+        refiner = self.refiner
+        new = self.new_touches(operator)
+        self.rows = self.rows[[bool(of_row) for of_row in new]]
+        rows, self.count = self.rows.tolist(), len(self.rows)
+        self._new = list(filter(None, new))
+        """What is made to touch in each frame"""
         start = refiner.start_poses(rows)
-        self.gaps = refiner.gaps(start, self.pair)
-        """(N,) metres between the two points"""
-        point, other = self.pair
-        self._touches = [{**refiner.touches(row), point: other} for row in rows]
+        self.gaps = refiner.gaps(start, self._new)
+        """(N,) metres between what is to touch, at the widest"""
+        self._touches = [{**refiner.touches(row), **new} for row, new in zip(rows, self._new, strict=True)]
         pins = list(map(refiner.pins, rows))
         self.requests = [(len(rows), refiner.request(rows, pins, start, touches=self._touches))]
 
+    def new_touches(self, operator: Any) -> list[Touches]:
+        """What is to touch in each frame of the range; those without anything are left out. Raises
+        OptionError."""
+        self.pair = touching_pair(int(operator.point), int(operator.other))
+        return [dict([self.pair])] * self.count
+
     def received(self, poses):
         super().received(poses)
-        self.gaps = self.refiner.gaps(poses, self.pair)[poses.present]
+        self.gaps = self.refiner.gaps(poses, self._new)[poses.present]
 
     def writing(self):
         there, poses = self.poses.present, self.poses
@@ -139,3 +207,21 @@ class _TouchFit(RangeFit):
             touches=[touched for touched, is_there in zip(self._touches, there, strict=True) if is_there],
         )
         yield 1.0
+
+
+class _PressFit(_TouchFit):
+    """The frames of a range in which parts lie over each other in the picture, fitted so that these touch."""
+
+    def new_touches(self, operator):
+        touches = self.refiner.lying_over(self.refiner.start_poses(self.rows.tolist()))
+        if not any(touches):
+            raise OptionError(
+                "nothing lies over each other in these frames, no finger and thumb, no fingertip and palm: "
+                "choose two points with Touch"
+            )
+        points = {abs(point) for of_row in touches for pair in of_row.items() for point in pair}
+        fingers = sorted({(point - 1) // 4 % 6 for point in points})  # the palm, of point 0, is the last
+        named = [(*FINGERS, "palm")[finger].capitalize() for finger in fingers]
+        self.names = " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
+        """Of the parts that are pressed together"""
+        return touches

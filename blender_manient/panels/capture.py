@@ -1,119 +1,194 @@
-"""Capture: how, the buttons, and how far it is."""
+"""The tab Hand Capture: what is captured, the buttons, how far it is, and the captures of the scene."""
 
 from __future__ import annotations
 
 import bpy
 
-from handfit_core.capturing.options import OPTIONS
-
-from ..common.section import Section, fitted, props, sentence, split
-from ..common.wording import counted
-from ..operators import add_hand, lens
+from ..common.section import Section, note, split
+from ..common.wording import capitalised, counted, shortened
+from ..operators import add_hand
 from ..operators.modes import find_hands as find_mode
-from ..scene.matching import scene_sentence
+from ..scene import captures
+from ..scene.camera_clip import camera_clips
+from ..scene.matching import is_of_a_capture, is_untouched, scene_sentence
 from ..scene.store import active_hand
-from ..session import jobs, shared_worker, source_info
+from ..session import jobs, source_info
 
 _ICONS = {"waiting": "SORTTIME", "done": "CHECKMARK", "failed": "ERROR", "cancelled": "CANCEL"}
+_OFFERS = {"find_hands": "Another hand is likely", "add_hand": "A hand was not found"}
+_ROWS = 5
+"""of the list that are seen at once"""
+_NAME = 16
+"""letters of a source's name before what came of it"""
+
+
+class MANIENT_UL_captures(bpy.types.UIList):
+    """The captures among all collections of the file."""
+
+    def filter_items(self, context, data, propname):
+        """Show the captures of the scene whose name has what is typed."""
+        items = getattr(data, propname)
+        here = {capture.session_uid for capture in captures.captures(context.scene)}
+        flags = bpy.types.UI_UL_list.filter_items_by_name(
+            self.filter_name, self.bitflag_filter_item, items, "name"
+        ) or [self.bitflag_filter_item] * len(items)
+        return [flag if item.session_uid in here else 0 for flag, item in zip(flags, items, strict=True)], []
+
+    def draw_item(self, context, layout, _data, item, _icon, _active_data, _active_property, _index):
+        """The capture's name, its hands and how good they are."""
+        shown = captures.is_shown(item, context.view_layer)
+        parts = layout.split(factor=0.5)
+        parts.prop(item, "name", text="", emboss=False, icon="HIDE_OFF" if shown else "HIDE_ON")
+        row = parts.row(align=True)
+        row.active = shown
+        row.label(text=captures.in_words(context.scene, item), translate=False)
+        row.operator("manient.remove_capture", text="", icon="X", emboss=False).capture = item.name
 
 
 class MANIENT_PT_capture(Section, bpy.types.Panel):
     bl_label = "Capture"
-    bl_order = 3
+    bl_order = 1
+    bl_options = {"HIDE_HEADER"}
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.manient
-        column = split(layout.column())
-        column.prop(settings, "preset")
-        if settings.preset != "PAPER":
-            column.prop(settings, "smoothing", slider=True)
-        column.prop(settings, "target")
-        if settings.target == "NEW":
-            column.prop(settings, "arms")
-        hand = active_hand(context)
-        if settings.target != "NEW" and hand is None:
-            sentence(layout, context, "Select the captured hand that is to be animated", "INFO")
-
+        settings = context.scene.manient
         info = source_info.of(settings)
-        own = ""
-        if settings.target == "NEW":
-            if source_info.camera_clip(settings, info.files) is None:
-                column.prop(settings, "matching")
-            text, own = _scene_messages(context, info)
-            sentence(layout, context, text, "SCENE_DATA")
-        searched = info.files is None or (info.files.kind != "data" and not settings.keypoints)
-        told = info.files is not None and not source_info.lacks_size(settings, info)
-        ready = told and (settings.target == "NEW" or hand is not None)
-        choosing = find_mode.current
-        buttons = layout.column(align=True)
+        self._source(context, info)
+        column = split(self.layout.column())
+        new = settings.target == "NEW"
+        if new and (info.files is None or info.files.kind != "data"):
+            column.prop(settings, "arms")
+        column.prop(settings, "preset")
+        if has_scene_camera(context.scene):
+            column.prop(settings, "camera")
+        if info.files is not None:
+            self._result(context, info)
+        ready = info.files is not None and not source_info.lacks_size(settings, info)
+        ready = ready and (new or active_hand(context) is not None)
+        self._buttons(context, info, ready)
+        self._jobs()
+        found = captures.captures(context.scene)
+        if found:
+            rows, listed = min(len(found), _ROWS), (bpy.data, "collections", context.scene, "manient_capture")
+            how = {"rows": rows, "maxrows": max(rows, 2), "sort_lock": True}
+            self.layout.template_list(MANIENT_UL_captures.__name__, "", *listed, **how)
+        if len(found) > 1:
+            hide = captures.others_shown(context.scene)
+            button = self.layout.operator("manient.hide_captures", text="Hide Others" if hide else "Show All")
+            button.hide = hide
+
+    def _source(self, context, info: source_info.SourceInfo) -> None:
+        layout, settings = self.layout, context.scene.manient
+        row = layout.row(align=True)
+        row.prop(settings, "source", text="")
+        if camera_clips(context.scene):
+            row.operator("manient.use_background_clip", text="", icon="CAMERA_DATA")
+        if info.files is None or info.problem:
+            note(layout, info.problem, "ERROR" if settings.source else "INFO")
+            return
+        note(layout, source_info.in_words(settings, info), "FILE")
+        if info.unsized:
+            note(layout, "How large are its pictures? The file does not say", "QUESTION")
+            size = layout.row(align=True)
+            size.alert = source_info.lacks_size(settings, info)
+            for index, name in enumerate(("Width", "Height")):
+                size.prop(settings, "picture_size", index=index, text=name)
+        if info.siblings > 1:
+            layout.prop(settings, "as_sequence", text=f"Image Sequence ({info.siblings} Pictures)")
+        if info.files.kind != "photo":
+            row = layout.row(align=True)
+            row.prop(settings, "use_frames", text="Range")
+            part = row.row(align=True)
+            part.active = settings.use_frames
+            part.prop(settings, "first_frame", text="")
+            part.prop(settings, "last_frame", text="")
+
+    def _result(self, context, info: source_info.SourceInfo) -> None:
+        """One line about what the capture does: to the scene, or to which hand."""
+        layout, scene, hand = self.layout, context.scene, active_hand(context)
+        settings = scene.manient
+        if settings.camera == "ACTIVE" and scene.camera is None:
+            note(layout, "The scene has no active camera", "ERROR")
+        elif settings.target == "NEW":
+            footage = source_info.footage(settings, info)
+            text = scene_sentence(scene, settings.matching, footage, scene.frame_current)
+            note(layout, text, "SCENE_DATA")
+        elif hand is None:
+            note(layout, "Select the captured hand that is to be animated", "ERROR")
+        else:
+            note(layout, f"Onto {hand.armature.name}", "ARMATURE_DATA")
+
+    def _buttons(self, context, info: source_info.SourceInfo, ready: bool) -> None:
+        settings, choosing = context.scene.manient, find_mode.current
+        buttons = self.layout.column(align=True)
         job = jobs.current_or_next()
-        row = _row(buttons, ready if job is None else job.stop_button[1], 1.5)
         if job is not None:
-            stop = row.operator("manient.cancel_capture", text=job.stop_button[0], icon="CANCEL")
+            _row(buttons, True, 1.5).progress(factor=job.fraction, text=job.activity())
+            row = buttons.row(align=True)
+            text, can = job.stop_button
+            stop = _row(row, can).operator("manient.cancel_capture", text=text, icon="CANCEL")
             stop.index = jobs.jobs().index(job)
-        elif choosing is not None:
+            _row(row, ready).operator("manient.queue_capture", icon="ADD")
+            buttons.label(text=f"{shortened_here(job.name)}  {job.speed_text()}", translate=False)
+            return
+        row = _row(buttons, ready, 1.5)
+        if choosing is not None:
             count = counted(len(choosing.choice.chosen), "Hand")
             row.operator("manient.capture_found", text=f"Capture {count}", icon="VIEW_PAN")
         else:
             row.operator("manient.capture", text="Capture", icon="VIEW_PAN")
-        if searched:
-            row = _row(buttons, ready)
-            if choosing is not None:
-                row.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
-            else:
-                row.operator("manient.find_hands", icon="VIEWZOOM")
-        if info.files is not None and info.files.kind != "photo":
-            if own:
-                sentence(buttons, context, own, "SCENE_DATA")
-            row = _row(buttons, ready and choosing is None)
+        if info.files is None:
+            return
+        searched = info.files.kind != "data" and not settings.keypoints
+        if choosing is not None:
+            buttons.operator("manient.leave", text="Leave Find Hands", icon="CANCEL").what = "FIND"
+        elif searched:
+            _row(buttons, ready).operator("manient.find_hands", icon="VIEWZOOM")
+        if info.files.kind != "photo":
             shown = source_info.shown_frame(context, info.files)
-            row.operator("manient.capture", text=f"Capture Frame {shown}").only_frame = True
+            inside = info.has_frame(shown)
+            row = _row(buttons, ready and choosing is None and inside)
+            text = f"Capture Frame {shown}" if inside else "Capture Frame"
+            row.operator("manient.capture", text=text).only_frame = True
         if searched:
-            parts = layout.split(factor=0.36, align=True)
+            parts = self.layout.split(factor=0.36, align=True)
             row = _row(parts, choosing is None)
             if add_hand.running():
                 row.operator("manient.leave", icon="CANCEL").what = "ADD"
             else:
                 row.operator("manient.add_hand", icon="ADD")
             _row(parts, choosing is None).prop(settings, "added_side", expand=True)
-        self._queue(context, ready)
 
-    def _queue(self, context, ready: bool) -> None:
-        layout = self.layout
-        queue = jobs.jobs()
+    def _jobs(self) -> None:
+        """A line for each capture that waits or is over."""
+        layout, queue = self.layout.column(align=True), jobs.jobs()
         for index, job in enumerate(queue):
-            box = layout.column(align=True)
-            if job.running:
-                row = box.row(align=True)
-                row.progress(factor=job.fraction, text=job.activity())
+            row, name = layout.row(align=True), shortened_here(job.name)
+            if job.state == "waiting":
+                note(row, f"{name}: Waiting", _ICONS["waiting"])
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
-                speed = f"  {job.speed_text()}" if job.speed_text() else ""
-                box.label(text=fitted(context, job.name, speed) + speed, translate=False)
-            elif job.state == "waiting":
-                row = box.row(align=True)
-                name = fitted(context, job.name, ": Waiting", buttons=1)
-                row.label(text=f"{name}: Waiting", icon=_ICONS["waiting"], translate=False)
-                row.operator("manient.cancel_capture", text="", icon="X").index = index
-            elif job.gone:
-                said = f": {job.gone}"
-                sentence(box, context, fitted(context, job.name, said) + said, "LOOP_BACK")
-            else:
-                text = f"{fitted(context, job.name, ':')}: {job.message}"
-                sentence(box, context, text, _ICONS[job.state])
-                if job.views_message:
-                    sentence(box, context, job.views_message, "VIEW_CAMERA")
-                if job.scene_message:
-                    sentence(box, context, job.scene_message, "SCENE_DATA")
-                for warning in job.warnings[:3]:
-                    sentence(box, context, warning, "INFO")
+            elif job.finished and not job.is_gone:
+                note(row, f"{name}: {job.told()}", "INFO" if job.warnings else _ICONS[job.state])
                 if job.state == "failed":
-                    box.operator("manient.show_details", text="Details", icon="TEXT")
-        if queue:
-            row = _row(layout, ready or not jobs.busy())
-            if jobs.busy():
-                row.operator("manient.capture", text="Add to Queue", icon="ADD")
-            else:
-                row.operator("manient.clear_captures", text="Clear List")
+                    row.operator("manient.show_details", text="Details", icon="TEXT")
+                elif job.offer:
+                    row = layout.split(factor=0.66, align=True)
+                    note(row, capitalised(job.warnings[0]), "QUESTION", _OFFERS.get(job.offer, ""))
+                    row.operator(f"manient.{job.offer}")
+        if any(job.finished for job in queue):
+            layout.operator("manient.clear_captures")
+
+
+def shortened_here(name: str) -> str:
+    """A source's name, with room for a few words beside it."""
+    return shortened(name, lambda text: len(text) <= _NAME)
+
+
+def has_scene_camera(scene: bpy.types.Scene) -> bool:
+    """True if hands may be captured before the scene's camera: one of the artist's."""
+    camera = scene.camera
+    own = camera is not None and not is_untouched(camera) and not is_of_a_capture(camera)
+    return own or scene.manient.camera == "ACTIVE"
 
 
 def _row(layout, enabled: bool, scale: float = 1.0):
@@ -121,54 +196,3 @@ def _row(layout, enabled: bool, scale: float = 1.0):
     row.scale_y = scale
     row.enabled = enabled
     return row
-
-
-def _scene_messages(context: bpy.types.Context, info: source_info.SourceInfo) -> tuple[str, str]:
-    """What capturing the source does to the scene, and what else capturing its current frame alone does."""
-    text = _scene_message(context.scene, info)
-    placed = source_info.camera_clip(context.scene.manient, info.files) is not None
-    if info.files is None or info.files.kind == "photo" or placed:
-        return text, ""
-    own = _scene_message(context.scene, info, only=source_info.shown_frame(context, info.files))
-    return text, "" if text.startswith(own) else own
-
-
-def _scene_message(scene: bpy.types.Scene, info: source_info.SourceInfo, *, only: int | None = None) -> str:
-    """What capturing the source, or `only` one frame of it, does to the scene."""
-    settings = scene.manient
-    footage = source_info.footage(settings, info, only=only)
-    pictures = info.files is not None and info.files.kind != "data"
-    ready = settings.render_setup and settings.camera != "ACTIVE" and pictures and only is None
-    return scene_sentence(scene, settings.matching, footage, scene.frame_current, render_setup=ready)
-
-
-class MANIENT_PT_capture_advanced(Section, bpy.types.Panel):
-    bl_label = "Advanced"
-    bl_parent_id = "MANIENT_PT_capture"
-    bl_options = {"DEFAULT_CLOSED"}
-
-    def draw(self, context):
-        layout, settings = self.layout, context.scene.manient
-        split(layout)
-        if settings.preset == "PAPER":
-            layout.prop(settings, "experiment")
-        elif len(shared_worker.solvers()) > 1 or settings.solver != OPTIONS["solver"].default:
-            layout.prop(settings, "solver")
-        if len(shared_worker.detectors()) > 1 or settings.detector != OPTIONS["detector"].default:
-            layout.prop(settings, "detector")
-        layout.prop(settings, "threshold", text="Threshold")
-        layout.prop(settings, "camera")
-        if settings.camera == "FOCAL":
-            layout.prop(settings, "focal_length", text="Millimeters")
-        elif settings.camera == "ACTIVE" and context.scene.camera is None:
-            sentence(layout, context, "The scene has no active camera", "ERROR")
-        elif settings.camera == "LENS":
-            layout.prop(settings, "measured_lens")
-            row = layout.row(align=True)
-            row.operator("manient.show_chessboard", text="Chessboard", icon="TEXTURE")
-            row.operator("manient.measure_lens", text="Measure", icon="FILE_MOVIE")
-            if not settings.measured_lens:
-                sentence(layout, context, lens.ADVICE, "INFO")
-        column = layout.column(heading="New Hands")
-        column.active = settings.target == "NEW"
-        props(column, settings, "render_setup", "pose_correctives", "add_controls")

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import bpy
 
-from handfit_core.common.errors import HandfitError, HandModelError
-from handfit_core.common.skeleton import FINGERS, SIDES, Side, other_side
+from handfit_core.common.errors import HandfitError
+from handfit_core.common.skeleton import FINGERS, SIDES, Side
 from handfit_core.retarget.hand_map import PALM_FINGERS
-from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
 from handfit_core.retarget.saved_rigs import saved_rigs
 
-from ..common.section import Section, fitted, sentence, split
-from ..common.wording import capitalised, counted
-from ..rigs import troubles
+from ..common.section import EditSection, note, split
+from ..common.wording import capitalised
 from ..scene.characters import (
     CharacterObjects,
     active_character,
-    hand_map_of,
-    is_damaged,
-    kept_map,
-    recognised,
     rig_used,
     said_without_keys,
     source_of,
@@ -30,30 +22,24 @@ from ..scene.characters import (
     why_not_reachable,
     without_keys,
 )
-from ..scene.onto_character import why_not_turned
+from ..scene.onto_character import hand_messages
 from ..scene.store import CapturedHand
 from ..session import hand_adjusting, live_link
 
-_SURE, _LIKELY = 0.75, 0.45
-"""How sure a hand must be recognised for these words"""
 
-
-class MANIENT_PT_character(Section, bpy.types.Panel):
+class MANIENT_PT_character(EditSection, bpy.types.Panel):
     bl_label = "Character"
-    bl_order = 7
+    bl_order = 6
     bl_options = {"DEFAULT_CLOSED"}
+    works_on = staticmethod(active_character)
 
     def draw(self, context):
         layout, armature = self.layout, active_character(context)
-        if armature is None:
-            text = "Select a character, its armature or a mesh that it deforms, to have it move as captured"
-            sentence(layout, context, text, "INFO")
-            return
-        name = fitted(context, armature.name)
-        layout.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
+        assert armature is not None
+        layout.label(text=armature.name, icon="OUTLINER_OB_ARMATURE", translate=False)
         why = why_not_reachable(armature)
         if why is not None:
-            sentence(layout, context, why, "ERROR")
+            note(layout, why, "ERROR")
         column = layout.column()
         column.enabled = why is None
         for side in SIDES:
@@ -72,15 +58,14 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             source = source_of(armature, side, context)
             wanted = source is not None
         except HandfitError as error:
-            sentence(box, context, capitalised(str(error)), "ERROR")
+            note(box, capitalised(str(error)), "ERROR")
         else:
-            if source is None:
-                text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
-            else:
+            text = f"No captured {side} hand is here: choose one of the other side to have it mirrored"
+            if source is not None:
                 text = f"Moves as {source.armature.name}" + ("" if source.side == side else ", mirrored")
-            sentence(box, context, text, "BLANK1" if source else "INFO")
-        for text, icon in _hand_messages(armature, side, wanted):
-            sentence(box, context, text, icon)
+            note(box, text, "BLANK1" if source else "INFO")
+        for text, icon in hand_messages(armature, side, wanted):
+            note(box, text, icon)
 
     def _how(self, context, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
@@ -95,7 +80,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             row.prop(character, "reference")
             row.operator("manient.mark_frame", text="", icon="MARKER_HLT")
             text = "Pose the character's hand as it is to be in this frame"
-            sentence(column, context, text, "INFO")
+            note(column, text, "INFO")
             if character.wrist == "PLACED":
                 column.prop(character, "travel", slider=True)
             column.prop(character, "smoothing")
@@ -104,7 +89,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
             told = hand_adjusting.message(armature)
             if told is not None:
                 text, alert = told
-                sentence(column, context, capitalised(text), "ERROR" if alert else "INFO")
+                note(column, capitalised(text), "ERROR" if alert else "INFO")
         data = armature.animation_data
         if character.time_offset or (data is not None and (data.action is not None or len(data.nla_tracks))):
             column.prop(character, "time_offset")
@@ -121,7 +106,7 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
         layout.prop(character, "live", text=text, icon="LINKED", toggle=True)
         trouble = live_link.trouble(armature) if character.live else None
         if trouble is not None:
-            sentence(layout, context, capitalised(trouble), "ERROR")
+            note(layout, capitalised(trouble), "ERROR")
 
     def _arms(self, layout, armature: bpy.types.Object) -> None:
         character = armature.manient.character
@@ -143,14 +128,11 @@ class MANIENT_PT_character(Section, bpy.types.Panel):
                 ).side = side
 
 
-class MANIENT_PT_character_bones(Section, bpy.types.Panel):
+class MANIENT_PT_character_bones(EditSection, bpy.types.Panel):
     bl_label = "Bones"
     bl_parent_id = "MANIENT_PT_character"
     bl_options = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context):
-        return active_character(context) is not None
+    works_on = staticmethod(active_character)
 
     def draw(self, context):
         layout, armature = self.layout, active_character(context)
@@ -176,7 +158,7 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         block.prop(table, "fold", slider=True)
         keyless = said_without_keys(without_keys(armature, table_of(armature, table.side)))
         if keyless:
-            sentence(layout, context, capitalised(keyless), "INFO")
+            note(layout, capitalised(keyless), "INFO")
         column = layout.column(align=True)
         column.operator("manient.recognise_hand", icon="VIEWZOOM").side = table.side
         column.operator("manient.copy_hand_table", icon="MOD_MIRROR").side = table.side
@@ -189,7 +171,7 @@ class MANIENT_PT_character_bones(Section, bpy.types.Panel):
         row.operator("manient.import_rig", icon="IMPORT")
         row.operator("manient.export_rig", icon="EXPORT")
         for trouble in saved_rigs()[1]:
-            sentence(layout, context, capitalised(trouble), "ERROR")
+            note(layout, capitalised(trouble), "ERROR")
 
 
 def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[CapturedHand]:
@@ -198,51 +180,3 @@ def _sources(context: bpy.types.Context, armature: bpy.types.Object) -> list[Cap
         return [*sources_of(armature, context).values()]
     except HandfitError:
         return []
-
-
-def _hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
-    """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
-    lacks it is no error where nothing would move it, and the other hand is known."""
-    told = []
-    if is_damaged(armature, side):
-        text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
-        told.append((text, "ERROR"))
-    try:
-        hand_map = hand_map_of(armature, side)
-    except HandModelError as error:
-        lacked = not wanted and table_of(armature, other_side(side)).mapped
-        return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
-    try:
-        rig, kept, used = hand_map.rig or "Unknown rig", kept_map(armature, side), rig_used(armature, side)
-        if kept is not None:
-            told.append((f"{rig}, with your own table", "CHECKMARK"))
-        elif used is not None:
-            told.append((used.label, "CHECKMARK"))
-        elif (sure := recognised(armature, side).sure) >= _SURE:
-            told.append((f"{rig}, for sure", "CHECKMARK"))
-        elif sure < DOUBTFUL:
-            told.append(("This may be no hand: look at Bones below", "ERROR"))
-        else:
-            doubt = "likely" if sure >= _LIKELY else "perhaps"
-            told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
-        hand_map.check(armature.data.bones)
-        if keyless := without_keys(armature, hand_map).get(UNKNOWN):
-            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
-        if kept is None and used is None and (but := recognised(armature, side).but):
-            told.append((capitalised(but), "INFO"))
-    except HandModelError as error:
-        return [*told, (capitalised(str(error)), "ERROR")]
-    if armature.manient.character.wrist == "FINGERS":
-        hand_map = replace(hand_map, control="")
-    told += [(text, "ERROR") for text in map(_capitalised_name_kept, troubles(armature, hand_map))]
-    reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
-    if reasons:
-        more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
-        text = _capitalised_name_kept(reasons[0].removesuffix(": it was left alone"))
-        told.append((f"{text}: it is left alone{more}", "INFO"))
-    return told
-
-
-def _capitalised_name_kept(sentence: str) -> str:
-    """With a capital letter, except where it begins with a bone's name."""
-    return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

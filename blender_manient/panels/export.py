@@ -4,38 +4,41 @@ from __future__ import annotations
 
 import bpy
 
-from ..common.section import Section, fitted, sentence, split
+from ..common.section import EditSection, note, split
 from ..exporters import EXPORTERS
 from ..operators.export import format_buttons
 from ..scene.characters import active_character, why_not_written
-from ..scene.store import active_hand, hand_of
+from ..scene.store import CapturedHand, active_hand, hand_of
 
 
-class MANIENT_PT_export(Section, bpy.types.Panel):
+def _exported(context: bpy.types.Context) -> bpy.types.Object | CapturedHand | None:
+    """The character, or else the hand, that the buttons are for."""
+    chosen = context.active_object
+    is_hand = chosen is not None and hand_of(chosen) is not None
+    character = None if is_hand else active_character(context)
+    return character or active_hand(context)
+
+
+class MANIENT_PT_export(EditSection, bpy.types.Panel):
     bl_label = "Export"
-    bl_order = 9
+    bl_order = 7
     bl_options = {"DEFAULT_CLOSED"}
+    works_on = staticmethod(_exported)
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.manient
-        chosen = context.active_object
-        character = None if chosen is not None and hand_of(chosen) is not None else active_character(context)
-        hand = None if character is not None else active_hand(context)
-        if character is None and hand is None:
-            text = "Select a captured hand, or a character, to export it"
-            sentence(layout, context, text, "INFO")
-            return
+        exported = _exported(context)
+        character = None if isinstance(exported, CapturedHand) else exported
         can = True
         if character is not None:
-            name = fitted(context, character.name)
-            layout.label(text=name, icon="OUTLINER_OB_ARMATURE", translate=False)
+            layout.label(text=character.name, icon="OUTLINER_OB_ARMATURE", translate=False)
             why = why_not_written(character, context.scene)
             if why is not None:
-                sentence(layout, context, why, "ERROR")
+                note(layout, why, "ERROR")
                 can = False
-        elif hand is not None:
-            layout.label(text=fitted(context, hand.collection.name), icon="VIEW_PAN", translate=False)
-        can &= format_buttons(layout, context, settings, "export_format", character=character is not None)
+        elif exported is not None:
+            layout.label(text=exported.collection.name, icon="VIEW_PAN", translate=False)
+        can &= format_buttons(layout, settings, "export_format", character=character is not None)
         column = split(layout.column())
         if EXPORTERS[settings.export_format].presets:
             column.prop(settings, "export_preset")

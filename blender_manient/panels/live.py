@@ -6,7 +6,7 @@ import bpy
 
 from handfit_core.common.skeleton import SIDES
 
-from ..common.section import Section, fitted, props, sentence, split
+from ..common.section import Section, note, props, split
 from ..common.wording import capitalised
 from ..session import live
 from ..session.live_takes import takes
@@ -34,9 +34,9 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         if session is None:
             row.operator("manient.live", icon="RADIOBUT_ON")
             if live.current is not None and live.current.error is not None:
-                sentence(layout, context, capitalised(str(live.current.error)), "ERROR")
+                note(layout, capitalised(str(live.current.error)), "ERROR")
             elif live.current is not None and live.current.message:
-                sentence(layout, context, live.current.message, "INFO")
+                note(layout, live.current.message, "INFO")
         else:
             row.operator("manient.live_stop", icon="CANCEL")
             self._running(context, session)
@@ -62,25 +62,25 @@ class MANIENT_PT_live(Section, bpy.types.Panel):
         row.operator("manient.live_record", text=text, icon="SNAP_FACE" if session.is_recording else "REC")
         row.operator("manient.live_snapshot", icon="KEYTYPE_KEYFRAME_VEC")
         layout.operator("manient.live_calibrate", icon="VIEW_PAN")
-        sentence(layout, context, session.status(), "REC" if session.is_recording else "TIME")
+        note(layout, session.status(), "REC" if session.is_recording else "TIME")
         states = [f"{side}: {state}" for side, state in session.hand_states.items()]
         if states:
-            sentence(layout, context, ", ".join(states).capitalize(), "VIEW_PAN")
+            note(layout, ", ".join(states).capitalize(), "VIEW_PAN")
         if session.message:
-            sentence(layout, context, session.message, "INFO")
+            note(layout, session.message, "INFO")
         if live.pictures.icon:
             layout.template_icon(live.pictures.icon, scale=_PICTURE)
 
     def _takes(self, context) -> None:
         session = live.running()
         if session is not None and session.has_set_aside:
-            sentence(self.layout, context, "Takes are hidden while the hands follow", "HIDE_ON")
+            note(self.layout, "Takes are hidden while the hands follow", "HIDE_ON")
         for index, take in enumerate(takes):
             row = self.layout.row(align=True)
-            row.label(text=fitted(context, take.text(), buttons=3), icon="FILE_MOVIE", translate=False)
+            row.label(text=take.text(), icon="FILE_MOVIE", translate=False)
             for collection in take.collections[:1]:
                 row.prop(collection, "hide_viewport", text="")
             row.operator("manient.live_keep", text="", icon="CHECKMARK").index = index
             row.operator("manient.live_throw_away", text="", icon="TRASH").index = index
             if take.trouble:
-                sentence(self.layout, context, capitalised(take.trouble), "INFO")
+                note(self.layout, capitalised(take.trouble), "INFO")

@@ -1,23 +1,22 @@
-"""Poses: a library of them, for captured hands and characters."""
+"""Pose: a library of poses, for captured hands and characters, and controls for posing a hand."""
 
 from __future__ import annotations
 
 import bpy
 
-from ..common.section import Section, sentence, split
+from ..common.section import EditSection, split
 from ..scene.poses import posed_by
+from ..scene.store import CapturedHand, active_hand
 
 
-class MANIENT_PT_poses(Section, bpy.types.Panel):
-    bl_label = "Poses"
-    bl_order = 8
+class MANIENT_PT_poses(EditSection, bpy.types.Panel):
+    bl_label = "Pose"
+    bl_order = 3
     bl_options = {"DEFAULT_CLOSED"}
+    works_on = staticmethod(posed_by)
 
     def draw(self, context):
-        layout, settings = self.layout, context.scene.manient
-        if posed_by(context) is None:
-            sentence(layout, context, "Select a captured hand or a character to pose it", "INFO")
-            return
+        layout, settings, hand = self.layout, context.scene.manient, active_hand(context)
         layout.template_icon_view(settings, "pose", show_labels=True, scale=6.0, scale_popup=5.0)
         row = layout.row(align=True)
         row.prop(settings, "pose_scope", text="")
@@ -32,6 +31,19 @@ class MANIENT_PT_poses(Section, bpy.types.Panel):
         _button(row, settings, "OTHER", "Mirrored")
         _button(row, settings, "REST", "Reset")
         layout.operator("manient.save_pose_asset", icon="ASSET_MANAGER")
+        if hand is not None:
+            _controls(layout.column(align=True), hand)
+
+
+def _controls(column, hand: CapturedHand) -> None:
+    if not hand.rig.controls:
+        column.operator("manient.add_controls", icon="POSE_HLT")
+        return
+    row = column.row(align=True)
+    row.prop(hand.armature.manient, "use_controls", toggle=True)
+    row.prop(hand.armature.manient, "limits", toggle=True)
+    column.operator("manient.bake_controls", icon="ACTION")
+    column.operator("manient.remove_controls", icon="X")
 
 
 def _button(layout, settings, source: str, text: str, icon: str = "NONE") -> None:

@@ -1,11 +1,11 @@
-"""Refine: keypoints by hand."""
+"""Correct: keypoints by hand."""
 
 from __future__ import annotations
 
 import bpy
 
 from ..common import preferences
-from ..common.section import Section, sentence
+from ..common.section import EditSection, note
 from ..common.wording import capitalised, counted
 from ..operators.base import ModalOperator
 from ..scene import corrections
@@ -13,27 +13,25 @@ from ..scene.store import CapturedHand, active_hand
 from ..session.refiner import why_not_refinable, why_not_smoothable
 
 
-class MANIENT_PT_refine(Section, bpy.types.Panel):
-    bl_label = "Refine"
-    bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}
+class MANIENT_PT_refine(EditSection, bpy.types.Panel):
+    bl_label = "Correct"
+    bl_order = 2
+    works_on = staticmethod(active_hand)
 
     def draw(self, context):
         layout, settings = self.layout, context.scene.manient
         hand = active_hand(context)
-        if hand is None:
-            sentence(layout, context, "Select a captured hand to correct it", "INFO")
-            return
+        assert hand is not None
         why = why_not_refinable(hand.track)
         if why is not None:
-            sentence(layout, context, capitalised(why), "INFO")
+            note(layout, capitalised(why), "INFO")
         else:
             self._by_points(context, hand)
         layout.prop(settings, "spread", text="Spread (Frames)")
         corrected = corrections.corrected_frames(hand.armature)
         if corrected:
             shown = ", ".join(str(f) for f in corrected[:8]) + (" ..." if len(corrected) > 8 else "")
-            sentence(layout, context, f"Corrected frames: {shown}", "KEYFRAME_HLT")
+            note(layout, f"Corrected frames: {shown}", "KEYFRAME_HLT")
             row = layout.row(align=True)
             row.label(text="Clear")
             for scope, text in (("FRAME", "Frame"), ("RANGE", "Range"), ("ALL", "All")):
@@ -52,13 +50,15 @@ class MANIENT_PT_refine(Section, bpy.types.Panel):
             layout.prop(kept, "hand_opacity", slider=True)
         self._fitting(layout.row(), "manient.refit_range", "FILE_REFRESH")
         why = why_not_smoothable(hand)
-        if why is not None:
-            sentence(layout, context, f"No smoothing: {why}", "INFO")
-        else:
+        if why is not None and len(hand.take.frame_numbers) > 1:
+            note(layout, f"No smoothing: {why}", "INFO")
+        elif why is None:
             row = layout.row(align=True)
             row.prop(context.window_manager, "manient_smoothing", slider=True)
             self._fitting(row.row(align=True), "manient.smooth_motion", "PREVIEW_RANGE", text="", stop="")
-        self._fitting(layout.row(), "manient.touch", "SNAP_ON")
+        row = layout.row(align=True)
+        self._fitting(row.row(align=True), "manient.touch", "SNAP_ON")
+        self._fitting(row.row(align=True), "manient.press_together", "AUTOMERGE_ON")
         self._fitting(layout.row(), "manient.grip", "VIEW_PAN")
 
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:

@@ -4,6 +4,9 @@ Both have keys of their own, and so has the hand, which does not hang on them: a
 with an arm as without. What moves the hand takes the arm along instead: an inverse kinematics constraint has
 the forearm end at the wrist, and turning the upper arm swings the elbow. Where the keys bring it there
 already, the constraint changes nothing.
+
+The skin behind the wrist points to the elbow and is twisted as the hand is, since a forearm's skin does not
+wring at the wrist: a third bone hangs on the hand and tracks the elbow.
 """
 
 from __future__ import annotations
@@ -23,10 +26,12 @@ from handfit_core.hand_model.axes import points_to_world
 from .rig import PosedBones
 
 MARK: Final = "arm_bone"
-"""A bone's custom property: which one of `NAMES` it is. The artist may give it another name"""
+"""A bone's custom property: which one of `NAMES`, or `_SKIN`. The artist may give it another name"""
 NAMES: Final = ("upper_arm", "forearm")
+_SKIN: Final = "wrist_twist"
 _COLLECTION: Final = "Arm"
 TO_WRIST: Final = "To Wrist"
+TO_ELBOW: Final = "To Elbow"
 _STEADY: Final = 5
 """frames before and after from which a straight arm takes how it is rolled"""
 
@@ -73,10 +78,17 @@ def has_arm(armature: bpy.types.Object) -> bool:
     return set(NAMES) <= {bone.get(MARK) for bone in armature.data.bones}
 
 
+def skin_bone(armature: bpy.types.Object) -> bpy.types.Bone | None:
+    """The bone that moves the skin behind the wrist, where an arm was added."""
+    return next((bone for bone in armature.data.bones if bone.get(MARK) == _SKIN), None)
+
+
 def make_bones(edit_bones: Any, wrist: str, lengths: np.ndarray) -> dict[str, str]:
     """The bones of an arm, straight behind the wrist's bone and with its axes; lengths (2,) in metres. Their
-    names, by those of `NAMES`."""
+    names, by those of `NAMES` and `_SKIN`. What an arm that was deleted left behind is replaced."""
     hand = edit_bones[wrist]
+    for left in [bone for bone in edit_bones if bone.get(MARK)]:
+        edit_bones.remove(left)
     along = (hand.tail - hand.head).normalized()
     made = {name: edit_bones.new(name + wrist[-2:]) for name in NAMES}
     end = Vector(hand.head)
@@ -86,6 +98,8 @@ def make_bones(edit_bones: Any, wrist: str, lengths: np.ndarray) -> dict[str, st
         end = made[name].head
     made["forearm"].parent = made["upper_arm"]
     made["forearm"].use_connect = True
+    skin = made[_SKIN] = edit_bones.new(_SKIN + wrist[-2:])
+    skin.head, skin.tail, skin.parent = hand.head, hand.head - along * (hand.tail - hand.head).length, hand
     return {name: bone.name for name, bone in made.items()}
 
 
@@ -99,6 +113,9 @@ def set_up(armature: bpy.types.Object, wrist: str, names: dict[str, str]) -> Non
     reach: Any = armature.pose.bones[names["forearm"]].constraints.new("IK")
     reach.name, reach.target, reach.subtarget, reach.chain_count = TO_WRIST, armature, wrist, len(NAMES)
     reach.use_stretch = False
+    track: Any = armature.pose.bones[names[_SKIN]].constraints.new("DAMPED_TRACK")
+    track.name, track.track_axis = TO_ELBOW, "TRACK_Y"
+    track.target, track.subtarget = armature, names["forearm"]
 
 
 def tree_with_arm(armature: bpy.types.Object, wrist: str, names: Iterable[str]) -> dict[str, str]:

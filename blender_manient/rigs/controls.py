@@ -26,7 +26,7 @@ from handfit_core.hand_model.anatomy import JointLimits, anatomical_angles
 from handfit_core.hand_model.axes import ANATOMICAL_IN_BONE
 
 from ..common.blender_versions import channels, used_actions
-from .arm import TO_WRIST
+from .arm import TO_ELBOW, TO_WRIST
 
 MARK: Final = "hand_control"
 """A bone's custom property: what it controls. The artist may give it another name"""
@@ -246,7 +246,7 @@ def keyed_curves(armature: bpy.types.Object) -> Iterator[tuple[Any, bpy.types.FC
 def is_own(constraint: bpy.types.Constraint) -> bool:
     """Whether a constraint is one of the controls', which do nothing unless these are `in_use`, or the arm's,
     which does nothing to the hand."""
-    return _is_of_controls(constraint) or constraint.name.startswith(TO_WRIST)
+    return _is_of_controls(constraint) or constraint.name.startswith((TO_WRIST, TO_ELBOW))
 
 
 def _is_of_controls(constraint: bpy.types.Constraint) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Generator
 from dataclasses import replace
 from typing import Any
@@ -10,9 +11,10 @@ import bpy
 import numpy as np
 
 from handfit_core.capturing.retiming import retimed
-from handfit_core.common.errors import OptionError
+from handfit_core.common.errors import HandModelError, OptionError
 from handfit_core.common.slices import run_to_completion
 from handfit_core.hand_model.arm import ArmMotion
+from handfit_core.hand_model.forearm import with_wrist
 from handfit_core.take import Take
 
 from ..common.blender_versions import channels
@@ -20,7 +22,9 @@ from ..rigs.arm import ArmBones, has_arm
 from ..rigs.rig import Rig
 from .editable import check, why_not_bakeable
 from .keys import PoseKeys, writing_pose_keys
+from .mesh import follow_arm
 from .own_scene import object_mode
+from .reshape import reshape
 from .simplify import keeping_simplified, own_kept_actions
 from .store import CapturedHand, captured_take, hand_of, keep_take, keeping_take, kept_take, scene_frames
 
@@ -56,6 +60,12 @@ def add_arm(hand: CapturedHand) -> None:
         if armature.data.users - armature.data.use_fake_user > 1:
             armature.data = armature.data.copy()
         hand.rig.add_arm(arm.lengths)
+    if armature.manient.wrist != "open":
+        armature.manient.forearm = True
+    if hand.mesh is not None:
+        with contextlib.suppress(HandModelError):
+            reshape(armature)
+            follow_arm(hand.mesh, with_wrist(hand.model(), armature.manient.wrist), armature)
     frames = scene_frames(hand.collection, hand.take)
     with keeping_simplified(armature):
         run_to_completion(keying_arm(hand.rig, arm, frames))

@@ -22,7 +22,7 @@ from handfit_core.common.errors import BuildInterrupted
 from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.common.slices import map_yields, run_to_completion, slice_clock
 from handfit_core.edit.corrections import Correction, CorrectionField
-from handfit_core.hand_model import HandModel, ShapedHand, axes, load_model
+from handfit_core.hand_model import HandModel, axes, load_model
 from handfit_core.hand_model.forearm import Wrist, with_wrist
 from handfit_core.take import HandTrack, Take
 
@@ -35,7 +35,7 @@ from .camera import build_camera, frame_scene, is_moved, put_before, show_behind
 from .corrections import keep_field
 from .keys import CURVES, animating, computing_keys
 from .matching import Footage, note_matched
-from .mesh import adding_correctives, build_mesh
+from .mesh import adding_correctives, build_mesh, follow_arm
 from .render_setup import add_picture_plane, put_in_force, set_up
 from .store import (
     describe_capture,
@@ -60,6 +60,8 @@ class BuiltHand:
     armature: bpy.types.Object
     mesh: bpy.types.Object
     action: bpy.types.Action
+    wrist: Wrist
+    """How the mesh ends"""
 
     @property
     def meshes(self) -> tuple[bpy.types.Object, ...]:
@@ -95,8 +97,8 @@ class BuildOptions:
     render_setup: bool = True
     """Whether a scene that is matched, or shows this in front, gets lights and the picture in its renders
     too"""
-    wrist: Wrist = "forearm"
-    """How the meshes end"""
+    wrist: Wrist | None = None
+    """How the meshes end; None: by a cap, and by a forearm where a hand has an arm"""
     frame: float | None = None
     """None: the current one"""
     timing: Timing | None = None
@@ -163,7 +165,6 @@ class _Build:
         self.units = 1.0 / scene.unit_settings.scale_length
         self.unmatched = None if how.match_scene else scene
         self.models: dict[Side, HandModel] = {}
-        self.wrists: dict[Side, Wrist] = {}
         self.warnings: list[str] = []
         self.plate: Plate | None = None
         self.view: BuiltView | None = None
@@ -211,11 +212,15 @@ class _Build:
                     "again to be exact"
                 )
             yield None
-            self.models[track.side] = with_wrist(loaded, self.how.wrist)
-            # A model without an edge where a piece of forearm could begin comes back as it is.
-            self.wrists[track.side] = "open" if self.models[track.side] is loaded else self.how.wrist
+            self.models[track.side] = loaded
+            with_wrist(loaded, self._wrist(track))  # which is cached
             yield None
-        self.shapes = [self.models[track.side].shaped(track.betas) for track in take.hands]
+
+    def _wrist(self, track: HandTrack) -> Wrist:
+        """How a hand's mesh ends. A model without an edge where a cap or a forearm could begin stays open."""
+        wrist = self.how.wrist or ("cap" if track.arm is None else "forearm")
+        loaded = self.models[track.side]
+        return "open" if with_wrist(loaded, wrist) is loaded else wrist
 
     def _choose_times(self) -> None:
         self.timing = self.clip = self.how.timing or Timing()
@@ -285,16 +290,16 @@ class _Build:
             self._link(thing)
 
     def _add_hands(self) -> Generator[float | None, None, None]:
-        for track, shaped in zip(self.take.hands, self.shapes, strict=True):
+        for track in self.take.hands:
             others = sum(hand.side == track.side for hand in self.hands)
             name = named_after(self.collection.name, hand_part(track.side, others))
-            hand = yield from self.build_hand(track, shaped, name)
+            hand = yield from self.build_hand(track, name)
             self.hands.append(hand)
 
-    def build_hand(
-        self, track: HandTrack, shaped: ShapedHand, name: str
-    ) -> Generator[float | None, None, BuiltHand]:
-        model = self.models[track.side]
+    def build_hand(self, track: HandTrack, name: str) -> Generator[float | None, None, BuiltHand]:
+        wrist = self._wrist(track)
+        model = with_wrist(self.models[track.side], wrist)
+        shaped = model.shaped(track.betas)
         rig = build_rig(name, shaped, track.side)
         armature = rig.armature
         self.made += [armature, armature.data]
@@ -306,6 +311,7 @@ class _Build:
         rest = rig.rest
         yield self.progress.done(1)
         mesh = build_mesh(f"mesh of {armature.name}", model, shaped, rig)
+        follow_arm(mesh, model, armature)
         self.made += [mesh, mesh.data, *mesh.data.materials]
         yield self.progress.done(1)
         if self.progress.correctives[track.side]:
@@ -323,7 +329,7 @@ class _Build:
         assert action is not None
         if track.arm is not None:
             yield from self.progress.counting(keying_arm(rig, track.arm, frames))
-        return BuiltHand(track.side, armature, mesh, action)
+        return BuiltHand(track.side, armature, mesh, action, wrist)
 
     def _keep_takes(self) -> Generator[float | None, None, None]:
         """The collection keeps the take as captured, and beside it the one that was retimed."""
@@ -341,7 +347,7 @@ class _Build:
         if self.view is not None and has_properties():
             self.collection.manient.view_camera = self.view.camera
         for index, hand in enumerate(self.hands):
-            describe_hand(hand.armature, self.collection, self.take, index, self.wrists[hand.side])
+            describe_hand(hand.armature, self.collection, self.take, index, hand.wrist)
             _keep_pins(hand.armature, self.take, self.take.hands[index])
 
     def _show(self) -> None:
@@ -393,8 +399,7 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     It stands before the capture's camera, wherever that has been moved. Raises HandModelError.
     """
     track, index, timing = take.hands[-1], len(take.hands) - 1, timing_of(collection)
-    loaded = load_model(take.model, track.side)
-    model = with_wrist(loaded, "forearm")
+    model = load_model(take.model, track.side)
     camera = collection.manient.camera
     if camera is not None and camera.name in collection.objects and not is_moved(camera):
         camera = None
@@ -404,12 +409,12 @@ def add_last_hand(collection: bpy.types.Collection, take: Take) -> BuiltHand:
     build.models[track.side], build.timing = model, timing
     build.progress = _Progress(build.take, build.models, True)
     try:
-        hand = run_to_completion(build.build_hand(track, model.shaped(track.betas), name))
+        hand = run_to_completion(build.build_hand(track, name))
     except BaseException:
         _remove(build.made)
         raise
     keep_take(collection, take)
-    describe_hand(hand.armature, collection, take, index, "open" if model is loaded else "forearm")
+    describe_hand(hand.armature, collection, take, index, hand.wrist)
     collection.objects.link(hand.armature)
     collection.objects.link(hand.mesh)
     _keep_pins(hand.armature, take, track)

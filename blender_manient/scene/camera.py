@@ -8,6 +8,7 @@ import bpy
 from mathutils import Matrix
 
 from handfit_core.common.errors import OptionError
+from handfit_core.hand_model import axes
 from handfit_core.take import Take
 
 from .background import Plate, picture_aspect
@@ -81,6 +82,15 @@ def put_before(armature: bpy.types.Object, camera: bpy.types.Object) -> None:
     scale = camera.matrix_world.to_scale()
     undone = Matrix.Diagonal((*(1.0 / s if s else 1.0 for s in scale), 1.0))
     armature.matrix_parent_inverse = undone @ CAMERA_AT_REST.inverted()
+
+
+def captured_place(take: Take, view: int, units_per_metre: float) -> Matrix:
+    """The matrix of a hand's armature in the frame of the camera of a view, both as they were captured."""
+    camera = CAMERA_AT_REST
+    if (cameras := take.cameras) is not None:
+        camera = Matrix(axes.camera_in_world(cameras.rotation[view], cameras.translation[view]).tolist())
+        camera.translation *= units_per_metre
+    return camera.inverted() @ Matrix.Scale(units_per_metre, 4)
 
 
 def is_moved(camera: bpy.types.Object) -> bool:

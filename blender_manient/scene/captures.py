@@ -17,17 +17,15 @@ import bpy
 from handfit_core.common.errors import TakeError
 from handfit_core.take.views import Verdict
 
+from ..common.wording import counted
 from .background import drive_offset
 from .camera import frame_scene
-from .confidence import is_marked, mark_doubtful
+from .confidence import errors_of, is_marked, mark_doubtful
 from .matching import Choice, Footage, has_matched_size, has_matched_time, is_of_a_capture, note_matched
 from .render_setup import OURS, follow_camera
 from .simplify import DENSE
 from .store import captured_hands, clip_timing, hand_of, has_properties, kept_take
 from .timing import Timing, set_timing
-
-_facts: dict[str, str] = {}
-"""Digest of a take -> what lists say of it"""
 
 
 def captures(scene: bpy.types.Scene) -> list[bpy.types.Collection]:
@@ -184,17 +182,22 @@ def verdict(capture: bpy.types.Collection) -> Verdict | None:
         return None
 
 
-def facts(capture: bpy.types.Collection) -> str:
-    """Frames and rate of a capture, for a list; empty where its take is damaged."""
-    digest = capture.manient.digest
-    if digest not in _facts:
-        try:
-            take = kept_take(capture)
-        except TakeError:
-            return ""
-        count = len(take.frame_numbers)
-        _facts[digest] = f"{count}f {take.fps:.4g}fps" if count > 1 else "1f"
-    return _facts[digest]
+def in_words(scene: bpy.types.Scene, capture: bpy.types.Collection) -> str:
+    """How many hands a capture has, and how good the worst of them is, for a list."""
+    hands = [
+        hand
+        for thing in captured_hands(scene)
+        if thing.manient.capture == capture
+        if (hand := hand_of(thing))
+    ]
+    found = [(errors.scale, errors.mean) for errors in map(errors_of, hands)]
+    words = {scale.quality(mean) for scale, mean in found if mean is not None}
+    worst = [word for word in ("poor", "fair", "good") if word in words][:1]
+    views = verdict(capture)
+    if views is not None and views.agreement != "good":
+        worst = ["views differ"]
+    count = [] if worst and len(hands) == 1 else [counted(len(hands), "hand")]
+    return ", ".join([*count, *worst])
 
 
 def _layer_of(scene: bpy.types.Scene) -> bpy.types.ViewLayer:

@@ -81,7 +81,7 @@ def errors_of(hand: CapturedHand) -> Errors:
     return _errors(hand.take, hand.track, readable_corrections(hand.armature))
 
 
-@lru_cache(maxsize=8)  # takes and corrections are kept as they are read, and every redraw asks
+@lru_cache(maxsize=32)  # takes and corrections are kept as they are read, and every redraw asks
 def _errors(take: Take, track: HandTrack, field: CorrectionField) -> Errors:
     own = [not field.corrections[frame].is_anchor for frame in field.frames.tolist()]
     captured = np.asarray(~(field.weights(take.frame_numbers)[:, own] >= _CORRECTED).any(axis=1))

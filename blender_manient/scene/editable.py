@@ -50,7 +50,7 @@ def why_not_bakeable(armature: bpy.types.Object) -> str | None:
     action = data.action
     if is_layered(armature):
         return (
-            "The active action is a layer on top of the motion: merge or remove it (Shape and Pose > Keys), "
+            "The active action is a layer on top of the motion: merge or remove it (Motion), "
             "or set the action's blending to Replace, to change it here"
         )
     if action is None:
@@ -72,8 +72,7 @@ def check_unlayered(armature: bpy.types.Object) -> None:
     """Raises OptionError where the keys are not all of the motion, since a layer lies on top."""
     if is_layered(armature):
         raise OptionError(
-            f"{armature.name!r} has a layer on top of its motion: merge or remove it first (Shape and Pose > "
-            "Keys)"
+            f"{armature.name!r} has a layer on top of its motion: merge or remove it first (Motion)"
         )
 
 

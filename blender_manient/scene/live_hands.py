@@ -194,7 +194,7 @@ def build_open_hand(
     scene: bpy.types.Scene, name: str, model: str, side: Side, betas: np.ndarray
 ) -> tuple[bpy.types.Collection, CapturedHandRig]:
     """An open hand in a new collection of that name, which is not linked yet. Raises HandModelError."""
-    loaded = with_wrist(kept_model(model, side), "forearm")
+    loaded = with_wrist(kept_model(model, side), "cap")
     shaped = loaded.shaped(betas)
     collection = bpy.data.collections.new(name)
     rig = build_rig(named_after(name, f"{side} hand"), shaped, side)

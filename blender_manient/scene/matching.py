@@ -117,36 +117,30 @@ def scene_sentence(
     footage: Footage | None,
     frame: float,
     *,
-    render_setup: bool = False,
     done: bool | None = None,
 ) -> str:
-    """A sentence about what a capture does to the scene; with `done`, whether the scene was matched, about
-    what it has done. `render_setup`: whether a matched scene is made ready to render, too."""
+    """What a capture does to the scene, the main thing in a short first sentence; with `done`, whether the
+    scene was matched, what it has done."""
     if footage is not None and footage.placed is not None:
         first = footage.placed.offset + footage.placed.scale * footage.first
-        return f"Hand {'comes' if done is None else 'came'} at frame {first:g}, with the camera's clip"
-    matched = matches(scene, choice, footage) if done is None else done
-    if matched:
-        news = "what the footage has: rate, range, size and camera" if footage is None else str(footage)
+        return f"Hand at frame {first:g}, with the camera's clip"
+    if matches(scene, choice, footage) if done is None else done:
+        news = "rate and size of the footage" if footage is None else str(footage)
         if footage is not None and not news:
-            return f"Hand {'comes' if done is None else 'came'} at frame {footage.first}"
-        if footage is not None and footage.width:
-            news += ", with the footage's camera"
-        if render_setup and done is None and (footage is None or footage.width):
-            news += ". Renders show the picture, its colors as they are (Standard), and suns light the hands "
-            news += "if nothing else does"
-        return f"Scene {'becomes' if done is None else 'became'} {news}"
-    comes = f"Hand {'comes' if done is None else 'came'} at frame {frame:g}, {frame_rate(scene):.5g} fps"
-    why = why_kept(scene, footage) if choice == "AUTO" and done is None else ""
-    comes += f": the scene stays, as {why}" if why else ": the scene stays as it is"
+            return f"Hand at frame {footage.first}"
+        camera = ". It looks through the footage's camera" if footage is None or footage.width else ""
+        return f"Scene{':' if done is None else ' became'} {news}{camera}"
+    stays = f"Scene stays, hand at frame {frame:g}, {frame_rate(scene):.5g} fps"
+    if why := why_kept(scene, footage) if choice == "AUTO" and done is None else "":
+        stays += f". It stays, as {why}"
     moves = footage is not None and footage.timed and footage.last > footage.first
     if footage is None or not moves or not is_retimed(scene, footage.fps):
-        return comes
+        return stays
     try:
         check_rate(frame_rate(scene))
     except OptionError as error:
         return capitalised(str(error))
-    return f"{comes}. The clip of {footage.fps:.5g} fps {'is' if done is None else 'was'} retimed to it"
+    return f"{stays}. The clip of {footage.fps:.5g} fps {'is' if done is None else 'was'} retimed to it"
 
 
 def note_matched(scene: bpy.types.Scene, footage: Footage) -> None:

@@ -11,13 +11,19 @@ import bpy
 import numpy as np
 
 from handfit_core.hand_model import HandModel, ShapedHand, axes
+from handfit_core.hand_model.forearm import forearm_share
 from handfit_core.hand_model.nails import nail_polygons
 
 from ..common.blender_versions import use_nodes
+from ..rigs.arm import skin_bone
 from ..rigs.rig import Rig
 
 _LEAST_WEIGHT = 1e-6
 """Weights below this move nothing visibly; they would only make every export larger"""
+IN_RENDERS = "Round in Renders"
+"""The modifier that subdivides the mesh where it is rendered: bent joints and the thumb's root show edges"""
+_ALONE = 1e-3
+"""Weight of the wrist where skin follows the forearm, that moves it once the artist has deleted the arm"""
 _SKIN = {
     "Base Color": (0.54, 0.28, 0.185, 1.0),
     "Roughness": 0.48,
@@ -59,7 +65,26 @@ def build_mesh(name: str, model: HandModel, shaped: ShapedHand, rig: Rig) -> bpy
             group.add([vertex], float(weights[vertex]), "REPLACE")
     obj.parent = rig.armature
     obj.modifiers.new("Armature", "ARMATURE").object = rig.armature
+    rounded: Any = obj.modifiers.new(IN_RENDERS, "SUBSURF")
+    rounded.levels, rounded.render_levels = 0, 2
     return obj
+
+
+def follow_arm(mesh: bpy.types.Object, model: HandModel, armature: bpy.types.Object) -> None:
+    """Have the skin behind the wrist follow the arm, where the armature has one and the mesh is the model's.
+
+    What the bone takes is added to the wrist's own weight, so that without the bone all follows the wrist.
+    """
+    bone = skin_bone(armature)
+    if bone is None or len(mesh.data.vertices) != len(model.v_template):
+        return
+    group = mesh.vertex_groups.get(bone.name) or mesh.vertex_groups.new(name=bone.name)
+    wrist = mesh.vertex_groups.get(bone.parent.name)
+    share = forearm_share(model)
+    group.remove(range(len(share)))
+    for vertex in np.flatnonzero(share > _LEAST_WEIGHT).tolist():
+        group.add([vertex], float(share[vertex]), "REPLACE")
+        wrist.add([vertex], max(float(model.weights[vertex, 0] - share[vertex]), _ALONE), "REPLACE")
 
 
 def _texture_coordinates(model: HandModel) -> tuple[np.ndarray, np.ndarray]:

@@ -88,6 +88,7 @@ def mirror_hand(hand: CapturedHand) -> bpy.types.Object:
     kept = hand_of(armature)
     if kept is not None and has_arm(source):
         add_arm(kept)
+        armature.manient.forearm = source.manient.forearm
     return armature
 
 

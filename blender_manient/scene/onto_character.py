@@ -17,7 +17,7 @@ import numpy as np
 from mathutils import Matrix, Quaternion
 
 from handfit_core.common.errors import HandModelError, OptionError
-from handfit_core.common.skeleton import NUM_JOINTS, SIDES, Side
+from handfit_core.common.skeleton import NUM_JOINTS, SIDES, Side, other_side
 from handfit_core.common.slices import map_yields, run_to_completion
 from handfit_core.geometry.rotations import quat_to_rotmat, rotmat_to_quat
 from handfit_core.hand_model.axes import MIRROR_X, RestPose, points_to_rest
@@ -25,7 +25,7 @@ from handfit_core.hand_model.files import kept_model
 from handfit_core.retarget.arms import CapturedArm
 from handfit_core.retarget.contacts import Fingertips, keeping_contacts
 from handfit_core.retarget.hand_map import HandMap
-from handfit_core.retarget.recognition import UNKNOWN
+from handfit_core.retarget.recognition import DOUBTFUL, UNKNOWN
 from handfit_core.retarget.transfer import (
     SourceHand,
     TargetHand,
@@ -36,14 +36,24 @@ from handfit_core.retarget.transfer import (
 from handfit_core.take import HandTrack, Take
 
 from ..common.blender_versions import action_slot, channels, new_slot
-from ..common.wording import counted
+from ..common.wording import capitalised, counted
 from ..rigs import troubles
 from ..rigs.character import CharacterBones, bones_of
 from ..rigs.controls import in_use, is_own
 from ..rigs.rig import PosedBones, bone_path
 from .actions import add_strip, is_layered, is_tweaked, own_action, present_curves, push_down, use_action
 from .character_arms import MARK, Arm, ArmOptions, arm_of, keying_arm
-from .characters import said_without_keys, why_not_reachable, without_keys
+from .characters import (
+    hand_map_of,
+    is_damaged,
+    kept_map,
+    recognised,
+    rig_used,
+    said_without_keys,
+    table_of,
+    why_not_reachable,
+    without_keys,
+)
 from .editable import check, check_unlayered
 from .hand_motion import BoneKeys, record_written_keys, without_artist_keys, written_keys
 from .keys import (
@@ -78,6 +88,9 @@ _CHUNK = 250
 """frames that are computed at once, in some milliseconds"""
 _SAMPLED = 20
 """frames that Blender evaluates at once, where keys do not tell all"""
+
+_SURE, _LIKELY = 0.75, 0.45
+"""How sure a hand must be recognised for these words"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -670,3 +683,51 @@ def _give(armature: bpy.types.Object, action: bpy.types.Action, slot: Any, into:
     if data.action is not None:
         push_down(data)
     use_action(data, action, slot)
+
+
+def hand_messages(armature: bpy.types.Object, side: Side, wanted: bool) -> list[tuple[str, str]]:
+    """What a hand was taken for, and what stands in its way: sentences and their icons. That the character
+    lacks it is no error where nothing would move it, and the other hand is known."""
+    told = []
+    if is_damaged(armature, side):
+        text = "The kept table of this hand is damaged and not used: press Bones > Recognise Again"
+        told.append((text, "ERROR"))
+    try:
+        hand_map = hand_map_of(armature, side)
+    except HandModelError as error:
+        lacked = not wanted and table_of(armature, other_side(side)).mapped
+        return [*told, (capitalised(str(error)), "INFO" if lacked else "ERROR")]
+    try:
+        rig, kept, used = hand_map.rig or "Unknown rig", kept_map(armature, side), rig_used(armature, side)
+        if kept is not None:
+            told.append((f"{rig}, with your own table", "CHECKMARK"))
+        elif used is not None:
+            told.append((used.label, "CHECKMARK"))
+        elif (sure := recognised(armature, side).sure) >= _SURE:
+            told.append((f"{rig}, for sure", "CHECKMARK"))
+        elif sure < DOUBTFUL:
+            told.append(("This may be no hand: look at Bones below", "ERROR"))
+        else:
+            doubt = "likely" if sure >= _LIKELY else "perhaps"
+            told.append((f"{rig}, {doubt}: look at Bones below", "QUESTION"))
+        hand_map.check(armature.data.bones)
+        if keyless := without_keys(armature, hand_map).get(UNKNOWN):
+            told.append((capitalised(said_without_keys({UNKNOWN: keyless})), "INFO"))
+        if kept is None and used is None and (but := recognised(armature, side).but):
+            told.append((capitalised(but), "INFO"))
+    except HandModelError as error:
+        return [*told, (capitalised(str(error)), "ERROR")]
+    if armature.manient.character.wrist == "FINGERS":
+        hand_map = replace(hand_map, control="")
+    told += [(text, "ERROR") for text in map(_capitalised_name_kept, troubles(armature, hand_map))]
+    reasons = [why for name in hand_map.keyed if (why := why_not_turned(armature, name)) is not None]
+    if reasons:
+        more = f", and {counted(len(reasons) - 1, 'other bone')} too" if len(reasons) > 1 else ""
+        text = _capitalised_name_kept(reasons[0].removesuffix(": it was left alone"))
+        told.append((f"{text}: it is left alone{more}", "INFO"))
+    return told
+
+
+def _capitalised_name_kept(sentence: str) -> str:
+    """With a capital letter, except where it begins with a bone's name."""
+    return sentence if set("._") & set(sentence.partition(" ")[0]) else sentence[:1].upper() + sentence[1:]

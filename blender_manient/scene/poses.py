@@ -226,7 +226,7 @@ class _CapturedPosable(PosableHand):
                     for pins in map(field.pins, frames)
                 ],
                 touches=[
-                    {a: b for a, b in touches.items() if not {(a - 1) // 4, (b - 1) // 4} & free}
+                    {a: b for a, b in touches.items() if not {(a - 1) // 4, (abs(b) - 1) // 4} & free}
                     for touches in map(field.touching, frames)
                 ],
                 posed=True,

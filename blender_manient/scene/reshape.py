@@ -39,7 +39,7 @@ from .actions import own_action
 from .corrections import change_corrections, corrections_of
 from .editable import check_editable
 from .keys import pose_at, read_pose_keys, set_pose, write_pose_keys
-from .mesh import corrective_names
+from .mesh import corrective_names, follow_arm
 from .own_scene import object_mode
 from .simplify import all_actions, keeping_simplified
 from .store import CapturedHand, hand_of
@@ -72,11 +72,13 @@ def shape_changed(armature: bpy.types.Object) -> None:
 
 def is_current(armature: bpy.types.Object) -> bool:
     """Whether mesh and rig have the shape that the sliders say (or the object is no finished hand)."""
-    applied = armature.get(APPLIED)
-    if not armature.manient.is_hand or applied is None:
+    if not armature.manient.is_hand or armature.get(APPLIED) is None:
         return True
-    same = bool(np.allclose(list(applied), list(armature.manient.betas), rtol=0.0, atol=1e-6))
-    return same and _wanted_wrist(armature) == armature.manient.wrist
+    return _has_its_betas(armature) and _wanted_wrist(armature) == armature.manient.wrist
+
+
+def _has_its_betas(armature: bpy.types.Object) -> bool:
+    return np.allclose(list(armature[APPLIED]), list(armature.manient.betas), rtol=0.0, atol=1e-6)
 
 
 def _wanted_wrist(armature: bpy.types.Object) -> Wrist:
@@ -133,10 +135,13 @@ def reshape(armature: bpy.types.Object) -> None:
     with object_mode():
         _own_data(armature, mesh)
         old_rest = hand.rig.rest
-        _reshape_rig(hand.rig, after)
+        if not _has_its_betas(armature):
+            _reshape_rig(hand.rig, after)
         rest = hand.rig.rest
         if mesh is not None:
             _reshape_mesh(mesh, hand.rig, (old_model, before, old_rest), (model, after, rest))
+            if wrist != armature.manient.wrist:
+                follow_arm(mesh, model, armature)
     _turn_corrections(armature, old_rest, rest)
     armature[APPLIED] = [float(b) for b in betas]
     armature.manient.wrist = wrist

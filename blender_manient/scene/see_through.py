@@ -1,25 +1,44 @@
-"""The picture shown through the hand, in every kind of shading, without touching the hand or the viewport.
+"""How a hand is shown while its keypoints are edited: where it was captured, with the picture through it.
 
 Behind a hand the capture camera shows its picture as a background image. Here a copy of that is laid over
 the hand, as opaque as the hand is to be see-through; where there is no hand, picture over picture looks as
-before. The copies are there while keypoints are edited. They are kept out of files that are saved
-meanwhile, and where an undo or a file that Blender saved by itself brings them back later, they are taken
-away again: the camera remembers the pictures of which it has copies.
+before. Constraints put the hand before the camera, whatever has moved, turned or scaled it since.
+
+Copies and constraints are kept out of files that are saved meanwhile, and where an undo or a file that
+Blender saved by itself brings them back later, they are taken away again: the camera remembers the pictures
+of which it has copies, and the constraints have a name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import bpy
+from mathutils import Matrix
 
 from ..common.block_reference import BlockReference
 from .background import drive_offset, offset_driver
 
 _COPIED_STRUCTS = ("image_user", "clip_user")
+_AS_CAPTURED = "As Captured"
+"""The name of the constraints that put a hand before its camera"""
+_LIMITS = {"LIMIT_LOCATION": "use_{}_{}", "LIMIT_ROTATION": "use_limit_{1}", "LIMIT_SCALE": "use_{}_{}"}
+"""Constraints, and what switches their limits on: at `min` or `max`, of an axis"""
 
-_shown: tuple[BlockReference, Callable[[], float]] | None = None
-"""The camera whose picture lies over the hand, and what tells the hand's opacity"""
+
+@dataclass(frozen=True)
+class _Shown:
+    camera: BlockReference
+    """the object"""
+    hand: BlockReference
+    """the armature"""
+    place: Matrix
+    """of the hand as it was captured, in the camera's frame"""
+    opacity: Callable[[], float]
+
+
+_shown: _Shown | None = None
 
 
 class Copied(bpy.types.PropertyGroup):
@@ -29,24 +48,33 @@ class Copied(bpy.types.PropertyGroup):
     clip: bpy.props.PointerProperty(type=bpy.types.MovieClip)  # type: ignore
 
 
-def begin(camera: bpy.types.Camera, opacity: Callable[[], float]) -> None:
-    """Lay one camera's picture over what is in front of it until `end`; `opacity` tells the hand's, 0..1,
-    whenever it is asked."""
+def begin(
+    camera: bpy.types.Object, hand: bpy.types.Object, place: Matrix, opacity: Callable[[], float]
+) -> None:
+    """Show an armature before a camera, at a `place` in its frame, and its picture over it, until `end`;
+    `opacity` tells the hand's, 0..1, whenever it is asked."""
     global _shown
-    _shown = BlockReference.of("cameras", camera), opacity
+    _shown = _Shown(BlockReference.of("objects", camera), BlockReference.of("objects", hand), place, opacity)
     follow()
 
 
 def follow(*_: object) -> None:
     """Show as much as the opacity asks for now."""
-    if _shown is not None and (camera := _shown[0].find()) is not None:
-        lay_over(camera, _shown[1]())
+    if _shown is None or (camera := _shown.camera.find()) is None:
+        return
+    lay_over(camera.data, _shown.opacity())
+    if (hand := _shown.hand.find()) is not None:
+        put_before(hand, camera, _shown.place)
 
 
 def hide(*_: object) -> None:
-    """Show the camera's pictures as the artist had them."""
-    if _shown is not None and (camera := _shown[0].find()) is not None:
-        take_away(camera)
+    """Show the camera's pictures as the artist had them, and the hand where the artist has it."""
+    if _shown is None:
+        return
+    if (camera := _shown.camera.find()) is not None:
+        take_away(camera.data)
+    if (hand := _shown.hand.find()) is not None:
+        put_back(hand)
 
 
 def end() -> None:
@@ -90,6 +118,31 @@ def take_away(camera: bpy.types.Camera) -> None:
     camera.update_tag()
 
 
+def put_before(hand: bpy.types.Object, camera: bpy.types.Object, place: Matrix) -> None:
+    """Have constraints put an armature before a camera, whose scale does not count, at a place in its
+    frame."""
+    put_back(hand)
+    limits = zip(_LIMITS.items(), ((0.0,) * 3, (0.0,) * 3, place.to_scale()), strict=True)
+    for (kind, switch), values in limits:  # to the world's origin
+        limit = hand.constraints.new(kind)
+        limit.name = _AS_CAPTURED
+        for axis, value in zip("xyz", values, strict=True):
+            for end in ("min", "max"):
+                setattr(limit, switch.format(end, axis), True)
+                setattr(limit, f"{end}_{axis}", value)
+    child = hand.constraints.new("CHILD_OF")
+    child.name, child.target = _AS_CAPTURED, camera
+    child.use_scale_x = child.use_scale_y = child.use_scale_z = False
+    child.inverse_matrix = place.normalized()
+
+
+def put_back(hand: bpy.types.Object) -> None:
+    """Have an armature stand where the artist has it."""
+    for constraint in reversed(list(hand.constraints)):
+        if constraint.name.startswith(_AS_CAPTURED) and hand.is_editable:
+            hand.constraints.remove(constraint)
+
+
 def _is_own(camera: bpy.types.Camera) -> bool:
     return camera.is_editable and camera.override_library is None
 
@@ -119,9 +172,12 @@ def _copy(source: bpy.types.bpy_struct, target: bpy.types.bpy_struct) -> None:
 
 
 def _on_change(*_args) -> None:
-    """An undo, a redo or a file may have brought copies."""
+    """An undo, a redo or a file may have brought copies and constraints."""
     for camera in bpy.data.cameras:
         take_away(camera)
+    for obj in bpy.data.objects:
+        if obj.type == "ARMATURE" and obj.manient.is_hand:
+            put_back(obj)
     follow()
 
 

@@ -95,6 +95,8 @@ class Job:
     message: str = ""
     """What went wrong, or what is to be known, in one sentence"""
     warnings: list[str] = field(default_factory=list)
+    offer: str = ""
+    """The operator, `find_hands` or `add_hand`, that helps with the first warning"""
     matched: bool = False
     """Whether the scene was given the footage's rate, range, size and camera"""
     in_front: bool = False
@@ -141,17 +143,14 @@ class Job:
         return ("Stopping", False) if self._stopping else ("Stop", True)
 
     @property
-    def gone(self) -> str:
-        """What has become of its result where that is there no more, in a word: an undo took it back, or the
-        artist has removed it; else empty."""
+    def is_gone(self) -> bool:
+        """True if an undo took its hands back, or the artist has removed them."""
         if self.state != "done":
-            return ""
-        if not any(self.key in _captured(scene) for scene in bpy.data.scenes):
-            return "Undone"
-        if self._capture is None:
-            return ""
-        capture = self._capture.find()
-        return "" if any(capture in captures(scene) for scene in bpy.data.scenes) else "Removed"
+            return False
+        capture = self._capture and self._capture.find()
+        undone = not any(self.key in _captured(scene) for scene in bpy.data.scenes)
+        removed = self._capture and not any(capture in captures(scene) for scene in bpy.data.scenes)
+        return undone or bool(removed)
 
     @property
     def rate(self) -> float:
@@ -183,6 +182,11 @@ class Job:
             return ""
         left = (self.total - self.done) / self.rate
         return f"{self.rate:.0f} fps  {_duration(left)} left"
+
+    def told(self) -> str:
+        """What came of it, all of it: its result, what became of the scene, and warnings."""
+        said = (self.message, *self.warnings, self.views_message, self.scene_message)
+        return ". ".join(text.removesuffix(".") for text in said if text)
 
     def status(self) -> str:
         """`activity` and `speed_text` in one line."""
@@ -311,7 +315,9 @@ def _follow(job: Job) -> bool:
         if kind == "progress":
             _on_progress(job, event)
         elif kind == "warning":
-            job.warnings.append(str(event.get("message", "")))
+            offer, text = str(event.get("offer", "")), str(event.get("message", ""))
+            job.warnings.insert(0 if offer else len(job.warnings), text)
+            job.offer = offer or job.offer
         elif kind == "error":
             if event.get("type") == "Cancelled":
                 raise Cancelled(str(event.get("message", "")))

@@ -67,7 +67,7 @@ class LiveSession:
             kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
         size = [int(pixels) for pixels in wanted.size.split("x")]
-        live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps}
+        live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps, "loop": True}
         self._request = self.worker.submit(
             "live",
             source=wanted.source,

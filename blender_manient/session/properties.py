@@ -178,7 +178,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         update=notifier("as_sequence"),
     )
     keypoints: StringProperty(  # type: ignore
-        name="Keypoints",
+        name="Other Tracker's File",
         description="Hands or keypoints that another program has found in this source, such as OpenPose; "
         "empty: hands are looked for",
         subtype="FILE_PATH",
@@ -294,7 +294,7 @@ class ManientSettings(bpy.types.PropertyGroup):
         name="Smoothing", soft_max=4.0, **option_property("smoothing")
     )
     threshold: FloatProperty(  # type: ignore
-        name="Detection Threshold",
+        name="Detection",
         subtype="FACTOR",
         soft_min=0.05,
         soft_max=0.95,
@@ -346,10 +346,10 @@ class ManientSettings(bpy.types.PropertyGroup):
     pose_correctives: BoolProperty(**POSE_CORRECTIVES)  # type: ignore
     add_controls: BoolProperty(  # type: ignore
         name="Controls",
-        description="Give new hands controls to animate them with by hand (Shape and Pose > Add Controls)",
+        description="Give new hands controls to animate them with by hand (Pose > Add Controls)",
     )
     target: EnumProperty(  # type: ignore
-        name="Output",
+        name="Put On",
         description="What becomes of the captured hands",
         items=(
             ("NEW", "New Hands", "Build new hands with their own camera"),
@@ -632,7 +632,8 @@ class ManientHand(bpy.types.PropertyGroup):
     )
     forearm: BoolProperty(  # type: ignore
         name="Forearm",
-        description="Show a piece of forearm behind the wrist; without it the wrist is capped. "
+        description="Show a piece of forearm behind the wrist, which follows a captured arm; without it the "
+        "wrist is capped. "
         "Exports have what is shown",
         update=notifier("shape"),
     )

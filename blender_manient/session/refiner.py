@@ -21,6 +21,7 @@ from handfit_core.edit import (
     RefineHand,
     gaps_between,
     landmark_points,
+    lying_over,
     result_from_message,
     second_sight,
     to_message,
@@ -172,6 +173,13 @@ class Refiner:
         """Whether the row was re-fitted with pins or touches."""
         return self.source_frame(row) in corrections.corrections_of(self.armature).corrected
 
+    def is_beside_correction(self, row: int) -> bool:
+        """Whether corrections of other frames move the hand in this row, so that it is no more what was
+        detected."""
+        field = corrections.corrections_of(self.armature)
+        rotation, location = field.at(np.array([self.source_frame(row)]))
+        return not self.is_corrected(row) and bool(rotation.any() or location.any())
+
     def keyed_poses(self, rows: Sequence[int]) -> BonePoses:
         """What the keys say on these rows, corrections included."""
         quats, locations = pose_at(self.hand.rig, self.scene_frames()[list(rows)])
@@ -269,13 +277,32 @@ class Refiner:
         landmarks[at] = self.landmarks(quats[at], locations[at])
         return BonePoses(quats, locations, landmarks)
 
-    def gaps(self, poses: BonePoses, pair: tuple[int, int]) -> np.ndarray:
-        """(N,) metres between the skins at two points that can touch; NaN where there is no hand."""
-        shaped, there = self.shaped(), poses.present
-        gaps = np.full(len(there), np.nan)
-        _, pose, _ = self.hand.rig.from_bones(shaped, poses.quats[there], poses.locations[there])
-        gaps[there] = gaps_between(self.model, self.hand.betas, pose, pair)
+    def gaps(self, poses: BonePoses, touches: Sequence[Touches]) -> np.ndarray:
+        """(N,) metres between the skins at the points that touch in each of N poses, those of the widest gap;
+        NaN where there is no hand, or nothing touches."""
+        gaps, there = np.full(len(touches), np.nan), poses.present
+        rows = np.array([row for row, of_row in enumerate(touches) for _ in of_row if there[row]], dtype=int)
+        if len(rows):
+            points = np.array([p for row in np.flatnonzero(there) for p in touches[row].items()])
+            pose = self._hand_poses(poses)[rows]
+            np.fmax.at(gaps, rows, gaps_between(self.model, self.hand.betas, pose, points))
         return gaps
+
+    def lying_over(self, poses: BonePoses) -> list[Touches]:
+        """The touches of what lies over each other in the picture in each of N poses."""
+        there, found = np.flatnonzero(poses.present), list[Touches]({} for _ in poses.locations)
+        pose, pixels = self._hand_poses(poses)[there], poses.landmarks[there]
+        touches = lying_over(self.model, self.hand.betas, pose, pixels)
+        for row, of_row in zip(there.tolist(), touches, strict=True):
+            found[row] = of_row
+        return found
+
+    def _hand_poses(self, poses: BonePoses) -> np.ndarray:
+        """(N, 45) hand_pose, NaN where there is no hand."""
+        there, found = poses.present, np.full((len(poses.locations), 45), np.nan)
+        bones = poses.quats[there], poses.locations[there]
+        _, found[there], _ = self.hand.rig.from_bones(self.shaped(), *bones)
+        return found
 
     def correct(self, row: int, pins: Pins, poses: BonePoses, spread: float) -> None:
         """Put the one pose that was re-fitted to `pins` into the keys, and let it fade out over `spread`

@@ -1,4 +1,4 @@
-"""The files behind a path that the panel names, and what it shows of them: kind, size, frames, a thumbnail.
+"""The files behind a path that the panel names, and what it shows of them: kind, size and frames.
 
 Looked up when the path changes, not when the panel is drawn. Size, frames and pictures of single frames come
 from the worker, which is started by that and is warm when the artist presses the button.
@@ -43,6 +43,12 @@ from ..scene.matching import Footage
 from ..scene.store import captures_of, clip_timing
 from . import cache, jobs, shared_worker
 
+_KINDS = {
+    "photo": "Photo",
+    "sequence": "Image sequence",
+    "video": "Video",
+    "data": "Hands of another program",
+}
 _POLL_SECONDS = 0.1
 """seconds"""
 
@@ -79,7 +85,7 @@ def resolve(path_text: str, *, as_sequence: bool) -> SourceFiles:
 
 def _resolved(path_text: str, as_sequence: bool) -> SourceFiles:
     if not path_text:
-        raise InputError("Choose a photo, an image sequence or a video")
+        raise InputError("Choose a photo or a clip")
     # Absolute, since Blender and FFmpeg take a relative name that begins with "http:" for an address.
     path = Path(bpy.path.abspath(path_text)).expanduser().absolute()
     if is_recording(path) and not is_take(path):
@@ -132,11 +138,15 @@ class SourceInfo:
     last: int = 1
     unsized: bool = False
     """Whether these are another program's hands in pictures of a size that their file does not tell"""
-    can_be_shown: bool = False
-    """Whether Blender may decode its first picture for a thumbnail"""
     pictured: int | None = None
     picture: str = ""
     """The file with the newest picture of a frame that came"""
+
+    def has_frame(self, number: int) -> bool:
+        """Whether it may have a frame of that number, as far as is known."""
+        if not self.frames or self.files is None:
+            return number >= 0
+        return number in (self.files.numbers or range(self.first, self.last + 1))
 
     @property
     def is_gone(self) -> bool:
@@ -185,7 +195,7 @@ def footage(settings, info: SourceInfo, *, only: int | None = None) -> Footage |
     if info.files.kind != "photo" and settings.use_frames:
         first, last = settings.first_frame, settings.last_frame
     if only is not None:
-        first = last = max(only, 0)
+        first = last = only
     if settings.camera == "ACTIVE":
         width = height = 0
     timed, placed = info.files.kind in ("video", "data"), clip.timing if clip else None
@@ -314,11 +324,21 @@ def told_offset(settings) -> float | None:
     return first - second
 
 
-def thumbnail(info: SourceInfo) -> int:
-    """An icon of the source, 0 where there is none."""
-    if info.files is None or not info.can_be_shown:
-        return 0
-    return _icon(info.files.files[0], "MOVIE" if info.files.kind == "video" else "IMAGE")
+def in_words(settings, info: SourceInfo, name: str = "") -> str:
+    """Kind, or the name, size, frames and rate of a source whose files were found, for one line."""
+    assert info.files is not None
+    clip = None if name else camera_clip(settings, info.files)
+    kind = _KINDS[info.files.kind]
+    if clip is not None:
+        kind = "Tracked clip" if clip.is_solved else "Camera's clip"
+    said = [name or kind]
+    if info.files.kind != "data" and info.width:
+        said.append(f"{info.width}×{info.height}")
+    if info.files.kind != "photo" and info.frames:
+        said.append(f"{info.first}-{info.last}")
+        if info.fps and info.files.kind in ("video", "data"):
+            said.append(f"{info.fps:.5g} fps")
+    return ", ".join(said) + (f". {info.files.left_out}" if info.files.left_out else "")
 
 
 def frame_picture(info: SourceInfo, frame: int) -> int:
@@ -338,10 +358,10 @@ def frame_picture(info: SourceInfo, frame: int) -> int:
             about.picture = str(path)
 
         _ask(info, show, "find", options=options.to_message(), picture=str(path))
-    return _icon(info.picture, "IMAGE") if info.picture else 0
+    return _icon(info.picture) if info.picture else 0
 
 
-def _icon(path: str, kind: str) -> int:
+def _icon(path: str) -> int:
     global _previews
     if bpy.app.background:
         return 0
@@ -352,7 +372,7 @@ def _icon(path: str, kind: str) -> int:
         if len(previews) > 50:
             previews.clear()
         with contextlib.suppress(KeyError):
-            previews.load(path, path, kind)
+            previews.load(path, path, "IMAGE")
     return previews[path].icon_id if path in previews else 0
 
 
@@ -366,9 +386,6 @@ def _inspect(path: str, as_sequence: bool) -> SourceInfo:
     first = Path(info.files.files[0])
     if info.files.kind == "data":
         return info
-    with contextlib.suppress(InputError):  # the worker will say what is wrong with it
-        check_for_blender(first, preferences.get().max_megapixels or None)
-        info.can_be_shown = True
     if info.files.kind == "photo" or as_sequence:
         info.siblings = len(numbered_siblings(first))
     if info.files.kind == "sequence":
@@ -428,7 +445,7 @@ TIMERS = (_await_answers,)
 
 
 def unregister() -> None:
-    """Free the thumbnails, and forget the source."""
+    """Free the pictures, and forget the source."""
     global _previews
     if _previews is not None:
         bpy.utils.previews.remove(_previews)

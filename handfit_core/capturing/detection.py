@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -17,7 +17,7 @@ from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected, Detector
 from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.detect.matching import is_same_hand
+from handfit_core.detect.matching import overlaps
 from handfit_core.detect.regions import detect_frame, detect_region
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.fit.solvers import ShouldStop, never
@@ -100,7 +100,7 @@ def _one_by_one(
                 numbers.append(frame.number)
                 on_frame(len(numbers))
     with blamed():
-        return Detected(numbers, Detections.of(found), detector.most_seen)
+        return Detected(numbers, Detections.of(found), detector.most_seen, missed=detector.missed)
 
 
 def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
@@ -118,14 +118,17 @@ def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
         hands=hands if isinstance(hands, Detections) else Detections.of(hands),
         most_seen=counts[-min(2, len(counts))] if counts else 0,
         cuts=tuple(cuts),
+        missed=2 * sum(chunk.misses for chunk in chunks) > len(counts),
     )
 
 
-def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, tuple[HandDetection, ...]]:
+def find_in_frame(
+    source: MediaInput, options: CaptureOptions, known: Sequence[HandDetection] = ()
+) -> tuple[Frame, tuple[HandDetection, ...]]:
     """The first used frame of a source, and all its hands, the surest first, for a person to choose from.
 
-    Those of `regions` come first; with `only_regions` there are no others. Raises what `capture` raises
-    before it fits, but for NoHandFoundError: there may be none.
+    Those of `regions` come first, found beside the `known` ones; with `only_regions` there are no others.
+    Raises what `capture` raises before it fits, but for NoHandFoundError: there may be none.
     """
     media = open_media(source, options.frames, max_megapixels=options.max_megapixels)
     frame = next(media.frames(), None)
@@ -136,8 +139,10 @@ def find_in_frame(source: MediaInput, options: CaptureOptions) -> tuple[Frame, t
     options = replace(options, max_hands=None)
     with DETECTORS.blamed(options.detector), open_detector(options) as detector:
         found = () if options.only_regions else detector.find(frame.rgb, frame.time)
-        shown = [hand for region in options.regions for hand in detect_region(detector, frame.rgb, region)]
-        others = [hand for hand in found if not any(is_same_hand(hand, other) for other in shown)]
+        shown: list[HandDetection] = []
+        for region in options.regions:
+            shown += detect_region(detector, frame.rgb, region, (*known, *shown))
+        others = [hand for hand in found if not overlaps(hand, shown)]
         hands = (*shown, *others)
         finite = _finite(Detections.of([hands]), options.detector)
     return frame, tuple(hand for hand, is_finite in zip(hands, finite, strict=True) if is_finite)

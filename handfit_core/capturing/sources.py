@@ -61,6 +61,10 @@ NONE_SEEN: Final = (
     "no hand was found; draw a box around one that you see (--region on the command line, Find Hands in "
     "Blender), or try a lower detection threshold, such as 0.3"
 )
+MISSED: Final = (
+    "the picture may show another hand: draw a box around it (--region on the command line, Find Hands in "
+    "Blender)"
+)
 NONE_IN_REGION: Final = (
     "no hand was found, not in the region that was drawn either; draw the box closer around the hand, or "
     "over all of it, or lay a hand there yourself with Add Hand in Blender"
@@ -301,6 +305,8 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
         raise NoHandFoundError(f"{media.source.name}: {error if there else seen_none}") from None
     if not options.only_regions:
         _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
+        if seen.missed and hands not in SIDES and len(tracks) != most:
+            log.warning(MISSED, extra={"offer": "find_hands"})
     if most is None and len(tracks) > CROWD and not options.only_regions:
         log.warning(
             "%d hands are captured, and building so many takes long: --max-hands %d keeps the surest",
@@ -318,7 +324,7 @@ def _tell_of_others(hands: HandChoice, captured: int, seen: int) -> None:
     kept = "the surest was" if captured == 1 else f"the {captured} surest were"
     others = "draw boxes around others (--region, or Find Hands in Blender), or allow more (--max-hands)"
     advice = others if hands == "auto" else "take hands 'auto' to capture others"
-    log.warning("%s were seen, and %s captured: %s", named, kept, advice)
+    log.warning("%s were seen, and %s captured: %s", named, kept, advice, extra={"offer": "find_hands"})
 
 
 def _rate(media: Media, numbers: list[int]) -> float:

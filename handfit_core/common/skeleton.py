@@ -71,11 +71,14 @@ TIP_KEYPOINTS: Final = (4, 8, 12, 16, 20)
 
 
 def can_touch(point: int, other: int) -> bool:
-    """Whether a keypoint can be brought to a smaller one, 0 being the whole palm: one of them bends, and they
-    are not of one finger."""
-    same_finger = other > 0 and (point - 1) // 4 == (other - 1) // 4
-    bends = not {point, other} <= set(PALM_KEYPOINTS)
-    return 0 <= other < point < NUM_KEYPOINTS and bends and not same_finger
+    """True if a keypoint can be brought to a smaller one, 0 being the whole palm: one of them bends, and they
+    are not of one finger. For a negative `other`: if the bone that ends at the keypoint can be brought to the
+    one that ends at the smaller keypoint -other."""
+    smaller = abs(other)
+    same_finger = smaller > 0 and (point - 1) // 4 == (smaller - 1) // 4
+    rigid = {point, smaller} & set(PALM_KEYPOINTS)
+    apart = not same_finger and len(rigid) < (1 if other < 0 else 2)
+    return smaller < point < NUM_KEYPOINTS and apart
 
 
 KEYPOINT_SOURCE: Final = (

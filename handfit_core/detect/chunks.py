@@ -50,12 +50,15 @@ class Chunk:
     first: Thumbnail | None
     last: Thumbnail | None
     """Of its first and last readable pictures; None: there are none"""
+    misses: int = 0
+    """In how many of the frames of `counts` another hand is likely"""
 
     @classmethod
     def of(cls, finder: ClipFinder, numbers: list[int]) -> Chunk:
         """What a finder has found in the frames of these numbers."""
         first, last = (finder.thumbnails[0], finder.thumbnails[-1]) if finder.thumbnails else (None, None)
-        return cls(numbers, finder.frames, finder.tracked, finder.counts, finder.cuts, first, last)
+        seen = finder.frames, finder.tracked, finder.counts, finder.cuts
+        return cls(numbers, *seen, first, last, finder.misses)
 
 
 class ClipDetector(InChunks[Chunk]):

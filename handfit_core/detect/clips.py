@@ -18,11 +18,11 @@ from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
 from handfit_core.detect.keypoints import HandDetection
 from handfit_core.detect.matching import (
-    MATCHING,
     distance,
     hand_of_box,
     is_same_hand,
     mean_detection,
+    overlaps,
 )
 from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
 from handfit_core.detect.search import SEARCH, Search, tiles
@@ -134,6 +134,8 @@ class ClipFinder(Detector):
         """Indices of frames that begin another shot"""
         self.counts: list[int] = []
         """How many hands were seen at once, where palms were detected in the whole picture"""
+        self.misses = 0
+        """In how many of these frames another hand is likely"""
         self.thumbnails: list[Thumbnail] = []
         """Of the first and the last frame that could be read"""
         self.tracked: list[TrackedHand] = []
@@ -157,22 +159,26 @@ class ClipFinder(Detector):
         return self._frames
 
     def detect_in_box(
-        self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
+        self,
+        rgb: np.ndarray,
+        box: Sequence[float],
+        side: Side | None = None,
+        known: Sequence[HandDetection] = (),
     ) -> HandDetection | None:
         """The hand in a box of the last frame (see `Detector`), which is tracked from there, both ways."""
         index = len(self.frames) - 1
         checked = dict(zip(self.tracked, self.frames[index], strict=True))
-        tracked = hand_of_box((t.last for t in self.tracked), box)
-        hand = next((h for t, h in checked.items() if t.last is tracked), None)
-        hand = hand or self._searching.detect_in_box(rgb, box)
-        if hand is None:
+        known = [*(t.last for t in self.tracked), *known]
+        found = hand_of_box(known, box) or self._searching.detect_in_box(rgb, box, known)
+        if found is None:
             return None
+        hand = next((h for t, h in checked.items() if t.last is found), found)
         hand = replace(self._networks.with_keypoints_2020(rgb, hand), shown=True, given_side=side)
-        known = [t for t in self.tracked if t.last is tracked or is_same_hand(hand, t.last)]
-        self.tracked = [t for t in self.tracked if t not in known]
+        replaced = [t for t in self.tracked if t.last is found or overlaps(hand, [t.last])]
+        self.tracked = [t for t in self.tracked if t not in replaced]
         self.frames[index] = (*(checked[t] for t in self.tracked), hand)
         self._start_track(hand)
-        if not known:
+        if not replaced:
             self._track_back(self.tracked[-1], index, islice(self._past.backwards(), 1, None))
         return hand
 
@@ -258,6 +264,7 @@ class ClipFinder(Detector):
             height, width = rgb.shape[:2]
             found = self._detect_new(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.tracked) + len(found))
+            self.misses += self._searching.missed
             self._start_tracks(found, new)
         if not self.tracked:
             if self._search_wait > 0:
@@ -327,12 +334,6 @@ def _mean_with_crops(
     more = [networks.predict(rgb, crop) for crop in crops]
     hands = [hand, *(prediction.hand for prediction in more if prediction.presence >= min_presence)]
     return replace(mean_detection(hands), shown=hand.shown) if len(hands) > 1 else hand
-
-
-def overlaps(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
-    """Whether all of a hand lies where another one is: hands that cross share a place, but not with all their
-    points."""
-    return any(distance(hand, other) < MATCHING.same_hand_distance for other in others)
 
 
 def extend_track(

@@ -40,17 +40,24 @@ class Detector:
         rgb: np.ndarray,  # noqa: ARG002
         box: Sequence[float],  # noqa: ARG002
         side: Side | None = None,  # noqa: ARG002
+        known: Sequence[HandDetection] = (),  # noqa: ARG002
     ) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
-        given last: the one about whose keypoints the box is drawn, or what is detected there. `side` is the
-        side that the person names. In a clip the hand is tracked from there, both ways. None: there is
-        none."""
+        given last: the one about whose keypoints the box is drawn, or what is detected there beside the hands
+        that `find` returned and the `known` ones; where there is nothing else, the better detection of one of
+        these. `side` is the side that the person names. In a clip the hand is tracked from there, both ways.
+        None: there is none."""
         raise OptionError("this detector cannot look into a region of a picture; the detector direct can")
 
     @property
     def most_seen(self) -> int:
         """The most hands that were seen at once, be they more than are wanted; 0: they were not counted."""
         return 0
+
+    @property
+    def missed(self) -> bool:
+        """True if another hand is likely than those that were found."""
+        return False
 
     def close(self) -> None:
         """Give memory and threads back."""
@@ -74,6 +81,8 @@ class Detected:
     """The most hands that were seen at once, be they more than are wanted; 0: they were not counted"""
     cuts: tuple[int, ...] = ()
     """Rows that begin another shot"""
+    missed: bool = False
+    """True if another hand is likely than those that were found"""
 
 
 @dataclass(frozen=True)

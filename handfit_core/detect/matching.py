@@ -124,6 +124,12 @@ def is_same_hand(a: HandDetection, b: HandDetection) -> bool:
     return iou(a.keypoints_2d, b.keypoints_2d) > MATCHING.same_hand_iou
 
 
+def overlaps(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
+    """True if all of a hand lies where another one is: hands that cross share a place, but not with all their
+    points."""
+    return any(distance(hand, other) < MATCHING.same_hand_distance for other in others)
+
+
 def is_part_of(a: HandDetection, b: HandDetection) -> bool:
     """Whether the smaller of two detections may be a part of the other's hand; the order does not matter."""
     small, large = sorted((a, b), key=lambda hand: hand.extent)

@@ -22,19 +22,22 @@ def detect_frame(
     found = detector.find(frame.rgb, frame.time)
     for region in regions:
         if region.frame == frame.number or (first and region.frame is None):
-            found = (*found, *detect_region(detector, frame.rgb, region))
+            found = (*found, *detect_region(detector, frame.rgb, region, found))
     return found
 
 
-def detect_region(detector: Detector, rgb: np.ndarray | None, region: Region) -> tuple[HandDetection, ...]:
-    """The hand of a region of the picture that `find` was given last; () and a warning where there is
-    none."""
+def detect_region(
+    detector: Detector, rgb: np.ndarray | None, region: Region, known: Sequence[HandDetection] = ()
+) -> tuple[HandDetection, ...]:
+    """The hand of a region of the picture that `find` was given last, as `Detector.detect_in_box` finds it;
+    () and a warning where there is none."""
     box = (region.x, region.y, region.width, region.height)
-    hand = None if rgb is None else detector.detect_in_box(rgb, box, region.side)
+    hand = None if rgb is None else detector.detect_in_box(rgb, box, region.side, known)
     if hand is None:
         log.warning(
             "no hand was found in the region %g,%g,%g,%g: draw the box closer around it, or over all of "
             "it, or lay a hand there yourself with Add Hand in Blender",
             *box,
+            extra={"offer": "add_hand"},
         )
     return () if hand is None else (hand,)

@@ -13,7 +13,7 @@ import numpy as np
 
 from handfit_core.detect.crops import Crop, downscale
 from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection
+from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection, overlaps
 from handfit_core.detect.networks import (
     NETWORK,
     Networks,
@@ -81,6 +81,16 @@ class SearchSettings:
     max_neighbour_searches: int = 4
     """Hands about which others are searched"""
 
+    missed_probability: tuple[float, float] = (0.3, 0.18)
+    """Of a candidate beside an even and an odd number of hands, or tangled with one, that makes another hand
+    likely. Hands come in pairs, and around single ones there are no such candidates"""
+    missed_palm_score: float = 0.5
+    """Of a palm beside an odd number of hands that makes another hand likely"""
+    missed_palm_distance: tuple[float, float] = (0.8, 6.0)
+    """Hand sizes between such a palm and the nearest hand"""
+    missed_palm_size: tuple[float, float] = (0.5, 1.5)
+    """Side of its box in sizes of that hand"""
+
     same_candidate_distance: float = 0.15
     """Hand sizes; predictions nearer than this are of one candidate"""
     doubtful_probability: tuple[float, float] = (0.1, 0.85)
@@ -113,6 +123,13 @@ class SearchSettings:
     """Presence of a hand where a person says that there is one: the network need not be sure"""
     box_candidates: int = 4
     """Hands found in the most of these crops, on which test-time augmentation is run"""
+    box_min_presence_beside: float = 0.5
+    """Presence of a second hand in a box in which a known one is found, too"""
+    box_min_crops_beside: int = 3
+    """Crops that agree on it. Around single hands no more than two agree on what is none"""
+    box_better: float = 2.0
+    """What is found in the place of a known hand replaces it where presence times the crops that agree are so
+    many times as much"""
 
 
 SEARCH: Final = SearchSettings()
@@ -173,9 +190,16 @@ class Search:
         self._divisors = SEARCH.tile_divisors[:1] if plain else SEARCH.tile_divisors
         self._min_palm_score = SEARCH.plain_min_palm_score if plain else SEARCH.min_palm_score
         self._crop_count = 1 if plain or networks.quality == "draft" else NETWORK.augmentation_crops
+        self.missed = False
+        """True if the last search has left what may well be another hand"""
+        self._palms: list[Palms] = []
+        """That it has looked at"""
+        self._rejected: list[Candidate] = []
+        """Candidates that share their place with a likelier one"""
 
     def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
         """The hands of a picture, the likeliest first."""
+        self._palms, self._rejected = [], []
         longest = max(rgb.shape[:2])
         block = max(1, longest // SEARCH.max_palm_search_px)
         small = downscale(rgb, block, block)
@@ -200,24 +224,28 @@ class Search:
             neighbours = list(self._neighbour_crops(sure, max(rgb.shape)))
             if neighbours:
                 found = self._extend(rgb, self.detect_palms(rgb, neighbours), found)
-        return [
-            replace(candidate.hand, certainty=candidate.probability)
-            for candidate in self._verify(rgb, found)
-            if self._accepts(candidate)
-        ]
+        found = self._verify(rgb, found)
+        self._note_missed(found)
+        return [replace(c.hand, certainty=c.probability) for c in found if self._accepts(c)]
 
     def detect_new(
         self, rgb: np.ndarray, palms: Palms, known: Sequence[HandDetection]
     ) -> list[HandDetection]:
         """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
         have."""
+        self._palms, self._rejected = [], []
         sure = [Candidate(hand, 1.0, 1.0) for hand in known]
         found = self._extend(rgb, palms, sure, augment_all=False)
+        self._note_missed(found)
         return [c.hand for c in found if self._accepts(c) and c not in sure]
 
-    def detect_in_box(self, rgb: np.ndarray, box: Sequence[float]) -> HandDetection | None:
+    def detect_in_box(
+        self, rgb: np.ndarray, box: Sequence[float], known: Sequence[HandDetection] = ()
+    ) -> HandDetection | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
-        most rotated crops agree on. None where there is none."""
+        most rotated crops agree on, among those that do not lie on `known` hands of the picture. Where there
+        is none of these, it is the known hand itself, or what is clearly better in its place. None where
+        there is no hand."""
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
         groups: list[list[Prediction]] = []
@@ -225,12 +253,43 @@ class Search:
             if prediction is not None and _fits_box(prediction.hand, middle, size):
                 same = next((g for g in groups if _is_same(g[0].hand, prediction.hand)), None)
                 groups.append([prediction]) if same is None else same.append(prediction)
-        likely = sorted(groups, key=len, reverse=True)[: SEARCH.box_candidates]
-        augmented = [(self._augment(rgb, group[0], 0.5), len(group)) for group in likely]
-        best = max(augmented, key=lambda each: each[0].presence * (1 + each[1]), default=None)
-        if best is None or best[0].presence < SEARCH.box_min_presence:
-            return None
-        return replace(best[0].hand, certainty=best[0].probability)
+        groups.sort(key=len, reverse=True)
+
+        def known_at(hand: HandDetection) -> HandDetection | None:
+            return next((k for k in known if overlaps(hand, [k])), None)
+
+        new, _, count = self._best_of(rgb, [g for g in groups if known_at(g[0].hand) is None])
+        on_known = [g for g in groups if known_at(g[0].hand) is not None]
+        again, score, _ = self._best_of(rgb, on_known)
+        if new is not None and known_at(new.hand) is None:
+            beside = new.presence >= SEARCH.box_min_presence_beside and count >= SEARCH.box_min_crops_beside
+            if beside or (again is None and new.presence >= SEARCH.box_min_presence):
+                return replace(new.hand, certainty=new.probability)
+        kept = None if again is None else known_at(again.hand)
+        if again is None or kept is None or _is_same(again.hand, kept):
+            return kept
+        _, least, _ = self._best_of(rgb, [g for g in on_known if _is_same(g[0].hand, kept)])
+        better = score >= SEARCH.box_better * max(least, 1.0)
+        return replace(again.hand, certainty=again.probability) if better else kept
+
+    def _best_of(
+        self, rgb: np.ndarray, groups: Sequence[list[Prediction]]
+    ) -> tuple[Candidate | None, float, int]:
+        """The likeliest of groups of predictions that agree, the largest first, after test-time augmentation,
+        with its score and the size of its group; None and 0 where there are none."""
+        augmented = [(self._augment(rgb, g[0], 0.5), len(g)) for g in groups[: SEARCH.box_candidates]]
+        scored = [(c, c.presence * (1 + count), count) for c, count in augmented]
+        return max(scored, key=lambda each: each[1], default=(None, 0.0, 0))
+
+    def _note_missed(self, found: Sequence[Candidate]) -> None:
+        """Set `missed` from all candidates and palms of a search."""
+        hands = [c.hand for c in found if self._accepts(c)]
+        least = SEARCH.missed_probability[len(hands) % 2]
+        self.missed = any(
+            c.probability >= least and not overlaps(c.hand, hands)
+            for c in (*found, *self._rejected)
+            if not any(c.hand is hand for hand in hands)
+        ) or (len(hands) % 2 == 1 and any(_is_beside(palms, hands) for palms in self._palms))
 
     def _accepts(self, candidate: Candidate) -> bool:
         return candidate.probability >= self._threshold
@@ -310,6 +369,7 @@ class Search:
         """The known candidates and the hands of those palms after non-maximum suppression, the likeliest
         first. Unless `augment_all`, likely ones have one prediction only."""
         found = list(known)
+        self._palms.append(palms)
         predictions: dict[int, Prediction | None] = {}
         for i in range(len(palms)):
             palm_score = float(palms.score[i])
@@ -332,8 +392,8 @@ class Search:
                 found.append(first if enough else self._augment(rgb, prediction, palm_score))
         kept: list[Candidate] = []
         for candidate in sorted(found, key=lambda c: c.probability, reverse=True):
-            if not any(is_same_hand(candidate.hand, other.hand) for other in kept):
-                kept.append(candidate)
+            same_place = any(is_same_hand(candidate.hand, other.hand) for other in kept)
+            (self._rejected if same_place else kept).append(candidate)
         return kept
 
     def _augment(self, rgb: np.ndarray, first: Prediction, palm_score: float) -> Candidate:
@@ -363,6 +423,18 @@ def refine(
         if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
             break
     return prediction if prediction.presence >= min_presence else None
+
+
+def _is_beside(palms: Palms, hands: Sequence[HandDetection]) -> bool:
+    """True if one of these palms may well be that of another hand beside these hands (H >= 1)."""
+    size = np.array([hand.extent for hand in hands])
+    off = palms.centre[:, None] - np.array([hand.keypoints_2d.mean(axis=0) for hand in hands])
+    apart = np.linalg.norm(off, axis=-1) / size
+    ratio = palms.side / size[apart.argmin(axis=1)]
+    (near, far), (small, large) = SEARCH.missed_palm_distance, SEARCH.missed_palm_size
+    apart = apart.min(axis=1)
+    likely = palms.score >= SEARCH.missed_palm_score
+    return bool((likely & (apart > near) & (apart < far) & (ratio > small) & (ratio < large)).any())
 
 
 def _is_same(a: HandDetection, b: HandDetection) -> bool:

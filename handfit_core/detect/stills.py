@@ -36,6 +36,11 @@ class StillFinder(Detector):
         """The most hands of any picture so far."""
         return max(self._counts)
 
+    @property
+    def missed(self) -> bool:
+        """True if another hand is likely in the last picture."""
+        return self._search.missed
+
     def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
         """The hands of a picture (see `Detector`), the likeliest first, with their sides judged."""
         self._last = [] if rgb is None else self._search.detect_all(rgb)
@@ -48,10 +53,15 @@ class StillFinder(Detector):
         return tuple(_with_side_judged(hands))
 
     def detect_in_box(
-        self, rgb: np.ndarray, box: Sequence[float], side: Side | None = None
+        self,
+        rgb: np.ndarray,
+        box: Sequence[float],
+        side: Side | None = None,
+        known: Sequence[HandDetection] = (),
     ) -> HandDetection | None:
         """The hand in a box of the last picture (see `Detector`), with its side judged."""
-        hand = hand_of_box(self._last, box) or self._search.detect_in_box(rgb, box)
+        known = [*self._last, *known]
+        hand = hand_of_box(known, box) or self._search.detect_in_box(rgb, box, known)
         if hand is None:
             return None
         hand = self._networks.with_keypoints_2020(rgb, hand)

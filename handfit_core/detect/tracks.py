@@ -355,7 +355,9 @@ class _Merger:
         twice, often once as a left and once as a right one."""
         mine, theirs = self._concurrent(rows)
         hands, limit = self._hands, LINKING.overlap_distance
-        same = distances(hands, theirs, mine, limit) < limit
+        apart = distances(hands, theirs, mine, limit)
+        # A hand that a person has shown may be tangled with the other.
+        same = apart < np.where(hands.shown[mine], LINKING.duplicate_distance, limit)
         # Fingers may have been taken for another, smaller hand.
         smaller = hands.extent[mine] < LINKING.max_part_size * hands.extent[theirs]
         part = np.flatnonzero(~same & ~hands.shown[mine] & smaller)

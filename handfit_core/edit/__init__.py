@@ -5,7 +5,7 @@ Light to import: SciPy loads with the first range.
 """
 
 from handfit_core.edit.hand import Prop, RefineHand, SecondSight, second_sight
-from handfit_core.edit.handles import POINT_NAMES, gaps_between, landmark_points, touching_pair
+from handfit_core.edit.handles import POINT_NAMES, gaps_between, landmark_points, lying_over, touching_pair
 from handfit_core.edit.messages import answer, from_message, result_from_message, to_message
 from handfit_core.edit.refit import refit_each, refit_grip, refit_range, warm_up
 
@@ -18,6 +18,7 @@ __all__ = [
     "from_message",
     "gaps_between",
     "landmark_points",
+    "lying_over",
     "refit_each",
     "refit_grip",
     "refit_range",

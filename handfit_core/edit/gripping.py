@@ -42,7 +42,7 @@ def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: Shou
     fitter = fitter_of(model)
     own = _poses(fitter, hand, hand, posed[rows], rows)
     nothing = np.zeros((len(rows), 10))
-    grip = Grip(surface, Spheres(fitter.surface), turn[rows], place[rows], nothing, own)
+    grip = Grip(surface, Spheres(fitter.surface), turn[rows], place[rows], nothing, own, GRIPS.margin)
     grip, joints = _wanted(fitter, grip, prop.fingers)
     held[rows] = joints | np.asarray(hand.locked, dtype=bool)
     busy = np.flatnonzero(~held[rows].all(axis=1))
@@ -57,9 +57,10 @@ def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: Shou
 
 def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, np.ndarray]:
     """The grip with what is drawn to the prop, and the joints (B, 16) bool that are held."""
-    posed, points, skin = fitter.chain.pose(grip.captured), grip.points, _skin(fitter)
+    posed, points = fitter.chain.pose(grip.captured), grip.points
     gaps = grip.gaps(posed)[1]
-    palm = -replace(grip, points=skin, within=GRIPS.margin).gaps(posed)[1][:, skin.palm].min()
+    skin = SkinVertices(fitter.chain, np.flatnonzero(fitter.model.weights.argmax(axis=1) == 0))
+    palm = -replace(grip, points=skin).gaps(posed)[1].min()
     if palm > GRIPS.deepest_palm:
         raise OptionError(
             f"the prop is {1000 * palm:.0f} mm inside the palm; move it out of the palm, then grip again"
@@ -94,12 +95,9 @@ def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.nda
     along = (fitter.chain.points(own) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
     start = replace(own, depth_zero=along)
     start = _cheapest(fitter, observed, [start], held, EDITS.max_iterations, solid=True).state
-    skin = replace(grip, points=_skin(fitter), within=GRIPS.skin_reach)
+    every = SkinVertices(fitter.chain, np.arange(len(fitter.model.v_template)))
+    skin = replace(grip, points=every, within=GRIPS.skin_reach)
     near = np.isfinite(skin.gaps(fitter.chain.pose(start))[1]).any(axis=0)
     skin = replace(skin, points=SkinVertices(fitter.chain, np.flatnonzero(near)))
     observed = replace(observed, grip=skin)
     return _cheapest(fitter, observed, [start], held, EDITS.max_iterations, solid=True).state
-
-
-def _skin(fitter: FastFitter) -> SkinVertices:
-    return SkinVertices(fitter.chain, np.arange(len(fitter.model.v_template)))

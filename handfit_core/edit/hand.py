@@ -125,7 +125,8 @@ class RefineHand(HandMotion):
     """Whether a person laid it into the picture: its pose is a guess until pins say how it lies"""
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, most=np.inf, default=None)
     """Which other keypoint each one touches, skin to skin, the larger naming the smaller; 0 stands
-    for the palm, wherever it is nearest. NaN: none; None: none does"""
+    for the palm, wherever it is nearest. A negative one: the bones that end at both touch, wherever they are
+    nearest. NaN: none; None: none does"""
     second: SecondSight | None = None
     """What a second camera saw, for re-fitting a range; None: there is none"""
 
@@ -148,7 +149,7 @@ class RefineHand(HandMotion):
                 if not (float(other).is_integer() and can_touch(point, int(other))):
                     raise OptionError(
                         f"touches: keypoint {point} must name a smaller one of another finger, 0 for the "
-                        f"palm, or NaN; not {other:g}"
+                        f"palm, a negative one for bones, or NaN; not {other:g}"
                     )
 
     def __len__(self) -> int:

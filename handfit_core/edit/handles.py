@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.errors import OptionError
-from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, can_touch
+from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, PALM_KEYPOINTS, TIP_KEYPOINTS, can_touch
+from handfit_core.geometry.crossing import CROSSING_STARTS, Crossing
 from handfit_core.hand_model.chain import Chain
 from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.landmarks import detector_landmarks
@@ -24,6 +25,11 @@ POINT_NAMES: Final = (
     ),
 )
 """The 21 keypoints as artists read them, where they touch: the wrist's stands for the whole palm"""
+
+_MAX_FIRST_GAP: Final = 0.03
+"""metres between the skins of the thumb and the finger next to it that are pressed together"""
+_MAX_GAP: Final = 0.008
+"""metres; of other parts, which may well pass the same line of sight apart"""
 
 
 def touching_pair(one: int, other: int) -> tuple[int, int]:
@@ -44,15 +50,54 @@ def gaps_between(
     model: HandModel,
     betas: np.ndarray,
     hand_pose: np.ndarray,
-    points: tuple[int, int],
+    points: tuple[int, int] | np.ndarray,
 ) -> np.ndarray:
-    """(T,) metres between the skins at two points, as `touching_pair` gives them, of hands with betas (10,)
-    and hand_pose (T, 45); negative where they stand in each other."""
+    """(T,) metres between the skins at two points, a pair or (T, 2) as in `RefineHand.touches`, of hands with
+    betas (10,) and hand_pose (T, 45); negative where they stand in each other."""
     surface, count = surface_of(model), len(hand_pose)
     capsules = surface.of(
         np.broadcast_to(np.asarray(betas, dtype=np.float64), (count, len(betas))), hand_pose
     )
-    return surface.gaps_at(capsules, np.arange(count), np.tile(points, (count, 1))).gap
+    return surface.gaps_at(capsules, np.arange(count), np.broadcast_to(points, (count, 2))).gap
+
+
+def lying_over(
+    model: HandModel, betas: np.ndarray, hand_pose: np.ndarray, pixels: np.ndarray
+) -> list[dict[int, int]]:
+    """The touches, as in `RefineHand.touches`, of what lies over each other in the pictures of T hands with
+    betas (10,), hand_pose (T, 45) and keypoints at pixels (T, 21, 2): of each finger the bone that crosses
+    the thumb, and fingertips on the palm. Where several bones of a finger cross the thumb, those that are
+    nearest to each other in space; what is far apart there is left out."""
+    hand, pair = np.nonzero(Crossing.of(pixels).crossed)
+    crossing = (CROSSING_STARTS[pair][:, ::-1] + 1) * [1, -1]
+    over_palm, tip = np.nonzero(_inside(pixels[:, TIP_KEYPOINTS], pixels[:, PALM_KEYPOINTS]))
+    on_palm = np.stack([np.array(TIP_KEYPOINTS)[tip], np.zeros_like(tip)], axis=1)
+    rows, points = np.concatenate([hand, over_palm]), np.concatenate([crossing, on_palm])
+    found: list[dict[int, int]] = [{} for _ in pixels]
+    if not len(rows):
+        return found
+    gaps = gaps_between(model, betas, hand_pose[rows], points)
+    taken: set[tuple[int, int, bool]] = set()
+    for at in np.argsort(gaps):
+        row, (point, other) = int(rows[at]), points[at].tolist()
+        part = row, (point - 1) // 4, other == 0
+        first = other < 0 and not any(found[row].values())
+        near = gaps[at] < (_MAX_FIRST_GAP if first else _MAX_GAP)
+        if near and part not in taken and (other or point not in found[row]):
+            taken.add(part)
+            found[row][point] = other
+    return found
+
+
+def _inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(T, P) bool: which points (T, P, 2) lie in the polygons with these corners (T, C, 2)."""
+    x, y = points[:, :, None, 0], points[:, :, None, 1]
+    start, end = corners[:, None], np.roll(corners, -1, axis=1)[:, None]
+    across = (start[..., 1] > y) != (end[..., 1] > y)
+    with np.errstate(all="ignore"):
+        share = (y - start[..., 1]) / (end[..., 1] - start[..., 1])
+    left = x < start[..., 0] + share * (end[..., 0] - start[..., 0])
+    return np.asarray((across & left).sum(axis=-1) % 2 == 1)
 
 
 def landmark_points(

@@ -115,14 +115,14 @@ class GripSettings:
     """Factor of the expected errors of the landmarks of the pose that is corrected"""
     angle_sigma: float = math.radians(15.0)
     """radians: deviation of a finger's angles from those of the pose"""
-    palm_gives_way: float = 0.001
+    palm_gives_way: float = 0.002
     """metres of the palm's depth in the prop from which the wrist moves"""
     deepest_palm: float = 0.008
     """metres of that depth from which it would have to move too far"""
-    skin_reach: float = 0.012
+    skin_reach: float = 0.008
     """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
-    margin: float = 0.03
-    """metres around the hand in which the prop's faces count"""
+    margin: float = 0.04
+    """metres around the hand, and around the middle of a finger, in which the prop's faces count"""
 
 
 GRIPS: Final = GripSettings()

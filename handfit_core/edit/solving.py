@@ -130,7 +130,7 @@ class _Frames(Batch):
         fingers = np.zeros((len(self), 5), dtype=bool)
         if self.touches is not None:
             row, point = np.nonzero(np.isfinite(self.touches))
-            for points in (point, self.touches[row, point].astype(int)):
+            for points in (point, np.abs(self.touches[row, point]).astype(int)):
                 at = ~np.isin(points, PALM_KEYPOINTS)
                 fingers[row[at], (points[at] - 1) // 4] = True
         return fingers
@@ -149,10 +149,9 @@ class _Frames(Batch):
         displaced = pinning.displacement(pins, self.seen.pixels)
         forget = pinning.propagate(displaced)
         seen = pinning.blend_to_detection(self.seen, self.detected, forget)
-        uncertainty = pinning.propagate(
-            _with_touches(self.fitter, self.intrinsics, self.own, self.touches, displaced)
-        )
-        seen = pinning.apply_pins(seen, pins, uncertainty)
+        touched = self.fitter, self.intrinsics, self.own, self.touches, displaced
+        uncertainty = pinning.propagate(_with_touches(*touched))
+        seen = pinning.apply_pins(seen, pins, pinning.propagate(_with_touches(*touched, seen=True)))
         held = self.locked | _joints(np.ones(len(pins), dtype=bool), self._idle)
         free_distance = np.full(len(pins), np.inf)
         # A pin that a finger cannot reach must not pull it beyond what joints can do.
@@ -357,8 +356,11 @@ def _with_touches(
     state: State,
     touches: np.ndarray | None,
     displaced: np.ndarray,
+    *,
+    seen: bool = False,
 ) -> np.ndarray:
-    """(B, 21) pixels by which pins displace points, increased by what touches (B, 21) do.
+    """(B, 21) pixels by which pins displace points, increased by what touches (B, 21) do; `seen`: by what can
+    be seen of that, across the line of sight.
 
     Either finger of a touch may have to close the whole gap; the palm does not move for it.
     """
@@ -367,8 +369,14 @@ def _with_touches(
     row, point = np.nonzero(np.isfinite(touches))
     other = touches[row, point].astype(int)
     capsules = fitter.surface.capsules(fitter.chain.pose(state))
-    gap = np.abs(fitter.surface.gaps_at(capsules, row, np.stack([point, other], axis=1)).gap)
+    near = fitter.surface.gaps_at(capsules, row, np.stack([point, other], axis=1))
+    gap = np.abs(near.gap)
+    if seen:
+        sight = near.places.mean(axis=1)
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        gap *= np.linalg.norm(np.cross(near.towards, sight), axis=1)
     gap *= 0.5 * (intrinsics.fx + intrinsics.fy) / state.wrist[row, 2]
+    other = np.abs(other)
     most = pinning.propagate(displaced)
     most = gap + np.maximum(most[row, point], np.where(other > 0, most[row, other], 0.0))
     drawn = displaced.copy()

@@ -93,7 +93,7 @@ class Grip(Batch):
     """(B, 10) how firmly each pad is drawn to the prop, 0..1"""
     captured: State
     """Where the wrists were"""
-    within: float = np.inf
+    within: float
     """metres beyond which points do not count"""
 
     def gaps(self, posed: Posed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -40,6 +40,10 @@ edge"""
 _CAP: Final = 0.1
 """Height of the cap, in parts of the length from the middle knuckle to the edge"""
 
+_BEND: Final = (-0.06, 0.26)
+"""Where the wrist's skin bends: distances behind the wrist joint, in parts of the length from the middle
+knuckle to it"""
+
 
 def wrist_ring(polygons: np.ndarray) -> np.ndarray:
     """The vertices (R,) of a mesh's open edge, in the order in which its polygons (P, 3 or 4) walk it; empty
@@ -97,6 +101,16 @@ def with_wrist(model: HandModel, wrist: Wrist) -> HandModel:
     for array in changed.values():
         array.setflags(write=False)
     return replace(model, **changed)
+
+
+def forearm_share(model: HandModel) -> np.ndarray:
+    """(V,) the part of the wrist's skin weight that a forearm bone takes over, 0..1: from 0 at the wrist to 1
+    beyond it."""
+    joints = model.shaped().joints
+    along = joints[0] - joints[FINGER_JOINTS["middle"][0]]
+    behind = (model.v_template - joints[0]) @ along / (along @ along)
+    share = np.clip((behind - _BEND[0]) / (_BEND[1] - _BEND[0]), 0.0, 1.0)
+    return model.weights[:, 0] * share * share * (3.0 - 2.0 * share)
 
 
 def _behind(edge: np.ndarray, knuckle: np.ndarray, wrist: Wrist) -> np.ndarray:

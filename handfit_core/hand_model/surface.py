@@ -166,11 +166,14 @@ class Surface:
     def gaps_at(self, capsules: Capsules, hand: np.ndarray, points: np.ndarray) -> Near:
         """The gaps between keypoints (K, 2) of hands (K,), which are spheres around joints and in fingertips.
 
-        0, as the second one, is the palm where it is nearest to the first.
+        0, as the second one, is the palm where it is nearest to the first. Where the second one is negative,
+        the gap is that between the bones that end at both, where they are nearest to each other.
         """
+        palm, whole = points[:, 1] == 0, points[:, 1] < 0
+        points = np.abs(points)
         level = (points - 1) % 4
         bones, along = 3 * ((points - 1) // 4) + np.minimum(level, 2), (level == 3) * 1.0
-        palm = points[:, 1] == 0
+        bones[whole] = (3 * ((points - 1) // 4) + level - 1)[whole]
         least = np.full(len(hand), np.inf)
         best, places = bones.copy(), np.empty((len(hand), 2, 3))
         for metacarpal in range(PALM, NUM_BONES) if palm.any() else (PALM,):
@@ -178,6 +181,7 @@ class Surface:
             ends_a, _, ends_b, radii_b = parts = capsules.of(hand, bones)
             centre = ends_a[:, 0] + along[:, :1] * (ends_a[:, 1] - ends_a[:, 0])
             along[palm, 1] = _Axis.of(ends_b, radii_b).nearest(centre)[palm]
+            along[whole] = nearest_along(*(each[whole] for each in parts))
             there, gap = gaps_along(*parts, along)
             nearer = gap < least
             least[nearer], best[nearer], places[nearer] = gap[nearer], bones[nearer], there[nearer]

@@ -186,9 +186,17 @@ class LiveReader:
     answer, are tried again until it is closed.
     """
 
-    def __init__(self, source: LiveSource, size: tuple[int, int] = (640, 480), fps: float = 30.0) -> None:
-        """`size` in pixels and `fps` are what a camera is asked for."""
-        self._source, self._size, self._fps = source, size, fps
+    def __init__(
+        self,
+        source: LiveSource,
+        size: tuple[int, int] = (640, 480),
+        fps: float = 30.0,
+        *,
+        loop: bool = False,
+    ) -> None:
+        """`size` in pixels and `fps` are what a camera is asked for; `loop`: a file begins again at its
+        end."""
+        self._source, self._size, self._fps, self._loop = source, size, fps, loop
         self._changed = threading.Condition()
         self._stop = threading.Event()
         self._newest: LivePicture | None = None
@@ -252,7 +260,7 @@ class LiveReader:
             with contextlib.closing(
                 _captured(source, self._size, self._fps, stop, self._say)
                 if source.file is None
-                else _played(source.file, stop)
+                else _played(source.file, stop, loop=self._loop)
             ) as pictures:
                 for decode in pictures:
                     self._put(decode)
@@ -276,17 +284,20 @@ class LiveReader:
             recorder.put(picture)
 
 
-def _played(file: str, stop: threading.Event) -> Generator[Decode, None, None]:
-    """What decodes each picture of a file, at its time, until `stop`. Raises InputError."""
-    media = open_media(file)
-    began: float | None = None
-    with contextlib.closing(media):
-        for frame in media.frames():
-            now = time.perf_counter()
-            began = now if began is None else began
-            if stop.wait(max(0.0, began + frame.time - now)):
+def _played(file: str, stop: threading.Event, *, loop: bool) -> Generator[Decode, None, None]:
+    """What decodes each picture of a file, at its time, until `stop`; with `loop` again and again. Raises
+    InputError."""
+    with contextlib.closing(open_media(file)) as media:
+        while not stop.is_set():
+            began: float | None = None
+            for frame in media.frames():
+                now = time.perf_counter()
+                began = now if began is None else began
+                if stop.wait(max(0.0, began + frame.time - now)):
+                    return
+                yield partial(getattr, frame, "rgb")
+            if not loop or began is None or stop.wait(1.0 / media.fps):
                 return
-            yield partial(getattr, frame, "rgb")
 
 
 def _captured(

@@ -14,9 +14,10 @@ from handfit_core.capturing.options import OPTIONS, CaptureOptions
 from handfit_core.capturing.pipeline import add_arms_to_file, capture_to_file
 from handfit_core.capturing.retiming import check_rate, is_other_rate
 from handfit_core.capturing.sources import open_input
-from handfit_core.common.arrays import pack
+from handfit_core.common.arrays import pack, unpack
 from handfit_core.common.errors import PictureSizeError
 from handfit_core.common.files import written_whole
+from handfit_core.detect.keypoints import HandDetection
 from handfit_core.interchange.opening import RELATIVE
 from handfit_core.media.chessboard import measure_lens
 from handfit_core.media.lenses import checked_name, save_lens
@@ -126,10 +127,12 @@ def probe(message: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find(message: Mapping[str, Any]) -> dict[str, Any]:
-    """All hands of the first used frame, and a copy of that frame for people to look at. Raises what
-    `detection.find_in_frame` raises, and OutputError."""
-    picture = message.get("picture")
-    frame, hands = find_in_frame(_source(message), CaptureOptions.of_message(message.get("options") or {}))
+    """All hands of the first used frame, those of regions beside the `known` ones, and a copy of that frame
+    for people to look at. Raises what `detection.find_in_frame` raises, and OutputError."""
+    picture, options = message.get("picture"), CaptureOptions.of_message(message.get("options") or {})
+    places = (np.pad(unpack(each).astype(float), [(0, 0), (0, 1)]) for each in message.get("known", ()))
+    known = [HandDetection("right", 1.0, keypoints, np.zeros_like(keypoints)) for keypoints in places]
+    frame, hands = find_in_frame(_source(message), options, known)
     assert frame.rgb is not None
     if picture is not None:
         _write_picture(frame.rgb, picture)

@@ -55,10 +55,11 @@ def encode(message: Mapping[str, Any]) -> bytes:
 
 
 @contextlib.contextmanager
-def log_warnings_to(say: Callable[[str], None]) -> Iterator[None]:
-    """Within, `say` gets each warning that the core logs, as one line of text."""
+def log_warnings_to(say: Callable[[str, str], None]) -> Iterator[None]:
+    """Within, `say` gets each warning that the core logs, as one line of text, and the record's `offer`: the
+    name of Blender's operator that helps, or nothing."""
     handler = logging.Handler(logging.WARNING)
-    handler.emit = lambda record: say(" ".join(record.getMessage().split()))
+    handler.emit = lambda record: say(" ".join(record.getMessage().split()), getattr(record, "offer", ""))
     log = logging.getLogger("handfit")
     log.addHandler(handler)
     try:

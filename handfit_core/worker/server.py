@@ -85,11 +85,11 @@ class Server:
         finally:
             self._finished.set()
 
-    def warn(self, message: str) -> None:
-        """Tell the client of something that the current request ran into."""
+    def warn(self, message: str, offer: str = "") -> None:
+        """Tell the client of something that the current request ran into, and of the operator that helps."""
         job = self._current
         if job is not None:
-            self._send(event="warning", id=job.number, message=message)
+            self._send(event="warning", id=job.number, message=message, offer=offer)
 
     # The reading thread
 

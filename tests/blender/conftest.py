@@ -239,8 +239,8 @@ def armature(make_take):
 
 
 def built_model(model: str, side: Side) -> HandModel:
-    """The model with the forearm that hands are built with."""
-    return with_wrist(load_model(model, side), "forearm")
+    """The model with the cap that hands are built with."""
+    return with_wrist(load_model(model, side), "cap")
 
 
 def _track(hand, side: Side, count: int, intrinsics: Intrinsics, rng: np.random.Generator):

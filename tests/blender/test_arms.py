@@ -21,10 +21,12 @@ from blender_manient.scene.onto_character import is_keyframed
 from blender_manient.scene.store import captured_take, hand_of, kept_take
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import other_side
+from handfit_core.hand_model import load_model
+from handfit_core.hand_model.forearm import with_wrist, wrist_ring
 from tests.capturing import needs_capture
 from tests.takes import with_arms
 
-from .conftest import action_curves, shown_bones, world
+from .conftest import action_curves, evaluated_vertices, shown_bones, world
 from .importing import read_back
 
 pytestmark = pytest.mark.usefixtures("registered")
@@ -100,6 +102,51 @@ def test_fewer_keys_and_all_of_them(make_take, later: bool):
     for operator in (lambda: {"FINISHED"}, bpy.ops.manient.restore_keys):
         assert operator() == {"FINISHED"}
         assert arm_error(built.hands[0], arm, take.frame_numbers) < 2e-2
+
+
+@pytest.mark.parametrize("when", ["captured", "added later", "taken away again"])
+def test_the_skin_behind_the_wrist_follows_it(make_take, when: str):
+    """To the elbow, and without wringing where the hand is twisted; without an arm it is the hand's."""
+    take = make_take(sides=("right",)).take
+    found = with_arms(take)
+    arm = found.hands[0].arm
+    assert arm is not None
+    along = arm.elbow - arm.wrist
+    side = np.cross(along, [0.0, 0.0, 1.0])
+    side *= 0.25 / np.linalg.norm(side, axis=1, keepdims=True)
+    turn = 0.8 * side - 0.4 * along  # by 53 degrees
+    bent = replace(arm, elbow=arm.elbow + turn, shoulder=arm.shoulder + turn)
+    found = replace(found, hands=(replace(found.hands[0], arm=bent),))
+    built = build_take(take if when == "added later" else found)
+    armature, mesh = built.hands[0].armature, built.hands[0].mesh
+    if when == "added later":
+        assert armature.manient.wrist == "cap"
+        add_arms(built.collection, found)
+    assert armature.manient.wrist == "forearm"
+    if when == "taken away again":
+        bpy.context.view_layer.objects.active = armature
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.armature.select_all(action="DESELECT")
+        for name in ArmBones(armature).bones:
+            bone = armature.data.edit_bones[name]
+            bone.select = bone.select_head = bone.select_tail = True
+        bpy.ops.armature.delete()
+        bpy.ops.object.mode_set(mode="OBJECT")
+        bent = arm
+    model, betas = load_model("open-hand", "right"), take.hands[0].betas
+    flat = with_wrist(model, "forearm").shaped(betas).vertices
+    added = slice(-1 - 3 * len(wrist_ring(model.polygons)), -1)  # the last three rings
+    for row in np.flatnonzero(arm.present):
+        bpy.context.scene.frame_set(int(take.frame_numbers[row]))
+        ring = evaluated_vertices(mesh)[added]
+        wrist, elbow = world(bent.wrist[row]), world(bent.elbow[row])
+        axes = [ring.mean(axis=0) - wrist, elbow - wrist]
+        cosine = np.dot(*axes) / np.prod(np.linalg.norm(axes, axis=1))
+        assert cosine > np.cos(np.radians(8.0))
+        apart, expected = (np.linalg.norm(points - points[0], axis=1) for points in (ring, flat[added]))
+        np.testing.assert_allclose(apart, expected, atol=1e-3)
+    armature.manient.forearm = False
+    assert np.linalg.norm(evaluated_vertices(mesh)[added] - wrist, axis=1).max() < 0.05
 
 
 def test_a_retimed_clip_has_it_at_the_scenes_rate(make_take, picture):

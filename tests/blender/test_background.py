@@ -249,15 +249,9 @@ def test_every_picture_that_blender_would_show_is_looked_at(make_take, tmp_path)
         assert "there is no such file" in build_take(take).warnings[0]
 
 
-def test_no_thumbnail_and_no_drop_of_what_may_not_be_read(tmp_path):
+def test_no_drop_of_what_may_not_be_read(tmp_path):
     clip(tmp_path / "hidden.mp4")
-    listed = playlists(str(tmp_path / "hidden.mp4"))["hls"]
-    contents = {"good.png": with_claimed_size(".png", 80, 48), "list.mp4": listed}
-    contents["large.png"] = with_claimed_size(".png", 16000, 15000)
-    for name, content in contents.items():
-        (tmp_path / name).write_bytes(content)
-        settings = SimpleNamespace(source=str(tmp_path / name), as_sequence=False)
-        assert source_info.of(settings).can_be_shown == (name == "good.png")
+    (tmp_path / "list.mp4").write_bytes(playlists(str(tmp_path / "hidden.mp4"))["hls"])
     for name in ("list.mp4", "hidden.mp4"):
         footage = source_info.dropped_footage(SimpleNamespace(camera="SOLVE"), tmp_path / name)
         assert (footage is None) == (name == "list.mp4")

@@ -13,7 +13,6 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from blender_manient.operators.capture import new_job
 from blender_manient.panels.capture import MANIENT_PT_capture
-from blender_manient.panels.source import MANIENT_PT_source
 from blender_manient.scene.keys import read_pose_keys
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import jobs, shared_worker, source_info
@@ -51,7 +50,7 @@ def submitted():
     return job
 
 
-def test_stop_takes_the_place_of_capture_and_is_grey_while_hands_are_built(photo, settings):
+def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo, settings):
     settings.source = str(photo)
     job = submitted()
     try:
@@ -81,7 +80,7 @@ def test_photo(photo, settings):
     (hand,) = hands()
     assert (hand.side, len(hand.take.frame_numbers)) == ("right", 1)
     assert hand.track.refinable
-    assert hand.armature.manient.wrist == "forearm"
+    assert hand.armature.manient.wrist == "cap"
     assert bpy.context.view_layer.objects.active == hand.armature
     assert bpy.context.scene.camera == hand.camera
     (job,) = jobs.jobs()
@@ -126,7 +125,7 @@ def test_a_shot_keeps_its_time_and_the_hand_begins_where_the_button_was_pressed(
     assert (scene.render.fps, scene.render.resolution_x, scene.camera) == (24, 1920, None)
     assert tuple(hand.armature.animation_data.action.frame_range) == (1010.0, 1013.0)
     assert not job.matched
-    assert job.scene_message == "Hand came at frame 1010, 24 fps: the scene stays as it is"
+    assert job.scene_message == "Scene stays, hand at frame 1010, 24 fps"
     settings.matching = "MATCH"
     capture()
     assert (scene.frame_start, scene.frame_end) == (3, 6)
@@ -217,6 +216,17 @@ def test_what_is_missing_is_said_before_anything_starts(settings, values, said):
     with pytest.raises(HandfitError, match=said):
         new_job(bpy.context, only_frame=False)
     assert shared_worker.current() is None or not shared_worker.current().alive
+
+
+@pytest.mark.parametrize(("frame", "there"), [(5, True), (25, False), (0, False), (-39, False)])
+def test_a_frame_outside_the_clip_is_refused(settings, frame, there):
+    settings.source, settings.as_sequence = str(SAMPLE / "hand.0003.jpg"), True  # 1 to 24
+    bpy.context.scene.frame_set(frame)
+    if there:
+        assert new_job(bpy.context, only_frame=True).options.frames.first == frame
+    else:
+        with pytest.raises(HandfitError, match="go to its frames 1 to 24"):
+            new_job(bpy.context, only_frame=True)
 
 
 def test_settings_become_the_options_of_the_worker(settings):
@@ -312,8 +322,8 @@ def test_the_cameras_own_clip_lies_where_the_camera_shows_it(settings, own_camer
         first, part = 98, np.ones(2)  # the first file's
     assert bpy.ops.manient.use_background_clip() == {"FINISHED"}
     assert (settings.source, settings.camera) == (str(path), "ACTIVE")
-    assert "Camera's Clip" in drawn(MANIENT_PT_source).rows
-    assert f"Hand comes at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
+    assert "Camera's clip" in drawn(MANIENT_PT_capture).said
+    assert f"Hand at frame {first}, with the camera's clip" in drawn(MANIENT_PT_capture).said
     if kind == "MOVIE":
         assert source_info.dropped_footage(settings, path).placed.offset == first - 1
     settings.matching = "MATCH"  # which the scene is not, since the clip is in it
@@ -369,6 +379,17 @@ def solved(path: Path):
     return clip
 
 
+def test_a_tracked_clip_whose_file_is_gone(settings, own_camera, tmp_path):
+    settings.source = str(SAMPLE)
+    path = pictures(tmp_path, "SEQUENCE")
+    solved(path)
+    shutil.move(path, tmp_path / "elsewhere.jpg")
+    assert own_camera == bpy.context.scene.camera
+    with pytest.raises(RuntimeError, match="not there any more"):
+        bpy.ops.manient.use_background_clip()
+    assert (settings.source, settings.camera) == (str(SAMPLE), "SOLVE")
+
+
 @needs_capture
 @pytest.mark.parametrize("how", ["animated", "solver"])
 def test_a_tracked_clip_is_the_scene_cameras(settings, own_camera, tmp_path, how):
@@ -385,7 +406,7 @@ def test_a_tracked_clip_is_the_scene_cameras(settings, own_camera, tmp_path, how
         own_camera.constraints.new("CAMERA_SOLVER").clip = clip
     settings.source, settings.as_sequence = str(path), True
     assert settings.camera == "ACTIVE"
-    assert "Tracked Clip" in drawn(MANIENT_PT_source).rows
+    assert "Tracked clip" in drawn(MANIENT_PT_capture).said
     capture()
     (hand,) = hands()
     assert hand.armature.animation_data.action.frame_range[:] == (101, 110)
@@ -409,8 +430,8 @@ def test_removing_takes_the_picture_from_the_artists_camera(settings, own_camera
     assert len(own_camera.data.background_images) == 1
     assert bpy.ops.manient.remove_capture(capture=first.name) == {"FINISHED"}
     assert len(own_camera.data.background_images) == 1
-    assert [job.gone for job in jobs.jobs()] == ["Removed", ""]
-    assert "Removed" in drawn(MANIENT_PT_capture).said
+    assert [job.is_gone for job in jobs.jobs()] == [True, False]
+    assert drawn(MANIENT_PT_capture).said.count("1 hand in 1 frame") == 1
     assert bpy.ops.manient.remove_capture(capture=second.name) == {"FINISHED"}
     assert (len(own_camera.data.background_images), len(bpy.data.images)) == (0, 0)
     capture()

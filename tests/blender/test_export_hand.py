@@ -219,6 +219,19 @@ def test_a_hand_that_something_carries_moves_in_the_world(make_take, tmp_path, f
             np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
 
 
+def test_a_hand_whose_parent_was_deleted_is_written_where_it_is(make_take, tmp_path):
+    made, built = build(make_take(sides=("right",)))
+    armature, carrier = built.hands[0].armature, bpy.data.objects.new("carrier", None)
+    armature.parent, carrier.location = carrier, (1.0, 2.0, 3.0)
+    bpy.data.objects.remove(carrier)
+    frame = made.seen[-1][1]
+    bpy.context.scene.frame_set(frame)
+    expected = joint_heads(armature, "right")
+    read_back(write(tmp_path / "a.glb", file_format="glb"), first=bpy.context.scene.frame_start)
+    bpy.context.scene.frame_set(frame)
+    np.testing.assert_allclose(joint_heads(imported("right"), "right"), expected, atol=5e-4)
+
+
 NO_BONES = "the bone 'wrist.R' and 15 others"
 
 

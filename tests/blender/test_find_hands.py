@@ -11,7 +11,8 @@ import pytest
 
 from blender_manient.operators.capture import new_job
 from blender_manient.operators.find_hands import MANIENT_OT_find_hands, chosen_source
-from blender_manient.operators.modes.choice import Choice, FoundHand
+from blender_manient.operators.modes.choice import FOUND_AGAIN, Choice, FoundHand
+from blender_manient.operators.modes.find_hands import FindMode
 from blender_manient.operators.modes.view import MAX_ZOOM, PictureView
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.scene.store import captured_hands
@@ -86,6 +87,24 @@ def test_a_hand_of_a_box_is_found_again_by_the_box_and_replaces_what_was_taken_f
     choice.add(FoundHand.of(answered(202, side="left"), drawn=box))
     assert state(choice) == [(100, "right", True), (300, "right", True), (202, "left", True)]
     assert choice.regions(None)[-1] == Region(*box)
+
+
+def test_what_a_box_shows_again_stays_and_is_said(choice):
+    """The search answers with a hand that is shown where the box has nothing better."""
+    before, box = state(choice), (170.0, 70.0, 60.0, 60.0)
+    assert "Add Hand" in choice.add(FoundHand.of(answered(200, side="left"), drawn=box))
+    assert state(choice) == before
+    assert not choice.undo()
+    assert "better" in choice.add(FoundHand.of(answered(202, side="left"), drawn=box))
+    assert choice.add(FoundHand.of(answered(250, side="left"), drawn=box)) == ""
+    assert len(choice.hands) == 4
+
+
+def test_a_box_of_two_pixels_is_not_searched():
+    mode = FindMode.__new__(FindMode)
+    mode.picture_view, mode.choice, mode.message = PictureView((640, 480)), Choice(), ""
+    mode.search_box(np.array([[10.0, 10.0], [12.0, 12.0]]))
+    assert mode.message.startswith("The box is too small")
 
 
 def test_the_hand_that_is_pointed_at(choice):
@@ -185,10 +204,16 @@ def test_what_was_found_and_turned_is_built(settings, tmp_path):
     choice.show(found["hands"], settings.hands)
     ((_, side, chosen),) = state(choice)
     assert (side, chosen) == ("right", True)
+    box = tuple(np.add(choice.hands[0].box, [-20.0, -20.0, 40.0, 40.0]).tolist())
+    known = [pack(choice.hands[0].points.astype(np.float32))]
+    (again,) = worker.wait(worker.submit("find", **source.fields(box), known=known), timeout=120)["hands"]
+    assert choice.add(FoundHand.of(again, drawn=box)) == FOUND_AGAIN
     choice.flip_side(choice.hands[0])
-    jobs.submit(new_job(bpy.context, only_frame=False, regions=choice.regions(source.frame)))
+    regions = (*choice.regions(source.frame), Region(1.0, 1.0, 2.0, 2.0))
+    jobs.submit(new_job(bpy.context, only_frame=False, regions=regions))
     (job,) = jobs.run()
     assert job.state == "done", job.message
+    assert job.offer == "add_hand"
     (armature,) = captured_hands(bpy.context.scene)
     assert armature.manient.side == "left"
 

@@ -3,6 +3,8 @@ viewport."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 
 from blender_manient.common.screen import zoom_and_offset
+from blender_manient.operators import base
 from blender_manient.operators.modes.drawing import RADIUS, Picture, handle_sizes
 from blender_manient.scene.camera import lens_of_camera
 from handfit_core.common.errors import OptionError
@@ -90,3 +93,15 @@ def test_projects_as_blender_does(fit, size):
     data.type = "ORTHO"
     with pytest.raises(OptionError, match="perspective"):
         lens_of_camera(camera, scene)
+
+
+def test_disabling_meanwhile_ends_the_timer_and_the_line_in_the_status_bar(monkeypatch):
+    said, ended = [], []
+    manager = SimpleNamespace(event_timer_remove=ended.append)
+    workspace = SimpleNamespace(status_text_set=said.append)
+    monkeypatch.setattr(
+        base, "bpy", SimpleNamespace(context=SimpleNamespace(window_manager=manager, workspace=workspace))
+    )
+    monkeypatch.setitem(base.ModalOperator.running, "MANIENT_OT_edit_keypoints", base.ModalState("its timer"))
+    base.unregister()
+    assert (said, ended, base.ModalOperator.running) == ([None], ["its timer"], {})

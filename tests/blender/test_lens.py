@@ -8,7 +8,7 @@ import bpy
 import pytest
 
 from blender_manient.operators.capture import new_job
-from blender_manient.panels.capture import MANIENT_PT_capture_advanced
+from blender_manient.panels.advanced import MANIENT_PT_advanced
 from blender_manient.scene.store import captured_hands, hand_of
 from blender_manient.session import properties
 from handfit_core.common.errors import OptionError
@@ -34,7 +34,7 @@ def test_measured_lenses_are_offered_by_name(settings):
     settings.camera = "LENS"
     with pytest.raises(OptionError, match="choose the measured lens"):
         new_job(bpy.context, only_frame=False)
-    page = drawn(MANIENT_PT_capture_advanced)
+    page = drawn(MANIENT_PT_advanced)
     assert {"Chessboard", "Measure"} <= set(page.rows)
     assert "Film the chessboard for half a minute" in page.said
     for name in ("my/phone", "Webcam 📷"):

@@ -21,6 +21,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.lenses import MeasuredLens, save_lens
 from tests.capturing import needs_capture
+from tests.conftest import ROOT
 from tests.drawn import drawn
 
 from .characters import build_armature, hand_specs, joint_name, map_of
@@ -286,6 +287,14 @@ def test_a_file_that_is_saved_meanwhile_holds_no_live_hand(settings, tmp_path):
     assert session.over
     assert not session.worker.alive
     assert not bpy.data.objects
+
+
+def test_a_file_begins_again_at_its_end(settings):
+    settings.source = f"file:{ROOT / 'samples' / 'rendered_hand' / 'hand.%04d.jpg'}"  # 24 pictures
+    session = operators.start(bpy.context)
+    until(session, lambda: session._sequence > 30 or session.over)
+    assert not session.over
+    ended(session)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from blender_manient.batch.arguments import add_arguments
 from blender_manient.common import preferences
 from blender_manient.operators import housekeeping
 from blender_manient.operators.capture import new_job
-from blender_manient.panels.capture import MANIENT_PT_capture_advanced
+from blender_manient.panels.advanced import MANIENT_PT_advanced
 from blender_manient.session import cache, shared_worker
 from handfit_core.capturing.options import OPTIONS, CaptureOptions
 from handfit_core.common.errors import OutputError
@@ -175,11 +175,11 @@ def test_unregister_ends_it_and_its_files(peer, tmp_path):
 
 def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer):
     settings = bpy.context.scene.manient
-    assert not {"solver", "detector"} & set(drawn(MANIENT_PT_capture_advanced).said.split())
+    assert not {"solver", "detector"} & set(drawn(MANIENT_PT_advanced).said.split())
     preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
     worker.wait(worker.submit("warm"), timeout=20)
-    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split())
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_advanced).said.split())
     assert [shared_worker.detectors(), shared_worker.solvers()] == [
         ["mediapipe", "bright-spot"],
         ["fast", "flat"],  # the paper's experiments are chosen as such
@@ -190,7 +190,7 @@ def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer
     options = new_job(bpy.context, only_frame=False).options
     assert (options.detector, options.solver) == ("bright-spot", "flat")
     shared_worker.stop()
-    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_capture_advanced).said.split()), "to change back"
+    assert {"solver", "detector"} <= set(drawn(MANIENT_PT_advanced).said.split()), "to change back"
 
 
 def test_takes_have_names_of_their_own_and_those_of_a_crashed_blender_go(registered):

@@ -20,7 +20,7 @@ from blender_manient.exporters.take import retaken
 from blender_manient.operators import edit_keypoints
 from blender_manient.operators.modes.keypoints import KeypointMode
 from blender_manient.operators.refit_range import replaced
-from blender_manient.operators.touch import MANIENT_OT_touch, touching_range
+from blender_manient.operators.touch import MANIENT_OT_press_together, MANIENT_OT_touch, touching_range
 from blender_manient.rigs import rig_of
 from blender_manient.rigs.captured_hand import bone_names
 from blender_manient.scene import corrections
@@ -296,7 +296,7 @@ def gap(armature, first: int = FIRST, last: int = LAST) -> np.ndarray:
     """Metres between the skins of thumb and index tips, in these frames."""
     refiner = Refiner(armature)
     rows = [refiner.row_at(frame) for frame in range(first, last + 1)]
-    return refiner.gaps(refiner.keyed_poses(rows), (TIP, THUMB))
+    return refiner.gaps(refiner.keyed_poses(rows), [{TIP: THUMB}] * len(rows))
 
 
 def touch() -> None:
@@ -343,6 +343,28 @@ def test_touching_points_are_kept_by_drags_ranges_files_and_takes(armature, tmp_
     retaken([hand_of(armature)]).save(tmp_path / "hand.take.npz")
     again = build_take(Take.load(tmp_path / "hand.take.npz")).hands[0].armature
     assert corrections.corrections_of(again).touching(FRAME) == {TIP: THUMB}
+
+
+def test_what_lies_over_each_other_is_pressed_together_and_let_go_again(armature):
+    refiner, before = Refiner(armature), all_keys(armature)
+    rows = [refiner.row_at(frame) for frame in range(FIRST, LAST + 1)]
+    poses = refiner.keyed_poses(rows)
+    crossing = refiner.lying_over(poses)
+    crossed = np.array([bool(of_row) for of_row in crossing])
+    assert 2 < crossed.sum() < len(rows)
+    assert np.nanmax(refiner.gaps(poses, crossing)) > 0.002
+    dialog = drawn(MANIENT_OT_press_together, scope="CUSTOM", first=FIRST, last=LAST)
+    assert "Thumb,Index,RingandPalmare" in dialog.said.replace(" ", "")
+    assert bpy.ops.manient.press_together(**TOUCH) == {"FINISHED"}
+    after = refiner.keyed_poses(rows)
+    assert np.nanmax(np.abs(refiner.gaps(after, crossing))) < 0.001
+    moved = np.linalg.norm(after.landmarks - poses.landmarks, axis=-1).max(axis=1)
+    moved /= np.ptp(poses.landmarks, axis=1).max(axis=1)
+    assert np.median(moved) < 0.01
+    assert moved.max() < 0.04, "they stay where the picture has them"
+    assert corrections.corrected_frames(armature) == np.arange(FIRST, LAST + 1)[crossed].tolist()
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert turned(before, all_keys(armature)).max() < 1e-5
 
 
 def test_the_frames_in_which_points_are_near_are_suggested(armature):
@@ -446,6 +468,8 @@ def test_what_cannot_be_gripped_says_so(armature, ball):
     [
         ("touch", TOUCH | {"point": "8", "other": "6"}, "choose points of two fingers, or of a finger and"),
         ("touch", TOUCH | {"point": "8", "other": "8"}, "choose points of two fingers, or of a finger and"),
+        ("press_together", TOUCH | {"first": 1, "last": 5}, "nothing lies over each other in these frames"),
+        ("press_together", {"scope": "CUSTOM", "first": 90, "last": 95}, "90 to 95 was captured"),
         ("refit_range", {"scope": "CUSTOM", "first": 100, "last": 120}, r"100 to 120 was captured.*1 to 24"),
         ("move_keypoint", {"frame": 99, "keypoint": TIP, "x": 1, "y": 1}, "frame 99 was not captured"),
         ("move_keypoint", {"frame": FRAME, "keypoint": TIP, "remove": True}, "no pin"),

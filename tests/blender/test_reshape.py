@@ -227,10 +227,12 @@ def test_a_changed_mesh_and_other_objects_are_left_alone(built):
 
 
 @pytest.mark.parametrize("with_own_key", [False, True])
-def test_the_forearm_can_be_hidden(made, built, with_own_key):
-    """Hidden, a cap closes the wrist in the same vertices; shown again, all is as it was."""
+def test_the_forearm_can_be_shown_and_hidden(made, built, with_own_key):
+    """At first a cap closes the wrist in the same vertices."""
     (hand,) = built.hands
     shape = hand.armature.manient
+    assert (shape.wrist, shape.forearm) == ("cap", False)
+    shape.forearm = True
     assert "forearm" in drawn(MANIENT_PT_shape).said
     if with_own_key:  # it is moved along, as the correctives are
         hand.mesh.shape_key_add(name="mine", from_mix=False).value = 1.0

@@ -10,7 +10,6 @@ bpy = pytest.importorskip("bpy", reason="needs one of the bpy wheels")
 
 from blender_manient.operators.capture import new_job  # noqa: E402
 from blender_manient.panels.capture import MANIENT_PT_capture  # noqa: E402
-from blender_manient.panels.source import MANIENT_PT_source  # noqa: E402
 from blender_manient.session import source_info  # noqa: E402
 from handfit_core.common.errors import InputError, OptionError  # noqa: E402
 from tests.drawn import drawn  # noqa: E402
@@ -84,10 +83,10 @@ def test_a_picture_size_that_no_file_tells_is_asked_for(registered, tmp_path):
     path.write_text("{}")
     settings.source = str(path)
     info = source_info.of(settings)
-    assert "Width" not in drawn(MANIENT_PT_source).said
+    assert "Width" not in drawn(MANIENT_PT_capture).said
 
     info.unsized, info.fps = True, 30.0
-    source = drawn(MANIENT_PT_source)
+    source = drawn(MANIENT_PT_capture)
     assert "How large are its pictures? The file does not say Width Height" in source.said
     assert source.loud == "Width Height"
     assert {"Capture", "Capture Frame 1"} <= set(drawn(MANIENT_PT_capture).grey)
@@ -96,7 +95,7 @@ def test_a_picture_size_that_no_file_tells_is_asked_for(registered, tmp_path):
         new_job(bpy.context, only_frame=False)
 
     settings.picture_size = (640, 480)
-    assert drawn(MANIENT_PT_source).loud == ""
+    assert drawn(MANIENT_PT_capture).loud == ""
     assert "Capture" not in drawn(MANIENT_PT_capture).grey
     assert source_info.footage(settings, info).width == 640
     assert new_job(bpy.context, only_frame=False).options.picture_size == (640, 480)

@@ -15,6 +15,7 @@ from blender_manient.operators.capture import new_job
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.scene import captures
 from blender_manient.scene.build import build_take
+from blender_manient.scene.camera import captured_place
 from blender_manient.scene.retime import retime
 from blender_manient.session import source_info
 from handfit_core.common.errors import OptionError
@@ -57,13 +58,16 @@ def test_the_second_camera_sees_the_hand_where_its_own_lens_does(take, metres_pe
     scene = bpy.context.scene
     scene.unit_settings.scale_length = metres_per_unit
     built = build_take(take)
-    for intrinsics, turn, move, size in (
-        (OFF_CENTRE, np.eye(3), np.zeros(3), (WIDTH, HEIGHT)),
-        (LENS, TURN, MOVE, SIZE),
+    armature = built.hands[0].armature
+    for view, (intrinsics, turn, move, size) in enumerate(
+        ((OFF_CENTRE, np.eye(3), np.zeros(3), (WIDTH, HEIGHT)), (LENS, TURN, MOVE, SIZE))
     ):
         assert (scene.render.resolution_x, scene.render.resolution_y) == size
         scene.frame_set(int(FRAMES[2]))
-        heads = joint_heads(built.hands[0].armature, "right")
+        seen_at = scene.camera.matrix_world.inverted() @ armature.matrix_world
+        place = captured_place(take, view, 1.0 / metres_per_unit)
+        np.testing.assert_allclose(np.array(place), seen_at, atol=1e-5 / metres_per_unit)
+        heads = joint_heads(armature, "right")
         seen = [world_to_camera_view(scene, scene.camera, Vector(head)) for head in heads]
         shown = np.array([[p.x * size[0], (1.0 - p.y) * size[1]] for p in seen])
         metres = heads * metres_per_unit

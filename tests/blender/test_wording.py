@@ -13,19 +13,23 @@ from blender_manient.common.block_reference import BlockReference
 from blender_manient.common.wording import (
     NAME_BYTES,
     capitalised,
+    headline,
     named_after,
     shortened,
     shortened_name,
     without_name,
 )
+from blender_manient.modules import MODULES
+from blender_manient.operators.housekeeping import MANIENT_OT_note
 from blender_manient.operators.review import MANIENT_OT_jump_worst
+from blender_manient.panels.advanced import MANIENT_PT_advanced
 from blender_manient.panels.capture import MANIENT_PT_capture
 from blender_manient.panels.refine import MANIENT_PT_refine
 from blender_manient.panels.result import MANIENT_PT_result
 from blender_manient.scene import store
 from blender_manient.scene.build import build_take
 from blender_manient.scene.store import active_hand
-from blender_manient.session import jobs, refiner
+from blender_manient.session import jobs, refiner, source_info
 from blender_manient.session.jobs import Building, Job
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.media.source import Source
@@ -95,6 +99,62 @@ def a_job(name: str) -> Job:
     return Job(name, (f"/shots/{name}",), CaptureOptions(), Building(scene))
 
 
+def test_a_clip_is_captured_by_one_button_below_a_few_words(registered, tmp_path):
+    """Words before Capture with a clip, and none before the result of a capture."""
+    (tmp_path / "clip.mp4").touch()
+    settings = bpy.context.scene.manient
+    settings.source, settings.use_frames = str(tmp_path / "clip.mp4"), True
+    info = source_info.of(settings)
+    info.width, info.height, info.fps, info.frames, info.first, info.last = 1280, 720, 30.0, 120, 1, 120
+    page = drawn(MANIENT_PT_capture)
+    assert page.words_before("Capture") <= 40
+    assert "Capture" not in page.grey
+    assert {"Arms", "Quality Standard", "Scene: 30 fps, 1-100, 1280×720"} <= set(page.seen)
+    assert not {"smoothing", "second_view", "camera", "matching", "target"} & set(page.rows)
+    edit = [c for one in MODULES for c in one.classes if getattr(c, "bl_category", "") == "Hand Edit"]
+    assert min(edit, key=lambda panel: getattr(panel, "bl_order", 99)) is MANIENT_PT_result
+
+
+def test_what_does_not_apply_is_not_shown(registered, tmp_path):
+    settings = bpy.context.scene.manient
+    for name, shown in (("clip.mp4", True), ("photo.png", False)):
+        (tmp_path / name).touch()
+        settings.source = str(tmp_path / name)
+        assert {"second_view", "frame_step", "smoothing"}.isdisjoint(drawn(MANIENT_PT_advanced).rows) != shown
+        assert ("Range" in drawn(MANIENT_PT_capture).rows) == shown
+    assert "camera" not in drawn(MANIENT_PT_capture).rows
+    own = bpy.data.objects.new("Shot", bpy.data.cameras.new("Shot"))
+    bpy.context.scene.collection.objects.link(own)
+    bpy.context.scene.camera = own
+    assert "camera" in drawn(MANIENT_PT_capture).rows, "an artist's camera may be the footage's"
+
+
+def test_a_message_is_one_line(registered):
+    """All of it is the tooltip; it is never wrapped, which would move the buttons below."""
+    long = "No hand was found in any of these frames: press Find Hands and drag a box. Or try another clip"
+    assert headline(long) == "No hand was found in any of these..."
+    assert headline("Scene: 30 fps. It looks through the footage's camera") == "Scene: 30 fps"
+    assert (
+        headline("/a/very/long/path/without/any/blank/in/it.mp4") == "/a/very/long/path...ny/blank/in/it.mp4"
+    )
+    assert MANIENT_OT_note.description(bpy.context, SimpleNamespace(text=long)) == long
+    job = a_job("clip.mp4")
+    job.state, job.message, job.warnings = (
+        "done",
+        "1 hand in 40 frames",
+        ["the picture may show another hand: draw a box around it"],
+    )
+    job.offer = "find_hands"
+    bpy.context.scene.manient.captured = job.key
+    jobs.submit(job)
+    try:
+        page = drawn(MANIENT_PT_capture)
+    finally:
+        jobs.forget_finished()
+    at = page.seen.index("clip.mp4: 1 hand in 40 frames")
+    assert page.seen[at + 1 : at + 4] == ["Another hand is likely", "Find Hands", "Dismiss"]
+
+
 def test_old_failures_go_when_a_newer_capture_succeeds_which_can_be_undone(registered):
     def built():
         return (), [], "1 hand in 1 frame"
@@ -113,11 +173,11 @@ def test_old_failures_go_when_a_newer_capture_succeeds_which_can_be_undone(regis
     assert jobs.tick()
     # What failed while it waited is news, and stays.
     assert jobs.jobs() == (new, beside)
-    captured = f"new.mp4: 1 hand in 1 frame {new.warnings[0]}"
-    for step, said in ((None, captured), (bpy.ops.ed.undo, "new.mp4: Undone"), (bpy.ops.ed.redo, captured)):
+    captured = f"new.mp4: 1 hand in 1 frame. {new.warnings[0]} "
+    for step, is_there in ((None, True), (bpy.ops.ed.undo, False), (bpy.ops.ed.redo, True)):
         if step is not None:
             step()
-        assert f"{said} " in drawn(MANIENT_PT_capture).said
+        assert (captured in drawn(MANIENT_PT_capture).said) == is_there
 
 
 @pytest.mark.parametrize("larger", [1.0, 1.01])

@@ -21,6 +21,7 @@ CLIP, LONG_CLIP, VERY_LONG_CLIP = 120, 480, 1500
 
 SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "addon.disabled_leaves_nothing": lambda i: {"take": i.take},
+    "addon.disabled_in_a_mode": lambda i: {"take": i.two_hands()},
     "addon.survives_reloading_scripts": lambda i: {"take": i.take},
     "addon.take_from_the_file_browser": lambda i: {"take": i.take},
     "addon.lens_from_the_file_browser": lambda i: {"film": i.film_of_the_board},
@@ -30,6 +31,9 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "capture.photo": lambda i: {"source": i.photo},
     "capture.clip": lambda i: {"source": i.clip(CLIP), "frames": CLIP},
     "capture.escaped": lambda i: {"source": i.clip(VERY_LONG_CLIP), "frames": VERY_LONG_CLIP},
+    "capture.pressed_again": lambda i: {"source": i.clip(LONG_CLIP)},
+    "capture.quit_asks": lambda i: {"source": i.clip(LONG_CLIP)},
+    "capture.own_shot": lambda i: {"source": i.photo},
     "capture.queued": lambda i: {
         "sources": [i.clip(LONG_CLIP), i.photo, shutil.copy(i.photo, i.folder / "second.jpg")]
     },
@@ -42,6 +46,7 @@ SCENARIOS: dict[str, Callable[[Inputs], dict[str, Any]]] = {
     "finding.added": lambda i: {"source": i.photo},
     "refine.keypoint_dragged": lambda i: {"source": i.clip(60)},
     "refine.looked_at": lambda i: {"take": i.two_hands(away=5.2)},
+    "refine.put_elsewhere": lambda i: {"source": i.clip(60)},
     "refine.smoothed": lambda i: {"source": i.clip(60)},
     "refine.range_refitted": lambda i: {"source": i.clip(60)},
     "adding.in_a_drawing": Inputs.drawing,

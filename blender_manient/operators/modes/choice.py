@@ -15,6 +15,11 @@ from handfit_core.detect.detector import Region
 
 SAME_HAND_DISTANCE: Final = 0.25
 """Hands whose points are nearer than this, in units of their size, are one"""
+FOUND_AGAIN: Final = (
+    "The box shows no other hand than the one that is found already, which stays: draw it around the other "
+    "hand alone, or lay that one there yourself with Add Hand"
+)
+FOUND_BETTER: Final = "The hand that was found here is replaced by a better one (Ctrl Z: as it was)"
 HOVER_DISTANCE: Final = 0.3
 """A hand is pointed at within this part of its size from one of its points"""
 
@@ -74,9 +79,16 @@ class Choice:
         self.hands = tuple(replace(hand, chosen=hand in likely) for hand in hands)
         self._undo_steps.clear()
 
-    def add(self, hand: FoundHand) -> None:
-        """Add a hand that a box search found; it replaces detections of the same hand."""
-        self._set_hands((*(other for other in self.hands if not other.is_same_hand(hand)), hand))
+    def add(self, hand: FoundHand) -> str:
+        """Add the hand that a search in a box found beside those that are shown, or in place of a worse
+        detection of it; the search returns one that is shown where there is nothing better. Returns a
+        sentence about what was not added or was replaced; empty for a new hand."""
+        if any(np.array_equal(hand.points, other.points) for other in self.hands):
+            return FOUND_AGAIN
+        others = tuple(other for other in self.hands if not other.is_same_hand(hand))
+        replaced = len(others) < len(self.hands)
+        self._set_hands((*others, hand))
+        return FOUND_BETTER if replaced else ""
 
     def toggle(self, hand: FoundHand) -> None:
         """Choose a hand, or leave it."""

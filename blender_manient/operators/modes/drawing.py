@@ -74,6 +74,8 @@ class Picture:
     """Whether that line is one to worry about"""
     corner: tuple[float, float]
     """pixels of the region: where the line begins"""
+    hollow: bool = False
+    """Whether the points are not those of the hand"""
 
 
 def draw(picture: Picture) -> None:
@@ -127,7 +129,7 @@ def handle_sizes(picture: Picture, scale: float) -> np.ndarray:
 
 
 def _draw_handles(picture: Picture, sizes: np.ndarray, scale: float) -> None:
-    """Discs, and for pins diamonds in a white frame."""
+    """Discs or rings, and for pins diamonds in a white frame."""
     corners: list[np.ndarray] = []
     colors: list[np.ndarray] = []
     for keypoint in np.flatnonzero(np.isfinite(picture.places).all(axis=1)).tolist():
@@ -137,7 +139,7 @@ def _draw_handles(picture: Picture, sizes: np.ndarray, scale: float) -> None:
             rings = [(radius * _PINNED, (*DARK, 0.9)), (radius * 1.8, (*PIN_COLOR, 1.0)), (radius * 1.1, own)]
         else:
             rings = [(radius + _RIM * size, (*DARK, 0.8)), (radius, (*PIN_COLOR, 1.0) if active else own)]
-        fan = _DIAMOND if keypoint in picture.pinned else _DISC
+        fan = _DIAMOND if keypoint in picture.pinned else _RING if picture.hollow else _DISC
         for extent, shade in rings:
             corners.append(picture.places[keypoint] + extent * fan)
             colors.append(np.tile(shade, (len(fan), 1)))
@@ -194,7 +196,18 @@ def _fan(sides: int) -> np.ndarray:
     return np.stack([np.zeros((sides, 2)), outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
 
 
+def _ring(sides: int) -> np.ndarray:
+    """(6 sides, 2) triangles of a regular polygon about 0 with a hole in its middle."""
+    outline = _fan(sides).reshape(-1, 3, 2)[:, 1:]  # (sides, 2, 2)
+    outer, inner = outline, outline * _HOLE
+    corners = [outer[:, 0], outer[:, 1], inner[:, 0], inner[:, 0], outer[:, 1], inner[:, 1]]
+    return np.stack(corners, axis=1).reshape(-1, 2)
+
+
+_HOLE: Final = 0.62
+"""The radius of a hollow handle's hole, over the handle's"""
 _DISC: Final = _fan(20)
+_RING: Final = _ring(20)
 _DIAMOND: Final = _fan(4)
 LINES: Final = np.array([(KEYPOINT_PARENTS[k], k) for k in range(1, NUM_KEYPOINTS)])
 # The palm's lines stay behind: there are five from the wrist.

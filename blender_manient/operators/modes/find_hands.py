@@ -16,6 +16,7 @@ import gpu
 import numpy as np
 
 from handfit_core.capturing.options import CaptureOptions, region_of
+from handfit_core.common.arrays import pack
 from handfit_core.common.errors import HandfitError
 from handfit_core.common.skeleton import other_side
 from handfit_core.detect.detector import Region
@@ -28,7 +29,7 @@ from ...common.section import wrapped
 from ...common.wording import capitalised, counted
 from ...session import cache, details, jobs, shared_worker
 from . import drawing, view
-from .choice import Choice, FoundHand
+from .choice import FOUND_AGAIN, Choice, FoundHand
 from .drawing import DARK, PIN_COLOR, draw_tag, frame_box, tag_box
 
 REACH: Final = 14.0
@@ -109,6 +110,8 @@ class FindMode(view.Overlay):
         self.dragged: tuple[np.ndarray, np.ndarray] | None = None
         """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
         self.nothing_there = False
+        self._boxes: list[tuple[float, ...]] = []
+        """That are drawn and not searched yet"""
         self._texture: gpu.types.GPUTexture | None = None
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
         self._asked: dict[int, tuple[float, ...] | None] = {}
@@ -154,10 +157,12 @@ class FindMode(view.Overlay):
                     self._texture = screen.texture_of(str(self._picture))
                 elif box is None:
                     self.choice.show(found["hands"], context.scene.manient.hands)
+                    self._search_boxes()
                 else:
                     self.message, self.nothing_there = "", not found["hands"]
                     for hand in found["hands"]:
-                        self.choice.add(FoundHand.of(hand, drawn=box))
+                        self.message = self.choice.add(FoundHand.of(hand, drawn=box))
+                        self.nothing_there = self.message == FOUND_AGAIN
                 screen.redraw("VIEW_3D")
         except (HandfitError, RuntimeError) as error:
             self._cancel_requests()
@@ -166,7 +171,8 @@ class FindMode(view.Overlay):
             screen.redraw("VIEW_3D")
 
     def _ask(self, box: tuple[float, ...] | None = None, picture: Path | None = None) -> int:
-        request = shared_worker.worker().submit("find", **self.source.fields(box, picture))
+        known = [pack(hand.points.astype(np.float32)) for hand in self.choice.hands]
+        request = shared_worker.worker().submit("find", **self.source.fields(box, picture), known=known)
         self._asked[request] = box
         return request
 
@@ -176,12 +182,21 @@ class FindMode(view.Overlay):
         self._asked.clear()
 
     def search_box(self, corners: np.ndarray) -> None:
-        """Have the worker detect a hand in a box with these corners (2, 2), pixels of the picture."""
+        """Have the worker detect a hand in a box with these corners (2, 2), pixels of the picture, once it
+        has found all that it finds without one."""
         assert self.picture_view is not None
         low, high = np.clip(np.sort(corners, axis=0), 0.0, self.picture_view.size)
-        if (high - low).min() >= MIN_BOX_PIXELS:
-            self.message, self.nothing_there = "", False
-            self._ask((*low.tolist(), *(high - low).tolist()))
+        if (high - low).min() < MIN_BOX_PIXELS:
+            self.message = "The box is too small to show a hand: drag one around the whole hand"
+            return
+        self.message, self.nothing_there = "", False
+        self._boxes.append((*low.tolist(), *(high - low).tolist()))
+        if self._finding not in self._asked:
+            self._search_boxes()
+
+    def _search_boxes(self) -> None:
+        while self._boxes:
+            self._ask(self._boxes.pop(0))
 
     def regions(self) -> tuple[Region, ...]:
         """The chosen hands as a capture's regions."""
@@ -303,7 +318,7 @@ class FindMode(view.Overlay):
                 frame_box((*low, *high), (*shade, 1.0), 1.8 * scale)
         boxes = [
             (np.add([[0.0], [1.0]] * np.array(box[2:]), box[:2]), "Looking ...")
-            for box in self._asked.values()
+            for box in (*self._asked.values(), *self._boxes)
             if box
         ]
         if self.dragged is not None:

@@ -24,6 +24,7 @@ from ...common import preferences, screen
 from ...common.wording import capitalised, counted
 from ...rigs import rig_of
 from ...scene import see_through
+from ...scene.camera import captured_place
 from ...scene.keys import set_pose
 from ...session import details, jobs, shared_worker
 from ...session.refiner import BonePoses, Refiner
@@ -121,6 +122,8 @@ class KeypointMode(view.Overlay):
 
     looking = 0
     """The view that the viewport shows, 0 or 1"""
+    _places = np.full((NUM_KEYPOINTS, 2), np.nan)
+    """(21, 2) pixels of the picture: the hand on the shown frame, or on the last one before that had one"""
 
     def __init__(self, context: bpy.types.Context, refiner: Refiner, viewport: view.Viewport) -> None:
         """Turn the viewport to the hand in its picture and warm the worker up. Raises HandfitError."""
@@ -133,17 +136,20 @@ class KeypointMode(view.Overlay):
         """drags of this mode that can be undone, and those that can be done again"""
         self.own_undo = False
         self.ended: str | None = None
-        """Why the mode is over, in a sentence; empty: because the artist said so"""
+        """Why the mode is over, in a sentence"""
         self._warming = shared_worker.worker().submit("warm")
         self._solved_in = _ANSWER_WAIT_SECONDS
         self.view = view.CaptureView(viewport, refiner.cameras, context)
         self.solid = False
-        self._look()
-        self._frame = context.scene.frame_current_final
-        self._places = self.picture_places()
-        """(21, 2) pixels of the picture: the hand on that frame, or on the last one before that had one"""
-        self._restore_view(viewport)
         super().__init__(viewport)
+        try:
+            self._look()
+            self._frame = context.scene.frame_current_final
+            self._places = self.picture_places()
+            self._restore_view(viewport)
+        except BaseException:
+            self.end(context)
+            raise
 
     # Beginning and end
 
@@ -192,8 +198,10 @@ class KeypointMode(view.Overlay):
         """Take up the view that is looked through."""
         self.looking = self.view.looking
         see_through.end()
-        camera = bpy.data.objects[self.view.camera].data
-        see_through.begin(camera, lambda: 1.0 if self.solid else preferences.get().hand_opacity)
+        camera, hand = bpy.data.objects[self.view.camera], self.refiner.armature
+        units = 1.0 / bpy.context.scene.unit_settings.scale_length
+        place = captured_place(self.refiner.take, self.looking, units)
+        see_through.begin(camera, hand, place, lambda: 1.0 if self.solid else preferences.get().hand_opacity)
 
     def _follow_view(self, context: bpy.types.Context, *, own_undo: bool = False) -> None:
         """Go on in the view that the viewport shows now."""
@@ -315,6 +323,14 @@ class KeypointMode(view.Overlay):
         for keypoint, place in self.pins(of_view).items():
             places[keypoint] = place
         return places
+
+    def shows_detections(self, of_view: int) -> bool:
+        """Whether the points are what was detected while corrections beside this frame move the hand away
+        from it."""
+        row = self.row()
+        if row is None or self.drag is not None or not self.refiner.is_beside_correction(row):
+            return False
+        return self._detected(row, of_view) is not None
 
     def matrix(self, viewport: view.Viewport) -> np.ndarray | None:
         """Picture to region; None while the viewport does not look through the capture camera."""
@@ -533,19 +549,21 @@ class KeypointMode(view.Overlay):
     def draw(self, viewport: view.Viewport) -> None:
         """Draw the points, and the line about them."""
         if self.trouble(bpy.context) is None:
-            dragged = self.drag.keypoint if self.drag is not None else None
-            places, pinned = self.region_places(viewport), frozenset(self.pins(self.looking))
-            line, corner = self.status_line(viewport), view.free_corner(viewport)
-            drawing.draw(drawing.Picture(places, pinned, self.hovered, dragged, *line, corner))
+            self._draw(viewport, self.looking, self.hovered, *self.status_line(viewport))
 
     def draw_beside(self, viewport: view.Viewport) -> None:
         """Draw the points in another viewport that looks through one of the cameras."""
         looking = self.view.looks(viewport)
         if looking is not None and self.trouble(bpy.context) is None:
-            dragged = self.drag.keypoint if self.drag is not None else None
-            places, pinned = self.region_places(viewport), frozenset(self.pins(looking))
-            corner = view.free_corner(viewport)
-            drawing.draw(drawing.Picture(places, pinned, None, dragged, "", False, corner))
+            self._draw(viewport, looking, None, "", False)
+
+    def _draw(
+        self, viewport: view.Viewport, looking: int, hovered: int | None, text: str, warning: bool
+    ) -> None:
+        places, pinned = self.region_places(viewport), frozenset(self.pins(looking))
+        dragged = self.drag.keypoint if self.drag is not None else None
+        corner, hollow = view.free_corner(viewport), self.shows_detections(looking)
+        drawing.draw(drawing.Picture(places, pinned, hovered, dragged, text, warning, corner, hollow))
 
     def status_line(self, viewport: view.Viewport) -> tuple[str, bool]:
         """The line over the picture about this frame, and whether it is a warning."""
@@ -572,4 +590,6 @@ class KeypointMode(view.Overlay):
             return "No hand was found in this frame: drag points to where they belong", True
         if track.doubtful is not None and track.doubtful[row]:
             return "Doubtful frame", True
+        if self.shows_detections(0):
+            return "Hollow points: what was detected, from which a correction nearby moves the hand", False
         return "", False

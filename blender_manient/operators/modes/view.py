@@ -26,6 +26,9 @@ _STEP: Final = 1.25
 """by which one notch of the wheel enlarges"""
 _SWIPE: Final = 20.0
 """pixels that fingers move on a trackpad for the same"""
+_GIZMO_MARGIN, _GIZMO_BUTTONS = 20.0, 170.0
+"""pixels at a user interface scale of 1: around the axes in a viewport's upper right corner, and the height
+of the buttons below them"""
 _ZOOMS: Final = {"WHEELUPMOUSE": 1, "NUMPAD_PLUS": 1, "WHEELDOWNMOUSE": -1, "NUMPAD_MINUS": -1}
 """By how many notches events enlarge"""
 
@@ -73,6 +76,15 @@ class Viewport:
         self.view.view_camera_zoom, self.view.view_camera_offset = zoom, offset
         self.view.update()
         self.region.tag_redraw()
+
+    def has_gizmos(self, place: np.ndarray) -> bool:
+        """True if Blender's buttons for turning and moving the view may lie there, pixels of the region."""
+        preferences = bpy.context.preferences
+        if preferences is None or not (self.space.show_gizmo and self.space.show_gizmo_navigate):
+            return False
+        size = preferences.view.gizmo_size_navigate_v3d + _GIZMO_MARGIN
+        corner = self.free()[1] - np.array([size, size + _GIZMO_BUTTONS]) * ui_scale()
+        return bool((place >= corner).all())
 
     def free(self) -> np.ndarray:
         """(2, 2) lower left and upper right of what lies free of the sidebar and the headers, pixels of the

@@ -21,10 +21,11 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES, Side
 from handfit_core.common.values import Unfit, listed, number
-from handfit_core.detect.clips import TrackedHand, overlaps, redetect
+from handfit_core.detect.clips import TrackedHand, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.matching import overlaps
 from handfit_core.detect.networks import NETWORK, Networks, Palms
 from handfit_core.detect.search import Search, tiles
 from handfit_core.fit.fast import fitter_of
@@ -106,6 +107,8 @@ class LiveOptions:
     """pixels, that a camera is asked for"""
     fps: float = 30.0
     """frames per second, that a camera is asked for"""
+    loop: bool = False
+    """Whether a file begins again at its end"""
     min_cutoff: float = 2.0
     """Hz, of the filter of a hand that is still: lower shakes less, and lags more"""
     beta: float = 1.0
@@ -524,7 +527,7 @@ class Live:
         options = options or LiveOptions()
         parsed = LiveSource.parse(source, online=options.online)
         self.follower = HandFollower(options)
-        self.reader = LiveReader(parsed, options.size, options.fps)
+        self.reader = LiveReader(parsed, options.size, options.fps, loop=options.loop)
         """What reads and records the source: its counts, and what is wrong with it"""
         self._done: deque[tuple[float, float]] = deque()
         """When each frame of the last second was done, and how old it was then, seconds"""

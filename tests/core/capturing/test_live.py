@@ -230,6 +230,12 @@ def test_slow_consumer_gets_the_newest_frame_and_the_count_of_the_others():
         assert reader.ended
 
 
+def test_a_file_plays_in_a_loop_for_who_asks():
+    with contextlib.closing(live(CLIP, LiveOptions(loop=True))) as poses:
+        assert next(pose for pose in poses if pose.sequence > 40).hands
+    assert [t.name for t in threading.enumerate() if t.name == "handfit-live"] == []
+
+
 HERE = ("http://127.0.0.1:80/a", "https://localhost/a", "rtsp://[::1]:554/x")
 ELSEWHERE = ("http://192.168.0.7:8080/video", "rtsp://phone.local/x", "http://127.0.0.1.example.org/x")
 

@@ -149,9 +149,9 @@ def test_other_threads_use_the_named_detector(clip, monkeypatch):
     class Blind(chunks.ClipDetector):
         def chunk(self, index: int, *_: object) -> Chunk:
             numbers = [7 + index] * (chunks.MEDIA.chunk_frames if index < 2 else 1)
-            return Chunk(numbers, [()] * len(numbers), [], [3], [], None, None)
+            return Chunk(numbers, [()] * len(numbers), [], [3], [], None, None, int(index < 2))
 
     blind = replace(DETECTORS.get("direct"), clip=Blind)
     monkeypatch.setitem(DETECTORS._parts, "direct", blind)
     found = detect_frames(open_media(clip), CaptureOptions(processes=3))
-    assert (sorted(set(found.numbers)), found.most_seen) == ([7, 8, 9], 3)
+    assert (sorted(set(found.numbers)), found.most_seen, found.missed) == ([7, 8, 9], 3, True)

@@ -25,6 +25,7 @@ from handfit_core.detect.matching import distance
 from handfit_core.detect.networks import Networks, crop_around
 from handfit_core.detect.stills import StillFinder
 from handfit_core.media.frame_range import FrameRange
+from handfit_core.worker.events import log_warnings_to
 from tests.child import peak_megabytes
 from tests.core.detect import clips as sample
 from tests.core.detect.clips import SAMPLE
@@ -251,6 +252,22 @@ def test_a_hand_in_a_box_is_found_however_unsure(plain, caplog):
     assert hand.side == expected.side
     *_, said = [record.getMessage() for record in caplog.records]
     assert said.startswith("no hand was found in the region 1,1,40,40: draw the box")
+
+
+def test_a_hand_that_was_likely_missed_is_told(monkeypatch):
+    photo = SAMPLE / "hand.0007.jpg"
+    told: list[tuple[str, str]] = []
+    with log_warnings_to(lambda *warning: told.append(warning)):
+        capture(photo)
+        assert not told
+        monkeypatch.setattr(StillFinder, "missed", True)
+        capture(photo, hands="right")
+        capture(photo, max_hands=1)
+        assert not told
+        capture(photo)
+        capture(photo, regions=[(1, 1, 2, 2)])
+    assert [offer for _, offer in told] == ["find_hands", "add_hand", "find_hands"]
+    assert told[0][0].startswith("the picture may show another hand: draw a box around it")
 
 
 def test_chosen_hands_and_no_others_are_captured(tmp_path):

@@ -142,6 +142,12 @@ def test_two_hands_of_one_side():
     assert len(link_tracks([[hand(x), part(x + 90)] for x in TEN])) == 2
 
 
+def test_tangled_hands_that_a_person_has_shown_are_two():
+    near = hand(100), hand(100 + 0.3 * hand(0).extent)
+    assert len(link_tracks([near])) == 1
+    assert len(link_tracks([[replace(one, shown=True) for one in near]])) == 2
+
+
 def test_a_side_that_a_person_has_given_is_believed():
     told = replace(hand(120, "left", 0.1), shown=True, given_side="right")
     frames = [[hand(100 + 10 * t, "left"), hand(600, "left")] if t != 2 else [told] for t in range(5)]

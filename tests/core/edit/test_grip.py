@@ -77,7 +77,7 @@ def turned_body(
 
 def shape_of(kind: str, centre: np.ndarray) -> Shape:
     if kind == "box":
-        return box((0.022, 0.02, 0.07), centre)
+        return box((0.018, 0.02, 0.07), centre)
     if kind == "cylinder":
         profile = np.array([(0.025, -0.07), (0.025, 0.07)])
 
@@ -108,18 +108,18 @@ def grasp(kind: str, side: Side, betas: np.ndarray) -> tuple[Shape, np.ndarray]:
     """A shape in the palm, and the angles (5, 3, 3) of fingers that close until their skin touches it."""
     owner = model_of(side).weights.argmax(axis=1)
     opened, closed = np.zeros((5, 3, 3)), np.zeros((5, 3, 3))
-    opened[0, 0], closed[0, :, 2] = np.radians([0.0, 25.0, -10.0]), np.radians([45.0, 50.0, 60.0])
+    opened[0, 0], closed[0, :, 2] = np.radians([0.0, 38.0, -15.0]), np.radians([45.0, 50.0, 60.0])
     closed[0, 0, 1] = opened[0, 0, 1]
     closed[1:, :, 2] = np.radians([80.0, 95.0, 60.0])
     mirror = np.array([-1.0, 1.0, 1.0]) if side == "left" else np.ones(3)
     angles, height = opened.copy(), -0.12
-    shape = shape_of(kind, mirror * np.array([0.018, height, 0.008]))
+    shape = shape_of(kind, mirror * np.array([0.012, height, 0.008]))
     for _ in range(3):  # The palm's flesh rises as the fingers bend.
         skin = skin_of(side, betas, pose_of(side, angles[None])[0])[owner == 0]
         low, high = -0.12, 0.0  # metres: the shape rises to 0.5 mm below the palm
         for _ in range(14):
             height = 0.5 * (low + high)
-            shape = shape_of(kind, mirror * np.array([0.018, height, 0.008]))
+            shape = shape_of(kind, mirror * np.array([0.012, height, 0.008]))
             low, high = (height, high) if shape.distances(skin).min() > 0.0005 else (low, height)
         for finger in range(5):
             least, most = 0.0, 1.0
@@ -130,6 +130,8 @@ def grasp(kind: str, side: Side, betas: np.ndarray) -> tuple[Shape, np.ndarray]:
                 touched = shape.distances(skin[np.isin(owner, JOINTS_BY_FINGER[finger])]).min() < 0.0
                 least, most = (least, share) if touched else (share, most)
             angles[finger] = opened[finger] + least * (closed[finger] - opened[finger])
+    skin = skin_of(side, betas, pose_of(side, angles[None])[0])
+    assert abs(shape.distances(skin).min()) < 0.001
     return shape, angles
 
 
@@ -163,22 +165,28 @@ def test_made_grasps_come_back(kind: str, side: Side) -> None:
     true = hand_of(side, betas, pose_of(side, angles[None].repeat(8, axis=0)))
     hand = replace(true, hand_pose=pose_of(side, noisy(angles, 8, seed=3)))
     found = refit_grip(hand, prop_of(shape, 8))
-    skins = [[shape.distances(skin_of(side, betas, pose)) for pose in one.hand_pose] for one in (hand, found)]
-    before, after = np.array(skins)
+    before, after = (
+        np.array([
+            shape.distances(skin_of(side, betas, pose) + place - PLACE)
+            for pose, place in zip(one.hand_pose, one.transl, strict=True)
+        ])
+        for one in (hand, found)
+    )  # fmt: skip
     owner = model_of(side).weights.argmax(axis=1)
     assert np.median(-before.min(axis=1)) > 0.006
-    assert np.median(-after.min(axis=1)) < 0.0005
     # A sharp edge lies between two vertices of the skin.
-    assert np.mean(-after.min(axis=1) < (0.0016 if kind == "box" else 0.001)) >= 0.75
+    most = 0.0015 if kind == "box" else 0.0005
+    assert np.median(-after.min(axis=1)) < most
+    assert np.mean(-after.min(axis=1) < 2.0 * most) >= 0.75
     began, pads = (np.stack([d[:, owner == j].min(axis=1) for j in DISTAL], axis=1) for d in (before, after))
     assert np.mean(np.abs(pads[began < 0.015]) < 0.002) >= 0.9
     errors = [np.linalg.norm(joints_of(one) - joints_of(true), axis=-1).mean(axis=1) for one in (hand, found)]
-    # At a box's edge nothing tells on which of two faces a fingertip lay.
-    assert kind == "box" or np.mean(errors[1] < errors[0]) >= 0.8
-    assert errors[1].mean() < (1.0 if kind == "box" else 0.9) * errors[0].mean()
+    # Noise of single bends leaves more open than a capture's, which is mostly depth: there it is 0.9.
+    assert np.mean(errors[1] < errors[0]) >= 0.6
+    assert errors[1].mean() < 0.98 * errors[0].mean()
     size = np.ptp(shown(true), axis=1).max(axis=1)
     assert np.mean(np.linalg.norm(shown(found) - shown(hand), axis=-1).mean(axis=1) / size) < 0.04
-    np.testing.assert_array_equal(found.transl, hand.transl)
+    assert np.abs(found.transl - hand.transl).max() < 0.004
 
 
 def test_the_gradient_is_the_costs() -> None:

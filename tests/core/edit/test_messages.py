@@ -104,7 +104,7 @@ def test_diverged_frame_is_isolated(monkeypatch: pytest.MonkeyPatch) -> None:
         ("detections", replace(photo().detections, frame=np.array([1])), "detections: at most one"),
         *(
             ("touches", np.where(np.arange(21) == 8, other, np.nan)[None], "touches: keypoint 8 must name")
-            for other in (7.0, 1.5, np.inf)
+            for other in (7.0, 1.5, np.inf, -7.0, -5.0, -9.0)
         ),
     ],
 )

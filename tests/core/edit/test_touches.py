@@ -11,10 +11,33 @@ import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import FINGER_JOINTS, JOINTS_BY_FINGER, SIDES, Side
-from handfit_core.edit import RefineHand, gaps_between, refit_each, refit_range, touching_pair
+from handfit_core.edit import (
+    RefineHand,
+    gaps_between,
+    landmark_points,
+    lying_over,
+    refit_each,
+    refit_range,
+    touching_pair,
+)
+from handfit_core.edit.corrections import point_rows
+from handfit_core.edit.pins import hand_sizes
+from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.hand_model.surface import surface_of
-from tests.core.edit.hands import drag, locked, missed, posed, rows_of, to_refine, true_hands, turned
+from tests.core.edit.hands import (
+    distance,
+    drag,
+    locked,
+    missed,
+    posed,
+    rows_of,
+    shown,
+    to_refine,
+    true_hands,
+    turned,
+)
 from tests.core.fit.detections import detections_of, model_of
 
 COUNT, FIRST, LAST = 16, 6, 10
@@ -112,6 +135,46 @@ def test_locked_fingers_stay() -> None:
     found = refit_each(hand)
     assert turned(hand, found)[:, thumb[1:]].max() == 0.0
     assert 0.0 < gaps(found).max() < gaps(hand).max()
+
+
+def over_each_other(hand: RefineHand | HandMotion) -> list[dict[int, int]]:
+    pixels = moving().intrinsics.project(landmark_points(model_of("right"), hand.betas, *hand.pose))
+    return lying_over(model_of("right"), hand.betas, np.asarray(hand.hand_pose), pixels)
+
+
+def test_what_lies_over_each_other_is_pressed_together_in_the_picture() -> None:
+    apart = moving()
+    assert not any(over_each_other(apart))
+    near = replace(apart, hand_pose=0.8 * refit_each(touching(apart)).hand_pose + 0.2 * apart.hand_pose)
+    crossing = over_each_other(near)
+    rows = np.flatnonzero([bool(of_row) for of_row in crossing])
+    assert len(rows) > 5
+    assert {abs(other) for row in rows for other in crossing[row].values()} <= {3, 4}
+    _, touches = point_rows([{}] * COUNT, crossing)
+    found = refit_each(replace(near, touches=touches))
+    pairs = np.array([next(iter(crossing[row].items())) for row in rows])
+    before, after = (
+        np.abs(gaps_between(model_of("right"), one.betas, np.asarray(one.hand_pose)[rows], pairs))
+        for one in (near, found)
+    )
+    assert before.max() > 0.003
+    assert after.max() < 0.001
+    shift, size = distance(shown(found), shown(near))[rows], hand_sizes(shown(near))[rows]
+    assert (shift.max(axis=1) < 0.03 * size).all()
+
+
+def test_fingertips_lie_on_the_palm_only_where_they_are_near_it() -> None:
+    """A fist's, and not those of fingers that point at the camera."""
+    model, clip = model_of("right"), moving()
+    for bend, expected in ((1.5, {8: 0, 12: 0, 16: 0}), (0.0, {})):
+        bends = np.tile([0.0, 0.0, bend], (15, 1)) * (np.arange(15) < 12)[:, None]
+        pose = rotmat_to_rotvec(rotmats_from_angles(bends, anatomical_axes(model))).reshape(1, 45)
+        pixels = clip.intrinsics.project(
+            landmark_points(model, clip.betas, clip.global_orient[:1], pose, clip.transl[:1])
+        )
+        if bend == 0.0:
+            pixels[0, [8, 12, 16, 20]] = pixels[0, [0, 5, 9, 13, 17]].mean(axis=0)
+        assert lying_over(model, clip.betas, pose, pixels) == [expected]
 
 
 def test_range_with_touches() -> None:

@@ -16,7 +16,7 @@ from meter import Meter
 
 ADDON = os.environ.get("MANIENT_ADDON", "blender_manient")
 """The repository's, or an installed one"""
-TAB = "Hand Capture"
+TAB, EDIT_TAB = "Hand Capture", "Hand Edit"
 SETTLE = 0.3
 """seconds in which Blender takes up a change of its layout"""
 SHORTCUT = "F19"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import addon_utils
 import bpy
 import numpy as np
-from stage import ADDON
+from stage import ADDON, EDIT_TAB, TAB
 
 from scenarios.capturing import capture, hands, import_take, part
 from scenarios.panels import opened_by_default
@@ -28,6 +28,24 @@ def disabled_leaves_nothing(stage, take):
         yield 0.5
         assert traces() == {}
         assert stage.meter.calls == {}
+
+
+def disabled_in_a_mode(stage, take):
+    """Edit Keypoints runs when the add-on is disabled: its line in the status bar goes, and so do its points
+    and its hold on the hand."""
+    armature = yield from import_take(stage, take)
+    armature.location.x = 0.5
+    yield 0.2
+    place = armature.matrix_world.copy()
+    yield from stage.invoke("manient.edit_keypoints")
+    yield 1.0
+    yield from stage.screenshot("disabled-before")
+    assert armature.matrix_world != place
+    addon_utils.disable(ADDON, default_set=True)
+    yield 0.5
+    yield from stage.screenshot("disabled-after")
+    assert traces() == {}
+    assert armature.matrix_world == place
 
 
 def survives_reloading_scripts(stage, take):
@@ -59,7 +77,7 @@ def lens_from_the_file_browser(stage, film):
     free."""
     settings = bpy.context.scene.manient
     settings.camera = "LENS"
-    with opened_by_default("_capture"):
+    with opened_by_default("MANIENT_PT_advanced"):
         yield from stage.open_sidebar()
         yield from stage.screenshot("lens-none")
         bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
@@ -73,18 +91,23 @@ def lens_from_the_file_browser(stage, film):
 def all_sections(stage, source):
     """With a captured clip: every section open, the mouse wheel turned through all of them."""
     with opened_by_default():
-        yield from capture(stage, source)
         yield from stage.open_sidebar()
+        yield from capture(stage, source)
+        tab = stage.region("UI").active_panel_category
+        assert tab == EDIT_TAB, "a finished capture opens it"
         stage.meter.reset()
-        region = stage.region("UI")
-        for number in range(3):
-            yield from stage.screenshot(f"sections-{number}")
-            yield from stage.move_to((region.x + region.width / 2, region.y + region.height / 2))
-            for _ in range(12):
-                yield from stage.key("WHEELDOWNMOUSE")
-            yield 0.3
+        for tab in (EDIT_TAB, TAB):
+            yield from stage.open_sidebar(tab)
+            region = stage.region("UI")
+            for number in range(3):
+                yield from stage.screenshot(f"{tab}-{number}")
+                yield from stage.move_to((region.x + region.width / 2, region.y + region.height / 2))
+                for _ in range(12):
+                    yield from stage.key("WHEELDOWNMOUSE")
+                yield 0.3
     drawn = {name.partition(".")[0] for name in stage.meter.calls if name.endswith(".draw")}
-    assert {"source", "hand", "capture", "result", "refine", "shape", "export"} <= drawn
+    assert {"capture", "advanced", "live"} <= drawn
+    assert {"result", "refine", "poses", "motion", "shape", "export"} <= drawn
 
 
 def preferences(stage):

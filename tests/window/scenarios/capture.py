@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import bpy
+from stage import EDIT_TAB
 
 from scenarios.capturing import (
     assert_sentence,
@@ -20,7 +21,6 @@ from scenarios.capturing import (
     part,
     summary,
 )
-from scenarios.panels import opened_by_default
 from scenarios.traces import workers
 
 LONGEST_CALL = 2.4
@@ -98,35 +98,104 @@ def escaped(stage, source, frames):
     assert 0 < hand["detected"] < frames / 2
 
 
+def pressed_again(stage, source):
+    """The mouse rests where Capture was: a press there queues nothing and stops nothing, whatever the panel
+    shows instead."""
+    yield from stage.open_sidebar()
+    bpy.context.scene.manient.source = source
+    yield 1.0
+    place = yield from stage.find_button("bpy.ops.manient.capture(")
+    yield from stage.move_to(place)
+    yield 0.3
+    with stage.override():
+        bpy.ops.manient.capture("INVOKE_DEFAULT")
+    job = yield from stage.until(lambda: next(iter(jobs()), None), 5.0, "the capture")
+    yield from looking(stage, job)
+    yield from stage.key("LEFTMOUSE")
+    yield 0.5
+    assert len(jobs()) == 1
+    part("session.jobs").abandon()
+
+
+def quit_asks(stage, source):
+    """Ctrl Q while a capture runs asks, and Esc goes on with it."""
+    job = yield from begin(stage, source)
+    yield from looking(stage, job)
+    yield from stage.key("Q", ctrl=True)
+    yield 0.5
+    yield from stage.screenshot("quit-asks")
+    yield from stage.key("ESC")
+    done_before = job.done
+    yield from looking(stage, job, done_before + 5)
+    assert job.state == "capturing"
+    yield from stage.key("ESC")
+    yield from finish(stage, job)
+
+
+def own_shot(stage, source):
+    """In an artist's own shot the view turns to new hands, unless they are in sight or it looks through a
+    camera."""
+    scene, area = bpy.context.scene, stage.area()
+    scene.render.fps, scene.unit_settings.scale_length = 30, 1.0
+    scene.timeline_markers.new("own", frame=5)
+    bpy.ops.mesh.primitive_cube_add(size=6, location=(20, 20, 3))
+    bpy.ops.object.camera_add(location=(40, 0, 10))
+    scene.camera = bpy.context.object
+    view = area.spaces[0].region_3d
+    view.view_location, view.view_distance = (20, 20, 0), 40.0
+    yield 0.5
+    yield from stage.screenshot("own-shot-before")
+    yield from capture(stage, source, matching="KEEP", camera="SOLVE")
+    yield 1.0  # the view glides there
+    yield from stage.screenshot("own-shot-after")
+    (hand,) = hands()
+    wrist = hand.matrix_world @ hand.pose.bones[0].head
+    assert (view.view_location - wrist).length < 0.3
+    assert view.view_distance < 1.5
+    view.view_distance = 1.0
+    yield 0.3
+    before = view.view_matrix.copy()
+    yield from capture(stage, source, matching="KEEP")
+    yield 1.0
+    assert view.view_matrix == before, "it was in sight"
+    view.view_perspective = "CAMERA"
+    yield 0.3
+    before = view.view_matrix.copy()
+    yield from capture(stage, source, matching="KEEP")
+    yield 1.0
+    assert view.view_perspective == "CAMERA"
+    assert view.view_matrix == before
+
+
 def queued(stage, sources):
     """Captures that wait for each other are a list in their scene; its first row is clicked."""
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
-        for source in sources:  # all in one turn, so that the first cannot be over before the last is there
-            bpy.context.scene.manient.source = source
-            with stage.override():
-                bpy.ops.manient.capture("INVOKE_DEFAULT")
-        waited = jobs()
-        assert [job.state for job in waited] == ["waiting"] * 3
-        while not all(job.finished for job in waited):
-            states = [job.state for job in waited]
-            running = [state for state in states if state in ("capturing", "building")]
-            ended, waiting = states.count("done"), states.count("waiting")
-            assert len(running) <= 1
-            assert states == ["done"] * ended + running + ["waiting"] * waiting, "in their order"
-            yield 0.0
-        done(*waited)
-        yield 0.3
-        assert _shown() == ["second"], "the last one is active"
-        row = yield from stage.find_button(".manient_capture", along=0.6)
-        yield from stage.click(row)
-        yield 0.5
-        (first,) = _shown()
-        assert first != "second"
-        yield from stage.undo()
-        assert _shown() == ["second"]
-        yield from stage.redo()
-        assert _shown() == [first]
+    yield from stage.open_sidebar()
+    for source in sources:  # all in one turn, so that the first cannot be over before the last is there
+        bpy.context.scene.manient.source = source
+        with stage.override():
+            bpy.ops.manient.capture("INVOKE_DEFAULT")
+    waited = jobs()
+    assert [job.state for job in waited] == ["waiting"] * 3
+    while not all(job.finished for job in waited):
+        states = [job.state for job in waited]
+        running = [state for state in states if state in ("capturing", "building")]
+        ended, waiting = states.count("done"), states.count("waiting")
+        assert len(running) <= 1
+        assert states == ["done"] * ended + running + ["waiting"] * waiting, "in their order"
+        yield 0.0
+    done(*waited)
+    yield 0.3
+    assert _shown() == ["second"], "the last one is active"
+    yield from stage.open_sidebar()
+    row = yield from stage.find_button(".manient_capture", along=0.6)
+    yield from stage.click(row)
+    yield 0.5
+    (first,) = _shown()
+    assert first != "second"
+    yield from stage.undo()
+    assert _shown() == ["second"]
+    yield from stage.redo()
+    assert _shown() == [first]
 
 
 def _shown() -> list[str]:
@@ -247,15 +316,14 @@ def _said_of(job) -> tuple[int, bool, str, str]:
     source that the panel tells of."""
     settings = bpy.context.scene.manient
     shown = Path(part("session.source_info").of(settings).path).name
-    return len(hands()), bool(job.gone), Path(settings.source).name, shown
+    return len(hands()), job.is_gone, Path(settings.source).name, shown
 
 
 def arms_added(stage, source):
     """Add Arms looks at the picture again, and gives each hand an arm or says why not; undone, redone, saved
     and opened again."""
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
     yield from capture(stage, source)
+    yield from stage.open_sidebar(EDIT_TAB)
     before = summary()
     yield from stage.press_button("bpy.ops.manient.add_arms(")
     yield from stage.until(lambda: all(_arms()), 60.0, "arms, or why there are none")

@@ -6,6 +6,7 @@ import importlib
 
 import addon_utils
 import bpy
+from stage import EDIT_TAB
 
 from scenarios import refine
 from scenarios.capturing import capture, hands, import_take, keys_of, part
@@ -22,7 +23,7 @@ def applied(stage, take):
     yield from import_take(stage, take)
     yield from rigify_character(stage)
     with opened_by_default("MANIENT_PT_character"):
-        yield from stage.open_sidebar()
+        yield from stage.open_sidebar(EDIT_TAB)
         yield 0.5
         table, own = bpy.context.scene.manient.hand_table, "f_ring.03.L"
         assert (table.hand, table.ring_3, _kept()) == ("DEF-hand.L", own, own)
@@ -53,7 +54,7 @@ def armed(stage, take):
     yield from rigify_character(stage)
     before = _wrist(30)
     with opened_by_default("MANIENT_PT_character"):
-        yield from stage.open_sidebar()
+        yield from stage.open_sidebar(EDIT_TAB)
         yield 0.5
         yield from press(stage, "manient.character.arms")
         yield from stage.until(lambda: _rig().manient.character.arms, 5.0, "the tick")
@@ -82,7 +83,7 @@ def linked(stage, source, steps=12):
     (armature,) = hands()
     follower = _copied(armature)
     with opened_by_default("MANIENT_PT_character"):
-        yield from stage.open_sidebar()
+        yield from stage.open_sidebar(EDIT_TAB)
         yield 0.5
         yield from press(stage, "manient.character.live")
         yield from stage.until(lambda: keys_of(follower) > 0, 30.0, "the follower's keys")

@@ -17,7 +17,8 @@ NOWHERE = (2.0, 2.0, 40.0, 40.0)
 
 def chosen(stage, source):
     """Of four hands one is left out, one gets another side, and one is thrown out, which is taken back;
-    thrown out again, it is found in a box. An empty box says so. Then what is chosen is captured."""
+    thrown out again, it is found in a box. A box about a hand that is there, and an empty one, change nothing
+    and say so. Then what is chosen is captured."""
     yield from stage.open_sidebar()
     yield from begun(stage, source)
     first, second, third, fourth = (hand.side for hand in mode().choice.hands)
@@ -39,6 +40,9 @@ def chosen(stage, source):
     yield 0.1
     low, size = dropped.min(axis=0) - 20, np.ptp(dropped, axis=0) + 40
     yield from boxed_around(stage, (*low, *size))
+    assert described() == [*rest, (third, True)]
+    yield from boxed_around(stage, (*low - 5, *size + 10), "find-again")
+    assert mode().status_line()[0].startswith("The box shows no other hand")
     assert described() == [*rest, (third, True)]
     yield from boxed_around(stage, NOWHERE)
     assert mode().status_line()[0].startswith("No hand was found in the box")

@@ -20,6 +20,7 @@ def opened_by_default(*only: str):
     """Meanwhile all sections of new files are open, or `only` these are: a section's state comes from its
     class when it is first drawn."""
     before = {cls: set(getattr(cls, "bl_options", ())) for cls in sections()}
+    before = {cls: options for cls, options in before.items() if "HIDE_HEADER" not in options}
     _register_with(
         {
             cls: options - {"DEFAULT_CLOSED"}

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 import os
 
-import addon_utils
 import bpy
 from mathutils import Matrix, Vector
-from stage import ADDON
+from stage import EDIT_TAB
 
 from handfit_core.hand_model.files import OPEN_HAND, kept_model
 from handfit_core.retarget.transfer import SourceHand, target_hand
@@ -16,14 +15,13 @@ from scenarios import adding, live, views
 from scenarios.capturing import begin, capture, done, finish, hands, part
 from scenarios.character import press, rigify_character
 from scenarios.finding import HER_LEFT_HAND, begun, boxed_around, mode, tag_of
-from scenarios.panels import opened_by_default, sections
+from scenarios.panels import opened_by_default
 from scenarios.refine import INDEX_TIP, places, state, warmed
 
 
 def tour(stage, folder, source, edited_frame=12):
     """The whole way, with a picture of every station. `source` lies in `folder`, as does the .blend."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/scene.blend")
-    _open_all_sections()
     yield from stage.open_sidebar()
     yield from stage.move_to(stage.region())
     yield 0.3
@@ -69,13 +67,13 @@ def choosing(stage, folder, source):
 def several(stage, folder, sources):
     """Two captures in the list, the second in front."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/several.blend")
-    with opened_by_default("MANIENT_PT_result"):
-        yield from stage.open_sidebar()
-        for source in sources:
-            yield from capture(stage, f"//{source}")
-        bpy.context.scene.frame_set(12)
-        yield from stage.look_through_camera()
-        yield from _shown(stage, "captures")
+    yield from stage.open_sidebar()
+    for source in sources:
+        yield from capture(stage, f"//{source}")
+    bpy.context.scene.frame_set(12)
+    yield from stage.look_through_camera()
+    yield from stage.open_sidebar()
+    yield from _shown(stage, "captures")
 
 
 def posing(stage, folder, source):
@@ -111,7 +109,7 @@ def acting(stage, folder, source):
 def two_cameras(stage, folder, source, second, other):
     """A capture of two views through both cameras; then with a clip of another hand as the second view."""
     bpy.ops.wm.save_as_mainfile(filepath=f"{folder}/two.blend")
-    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
+    with opened_by_default("MANIENT_PT_result"):
         yield from stage.open_sidebar()
         yield from views.chosen(stage, f"//{source}", f"//{second}")
         yield from capture(stage, f"//{source}")
@@ -144,7 +142,7 @@ def onto_a_character(stage, folder, source, frame=8):
         bpy.context.scene.frame_set(frame)
         _hold_beside(rig, armature)
         bpy.context.scene.manient.hand_table.side = "right"
-        yield from stage.open_sidebar()
+        yield from stage.open_sidebar(EDIT_TAB)
         yield from press(stage, "bpy.ops.manient.apply_to_character(")
         yield from stage.until(lambda: rig.animation_data.action is not None, 60.0, "keys on the character")
         yield 1.0
@@ -182,7 +180,7 @@ def onto_a_body(stage, folder, source, side, turns, places, frame=75):
                 control.keyframe_insert(channel, frame=row + 1)
         yield from capture(stage, f"//{source}")
         part("operators.base").select_alone(bpy.context, rig)
-        yield from stage.open_sidebar()
+        yield from stage.open_sidebar(EDIT_TAB)
         yield from press(stage, "bpy.ops.manient.find_offset(")
         yield from stage.until(lambda: rig.manient.character.time_offset, 120.0, "the offset")
         yield from press(stage, "bpy.ops.manient.apply_to_character(")
@@ -241,16 +239,3 @@ def _drag_a_fingertip(stage):
     yield from stage.screenshot("keypoints")
     yield from stage.key("RET")
     yield 0.5
-
-
-def _open_all_sections():
-    """The tab as it looks when the artist has opened every section once but for Live; their subsections stay
-    closed."""
-    shown = sections()
-    for cls in reversed(shown):
-        bpy.utils.unregister_class(cls)
-    for cls in shown:
-        if not hasattr(cls, "bl_parent_id") and cls.bl_label != "Live":
-            cls.bl_options = set()
-        bpy.utils.register_class(cls)
-    assert addon_utils.check(ADDON)[1]

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from stage import EDIT_TAB
 
 from scenarios.capturing import capture, hands, import_take, keys_of, mesh_of, part
 from scenarios.panels import opened_by_default
 
-PICTURE = 293
+PICTURE = 155
 """pixels from the sidebar's top to the middle of a pose's picture, with all sections above closed"""
 FIST = (-161, -121)
 """pixels from there to the fist among the pictures that open"""
@@ -40,7 +41,7 @@ def pose_of_the_library(stage, take):
     """The picture is clicked, the fist in what opens, then the button; undone."""
     with opened_by_default("MANIENT_PT_poses"):
         yield from import_take(stage, take)
-        yield from stage.open_sidebar()
+        yield from stage.open_sidebar(EDIT_TAB)
     region, poses = stage.region("UI"), part("scene.poses")
     shown = (region.x + region.width / 2, region.y + region.height - PICTURE)
     yield from stage.click(shown)
@@ -92,8 +93,8 @@ def keys_simplified(stage, take):
     """The preview follows a slider; Simplify and All Keys are pressed and undone, a layer is put on top and
     ended."""
     armature = yield from import_take(stage, take)
-    with opened_by_default("MANIENT_PT_shape", "MANIENT_PT_keys"):
-        yield from stage.open_sidebar()
+    with opened_by_default("MANIENT_PT_motion"):
+        yield from stage.open_sidebar(EDIT_TAB)
         every, left = keys_of(armature), []
         for degrees in (1.0, 4.0):
             bpy.context.scene.manient.keys_degrees = degrees

@@ -111,6 +111,63 @@ def looked_at(stage, take):
     yield from ended(stage)
 
 
+def put_elsewhere(stage, source):
+    """A hand that was moved, turned and scaled is edited where it was captured and goes back exactly; clicks
+    and boxes that hit no point choose nothing behind. Beside a correction the points are hollow."""
+    yield from stage.open_sidebar()
+    yield from capture(stage, source)
+    (armature,) = hands()
+    bpy.context.scene.frame_set(30)
+    armature.location, armature.rotation_euler, armature.scale = (0.3, 0.2, 0.1), (0.5, 1.0, 0.3), (2, 2, 2)
+    bpy.ops.mesh.primitive_plane_add(size=4, location=(0, 2, 0), rotation=(np.pi / 2, 0, 0))
+    behind = bpy.context.object
+    behind.select_set(False)
+    armature.select_set(True)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.ed.undo_push(message="Elsewhere")
+    yield 0.3
+    place = armature.matrix_world.copy()
+    yield from stage.screenshot("elsewhere-before")
+    yield from edited(stage, armature, frame=30)
+    yield from stage.screenshot("elsewhere-edited")
+    captured = armature.matrix_world.copy()
+    assert np.abs(np.array(captured) - np.eye(4)).max() < 1e-5
+    selected = lambda: (list(bpy.context.selected_objects), bpy.context.object)  # noqa: E731
+    before = selected()
+    assert behind not in before[0]
+    free = viewport().free() + [viewport().region.x, viewport().region.y]
+    corner, middle = free[0] + 20, free.mean(axis=0) + [0, 0.45 * np.ptp(free[:, 1])]
+    for button in ("LEFTMOUSE", "RIGHTMOUSE"):
+        yield from stage.move_to(corner)
+        yield from stage.key(button)
+        yield 0.2
+        assert selected() == before
+    yield from stage.click(corner)
+    yield from stage.click(corner)
+    yield from stage.drag([tuple(corner + t * (middle - corner)) for t in np.linspace(0, 1, 8)])
+    yield 0.2
+    assert selected() == before
+    assert operator().running()
+    start = places()[INDEX_TIP]
+    yield from dragged(stage, [(start[0] + 7 * i, start[1] - 2 * i) for i in range(8)])
+    yield from stage.key("RIGHT_ARROW")
+    yield 0.3
+    assert operator()._mode.shows_detections(0)
+    yield from stage.screenshot("elsewhere-hollow")
+    yield from stage.undo()
+    yield from stage.redo()
+    (armature,) = hands()
+    assert np.abs(np.array(armature.matrix_world) - np.eye(4)).max() < 1e-5
+    yield from ended(stage)
+    bpy.context.view_layer.update()
+    assert armature.matrix_world == place
+    assert not armature.constraints
+    yield from stage.undo()
+    (armature,) = hands()
+    assert armature.matrix_world == place
+    assert not armature.constraints
+
+
 def smoothed(stage, source):
     """The panel's slider turned up by Ctrl and the wheel, undone by one step, and turned farther; what was
     keyed by hand stays."""

@@ -39,7 +39,7 @@ def captured(stage, source, second):
     """Chosen, captured and called good; the button leads to the second view's camera, through which the hand
     lies on its picture, too, and back; undone and redone, saved and opened again. Edit Keypoints shows its
     points over both pictures."""
-    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_result"):
+    with opened_by_default("MANIENT_PT_advanced", "MANIENT_PT_result"):
         yield from stage.open_sidebar()
         yield from chosen(stage, source, second)
         yield from stage.screenshot("views-chosen")
@@ -107,7 +107,7 @@ def told(stage, source, second, rig):
     """A frame of each view, typed beside its picture, tells the offset; a calibration of other cameras is
     refused in a sentence that names it."""
     settings = bpy.context.scene.manient
-    with opened_by_default("MANIENT_PT_source", "MANIENT_PT_second_view", "MANIENT_PT_capture"):
+    with opened_by_default("MANIENT_PT_advanced"):
         yield from stage.open_sidebar()
         yield from chosen(stage, source, second)
         yield from stage.screenshot("views-advanced")
