@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from handfit_core.common.skeleton import Side
+from handfit_core.common.skeleton import SIDES, Side
+from handfit_core.detect.keypoints import Detections
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model import load_model
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.take import HandTrack, Take
+from handfit_core.take.found import FoundRows
 from handfit_core.take.views import Cameras, SeenHand, Verdict, View
+
+Seen = TypeVar("Seen", HandTrack, SeenHand)
 
 
 def track_of(
@@ -30,12 +34,21 @@ def track_of(
         "hand_pose": pose,
         "transl": transl,
         "joints_3d": points,
-        "keypoints_2d": camera.project(points),
         "reprojection_error": np.full(count, 0.5),
-        "detected": np.ones(count, dtype=bool),
-        "score": np.full(count, 0.9),
+        "detections": found(side, camera.project(points), np.ones(count, dtype=bool)),
     }
     return HandTrack(side=side, **values | fields)
+
+
+def found(side: Side, keypoints: np.ndarray, detected: np.ndarray) -> Detections:
+    """A hand whose keypoints (T, 21, 2) alone were detected, in those frames (T,), with a score of 0.9."""
+    return FoundRows(keypoints, detected, np.full(len(detected), 0.9)).detections(side)
+
+
+def seen_as(hand: Seen, **columns: Any) -> Seen:
+    """The hand with other arrays of `FoundRows`."""
+    side = hand.side if isinstance(hand, HandTrack) else SIDES[hand.detections.side[0]]
+    return replace(hand, detections=replace(hand.rows, **columns).detections(side))
 
 
 def take_of(hands: Sequence[HandTrack], camera: Intrinsics, width: int, height: int, **fields: Any) -> Take:
@@ -56,7 +69,7 @@ def correctable(take: Take) -> Take:
     hands = []
     for hand in take.hands:
         points = hand.joints_3d - hand.joints_3d[:, :1]
-        hands.append(replace(hand, keypoints_depth=0.0 * points[..., 2], world_landmarks=points))
+        hands.append(seen_as(hand, keypoints_depth=0.0 * points[..., 2], world_landmarks=points))
     return replace(take, hands=tuple(hands))
 
 
@@ -87,13 +100,11 @@ def of_two_views(sources: tuple[Source, Source]) -> Take:
     seconds = cameras.seconds(1)
     there = cameras.camera(1).seen_from(model.keypoints(None, *motion(seconds)))
     seen = SeenHand(
-        other.project(there),
-        np.ones(count, dtype=bool),
-        seconds < (count - 1) / 30.0,
-        np.full(count, 0.9),
-        (there - there[:, :1])[..., 2] * other.fx / 0.55,
-        there - there.mean(axis=1, keepdims=True),
+        seconds < (count - 1) / 30.0, found("right", other.project(there), np.ones(count, dtype=bool))
     )
+    depth = (there - there[:, :1])[..., 2] * other.fx / 0.55
+    world = there - there.mean(axis=1, keepdims=True)
+    seen = seen_as(seen, keypoints_depth=depth, world_landmarks=world)
     verdict = Verdict("good", "Offset 4.3 frames: good.")
     return replace(take, hands=(replace(take.hands[0], seen_by=(seen,)),), cameras=cameras, verdict=verdict)
 

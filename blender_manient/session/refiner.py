@@ -247,7 +247,7 @@ class Refiner:
                 side=self.side,
                 betas=betas,
                 intrinsics=self.take.intrinsics,
-                detections=self.track.detections(np.array(rows)),
+                detections=self.track.detections_at(np.array(rows)),
                 pins=places,
                 global_orient=start[0],
                 hand_pose=start[1],

@@ -14,9 +14,17 @@ import numpy as np
 from handfit_core.capturing.options import OPTIONS, CaptureOptions, add_options, add_progress
 from handfit_core.capturing.pipeline import capture, hand_summaries
 from handfit_core.common.errors import InputError, NoHandFoundError, OptionError
-from handfit_core.common.files import check_writable, output_path, path_of, printable, shown, written_whole
+from handfit_core.common.files import (
+    check_writable,
+    output_path,
+    path_of,
+    printable,
+    shown,
+    written_whole,
+)
+from handfit_core.interchange.document import Document
 from handfit_core.interchange.opening import is_recording, read_recording
-from handfit_core.interchange.readers import READERS, UNSEEN, unseen
+from handfit_core.interchange.readers import READERS, tried_with
 from handfit_core.interchange.recording import ReadOptions
 from handfit_core.interchange.writers import WRITERS, Writer, writer_for
 from handfit_core.take import HandTrack, Take, chosen, is_take
@@ -48,7 +56,7 @@ def add_interchange_commands(commands: Any) -> None:
 
     info = commands.add_parser("info", help="what a file of hands or keypoints is, and what is assumed of it")
     info.add_argument("input", metavar="FILE", help="a take, or a file or folder of docs/interchange.md")
-    add_options(info, ("reader", "person", "hands", "fps", "picture_size", "hand_mean", "model"))
+    add_options(info, ("reader", "order", "person", "hands", "fps", "picture_size", "hand_mean", "model"))
     info.set_defaults(handler=_info)
 
 
@@ -143,7 +151,7 @@ def _info(args: argparse.Namespace) -> int:
             ("hands", ", ".join(_hand(hand) for hand in take.hands) or "none"),
             *([("program", take.program)] if take.program else _networks(take)),
         ]
-    elif is_recording(args.input):
+    elif is_recording(args.input) or not (path.is_dir() or Document(path).media):
         recording = read_recording(args.input, CaptureOptions.of_arguments(args).read_options())
         size = "not known" if recording.size is None else f"{recording.size[0]}x{recording.size[1]} pixels"
         lines = [
@@ -152,7 +160,7 @@ def _info(args: argparse.Namespace) -> int:
             ("picture", size if recording.size != (1, 1) else "not known: points are parts of its size"),
             ("hands", recording.summary),
             *(("assumed", phrase) for phrase in recording.assumed),
-            *([("tested", UNSEEN)] if unseen(recording) else []),
+            *([("tried", tried)] if (tried := tried_with(recording)) else []),
         ]
     else:
         raise OptionError(
@@ -174,7 +182,7 @@ def _networks(take: Take) -> list[tuple[str, str]]:
     seen = [hand for hand in take.hands if hand.detected.any() and error_is_known(hand)]
     if not seen:
         return []
-    second = [(hand.keypoints_2020, hand.keypoints_2d) for hand in seen]
+    second = [(hand.rows.keypoints_2020, hand.keypoints_2d) for hand in seen]
     points = [(both, alone) for both, alone in second if both is not None]
     if not points:
         return [("networks", "the landmark network alone")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -16,7 +16,7 @@ from handfit_core.common.errors import Cancelled, InputError
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.chunks import Chunk
 from handfit_core.detect.detector import DETECTORS, ChunkedDetector, Detected, Detector
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import overlaps
 from handfit_core.detect.regions import detect_frame, detect_region
 from handfit_core.detect.sharing import detect_chunks
@@ -87,7 +87,7 @@ def _one_by_one(
 ) -> Detected:
     """Detect one frame after another."""
     numbers: list[int] = []
-    found: list[tuple[HandDetection, ...]] = []
+    found: list[Detections] = []
     with contextlib.ExitStack() as opened:
         with blamed():
             detector = opened.enter_context(open_detector(options, video=media.source.kind != "photo"))
@@ -106,16 +106,15 @@ def _one_by_one(
 def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
     hands, cuts = detector.joined(chunks)
     numbers = [number for chunk in chunks for number in chunk.numbers]
-    if isinstance(hands, Detections):
-        check_arrays(hands, ValueError)
-        rows = np.concatenate([[0], hands.frame, [max(0, len(numbers) - 1)]])
-        if np.any(np.diff(rows) < 0) or not np.isin(hands.side, range(len(SIDES))).all():
-            raise ValueError("frame must not decrease and lie within the clip, and side be 0 or 1")
+    check_arrays(hands, ValueError)
+    rows = np.concatenate([[0], hands.frame, [max(0, len(numbers) - 1)]])
+    if np.any(np.diff(rows) < 0) or not np.isin(hands.side, range(len(SIDES))).all():
+        raise ValueError("frame must not decrease and lie within the clip, and side be 0 or 1")
     # At least twice, since one picture may show what only looks like a hand.
     counts = sorted(count for chunk in chunks for count in chunk.counts)
     return Detected(
         numbers=numbers,
-        hands=hands if isinstance(hands, Detections) else Detections.of(hands),
+        hands=hands,
         most_seen=counts[-min(2, len(counts))] if counts else 0,
         cuts=tuple(cuts),
         missed=2 * sum(chunk.misses for chunk in chunks) > len(counts),
@@ -123,8 +122,8 @@ def _in_chunks(detector: ChunkedDetector, chunks: list[Chunk]) -> Detected:
 
 
 def find_in_frame(
-    source: MediaInput, options: CaptureOptions, known: Sequence[HandDetection] = ()
-) -> tuple[Frame, tuple[HandDetection, ...]]:
+    source: MediaInput, options: CaptureOptions, known: Iterable[Detections] = ()
+) -> tuple[Frame, Detections]:
     """The first used frame of a source, and all its hands, the surest first, for a person to choose from.
 
     Those of `regions` come first, found beside the `known` ones; with `only_regions` there are no others.
@@ -135,17 +134,16 @@ def find_in_frame(
     if frame is None or frame.rgb is None:
         raise InputError(f"{media.source.files[0]}: this frame could not be read; choose another one")
     if options.only_regions and not options.regions:
-        return frame, ()
+        return frame, Detections.of([[]])
     options = replace(options, max_hands=None)
     with DETECTORS.blamed(options.detector), open_detector(options) as detector:
         found = () if options.only_regions else detector.find(frame.rgb, frame.time)
-        shown: list[HandDetection] = []
+        shown: list[Detections] = []
         for region in options.regions:
             shown += detect_region(detector, frame.rgb, region, (*known, *shown))
-        others = [hand for hand in found if not overlaps(hand, shown)]
-        hands = (*shown, *others)
-        finite = _finite(Detections.of([hands]), options.detector)
-    return frame, tuple(hand for hand, is_finite in zip(hands, finite, strict=True) if is_finite)
+        others = [hand for hand in found if not overlaps(hand, Detections.of([shown]))]
+        hands = Detections.of([[*shown, *others]])
+        return frame, hands.select(_finite(hands, options.detector))
 
 
 def _finite(hands: Detections, detector: str) -> np.ndarray:

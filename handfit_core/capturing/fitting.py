@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.sources import Found
-from handfit_core.common.batch import scatter, slices
-from handfit_core.common.skeleton import FINGERS, SIDES
+from handfit_core.common.batch import slices
+from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS
 from handfit_core.detect.keypoints import Track
 from handfit_core.fit.solvers import SOLVERS, ShouldStop, get_solver, never
 from handfit_core.geometry.camera import Intrinsics
@@ -21,6 +21,7 @@ from handfit_core.hand_model.length import warn_of_odd_shapes
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.taking import seen_of
 from handfit_core.take import HandTrack
+from handfit_core.take.found import FoundRows
 
 LAST_FITS_SECONDS: Final = 0.3
 """What slow solvers get for what was found when detection was stopped. Others get the time that they need,
@@ -94,38 +95,26 @@ def _as_detected(
     can be fitted again."""
     seen = seen_of(model, fit, intrinsics, fps, told.score)
     clean = hand_track(model, _where(seen, told.detected), fit, intrinsics)
-    return replace(clean, reprojection_error=told.reprojection_error, overlapped=told.overlapped)
+    rows = replace(clean.rows, overlapped=told.rows.overlapped)
+    return replace(clean, reprojection_error=told.reprojection_error, detections=rows.detections(clean.side))
 
 
 def hand_track(model: HandModel, track: Track, fit: HandMotion, intrinsics: Intrinsics) -> HandTrack:
     """What a take keeps of one fitted track: the parameters and what follows from them."""
-    count, hands, present = track.frame_count, track.detections, fit.present
-
-    def over_time(rows: np.ndarray, nothing: Any = np.nan) -> np.ndarray:
-        return scatter(rows, hands.frame, count, nothing)
-
-    points, second, doubted = over_time(hands.keypoints), hands.keypoints_2020, hands.overlapped
+    count, present = track.frame_count, fit.present
+    found = FoundRows.of(track.detections, track.side, count)
     if fit.expected_error is None and not track.calibrated:
         fit = replace(fit, expected_error=np.full((count, len(FINGERS)), np.nan))
-    keypoints_2d = points[..., :2]
     there, error = np.flatnonzero(present), np.full(count, np.nan)
-    joints_3d = np.full(points.shape, np.nan)
+    joints_3d = np.full((count, NUM_KEYPOINTS, 3), np.nan)
     for rows in (there[part] for part in slices(len(there))):
         joints_3d[rows] = model.keypoints(fit.betas, *(each[rows] for each in fit.pose))
-        distance = np.linalg.norm(intrinsics.project(joints_3d[rows]) - keypoints_2d[rows], axis=-1)
+        distance = np.linalg.norm(intrinsics.project(joints_3d[rows]) - found.keypoints_2d[rows], axis=-1)
         error[rows] = distance.mean(axis=-1)
     return HandTrack(
         **vars(fit),
         joints_3d=joints_3d,
-        keypoints_2d=keypoints_2d,
         reprojection_error=error,
-        detected=track.detected,
-        score=over_time(hands.score),
-        filled=present & ~track.detected,
-        keypoints_depth=points[..., 2],
-        world_landmarks=over_time(hands.world),
-        keypoints_2020=None if second is None or not hands.asked_2020.any() else over_time(second),
-        right_side=over_time(hands.right_side),
-        other_side=over_time(hands.side != SIDES.index(track.side), False),
-        overlapped=None if doubted is None or not doubted.any() else over_time(doubted, False),
+        detections=found.detections(track.side),
+        filled=present & ~found.detected,
     )

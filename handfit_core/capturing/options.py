@@ -253,6 +253,12 @@ def _regions(given: Any) -> tuple[Region, ...]:
     return tuple(each if isinstance(each, Region) else region_of(each) for each in given)
 
 
+def _orders() -> Iterable[str]:
+    from handfit_core.interchange.orders import ORDERS  # which Blender does not need to start
+
+    return ORDERS
+
+
 def _readers() -> Iterable[str]:
     from handfit_core.interchange.readers import READERS  # which Blender does not need to start
 
@@ -438,6 +444,15 @@ class CaptureOptions:
         "NAME",
         choices=_readers,
         by_default="recognised",
+    )
+    order: str | None = _option(
+        None,
+        _text,
+        "the order of a hand's points in another program's file",
+        "NAME",
+        choices=_orders,
+        closed=True,
+        by_default="the program's, else as the hand's bones tell",
     )
     person: int | None = _option(
         None,

@@ -17,7 +17,7 @@ from handfit_core.capturing.fitting import fit_hands
 from handfit_core.capturing.options import VIEW_OPTIONS, CaptureOptions
 from handfit_core.capturing.sources import open_source, opened
 from handfit_core.capturing.views.joining import alone, joined
-from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.readings import ViewTake
 from handfit_core.capturing.views.rig_file import Rig, read_rig, write_rig
 from handfit_core.common.errors import Cancelled, HandfitError, NoHandFoundError, OptionError
 from handfit_core.common.files import check_writable, shown
@@ -100,7 +100,7 @@ def capture(
 
 def _captured(
     source: MediaInput, options: CaptureOptions, report: ProgressCallback, stop: ShouldStop
-) -> Clip:
+) -> ViewTake:
     """One view."""
     origin = open_source(source, options)
     media, recording = origin.media, origin.recording
@@ -126,7 +126,7 @@ def _captured(
         from handfit_core.capturing.arms import with_arms
 
         take = with_arms(take, bodies)
-    return Clip(take, lens_known=origin.known is not None)
+    return ViewTake(take, lens_known=origin.known is not None)
 
 
 def _capture_both(
@@ -149,7 +149,7 @@ def _capture_both(
         rig = read_rig(options.cameras, names, sizes)
         first = replace(first, intrinsics=None, lens=rig.lenses[0])
         second = replace(second, lens=rig.lenses[1])
-    views: list[Clip | None] = []
+    views: list[ViewTake | None] = []
     missing: list[HandfitError] = []
     for given, each in ((source, first), (options.view, second)):
         try:
@@ -164,7 +164,7 @@ def _capture_both(
 
 
 def _joined(
-    views: Sequence[Clip | None],
+    views: Sequence[ViewTake | None],
     missing: Sequence[HandfitError],
     options: CaptureOptions,
     rig: Rig | None,

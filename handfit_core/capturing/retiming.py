@@ -23,15 +23,6 @@ _ON_ROW = 1e-3
 """source frames within which a moment is that of a row"""
 _ON_KEY = 0.01
 """frames within which a frame is that of a key"""
-_MEASURED = (
-    "keypoints_2d",
-    "reprojection_error",
-    "score",
-    "keypoints_depth",
-    "world_landmarks",
-    "keypoints_2020",
-)
-"""A track's arrays of a hand that is there, and of one that was detected"""
 
 
 def check_rate(fps: float) -> None:
@@ -100,13 +91,13 @@ def sampled(track: HandTrack, numbers: np.ndarray, times: np.ndarray) -> HandTra
         rows,
         arm=None if track.arm is None else _sampled_arm(track.arm, before, after, part, there),
         **{name: kept(pose, there) for name, pose in poses.items()},
-        detected=detected,
+        detections=rows.detections.select(detected[rows.detections.frame]),
         filled=filled if filled.any() else None,
         **{
             name: kept(getattr(rows, name), there)
             for name in ("joints_3d", "expected_error", "placed", "touches")
         },
-        **{name: kept(getattr(rows, name), detected) for name in _MEASURED},
+        reprojection_error=kept(rows.reprojection_error, detected),
     )
 
 

@@ -305,7 +305,7 @@ def _linked(media: Media, options: CaptureOptions, seen: Detected, stop: ShouldS
         raise NoHandFoundError(f"{media.source.name}: {error if there else seen_none}") from None
     if not options.only_regions:
         _tell_of_others(hands, len(tracks), count if hands in SIDES else max(count, seen.most_seen))
-        if seen.missed and hands not in SIDES and len(tracks) != most:
+        if seen.missed and not options.regions and hands not in SIDES and len(tracks) != most:
             log.warning(MISSED, extra={"offer": "find_hands"})
     if most is None and len(tracks) > CROWD and not options.only_regions:
         log.warning(

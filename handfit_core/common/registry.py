@@ -14,13 +14,17 @@ out, whatever is wrong with it.
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import logging
+import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from handfit_core.common.errors import HandfitError, OptionError, PlugInError
+from handfit_core.common.files import data_dir
 from handfit_core.common.values import shortly
 
 log = logging.getLogger("handfit")
@@ -28,16 +32,43 @@ log = logging.getLogger("handfit")
 Part = TypeVar("Part")
 
 
+@dataclass(frozen=True)
+class _UserFile:
+    """A plug-in that is one Python file, as an entry point."""
+
+    name: str
+    module: str
+    """Its path"""
+    kind: type
+    dist = None
+
+    def load(self) -> Any:
+        """The file's part, or what has one as its `reader`, whatever it is called in it."""
+        spec = importlib.util.spec_from_file_location(f"handfit_user_{self.name}", self.module)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+        every = [
+            getattr(each, "reader", each) for each in vars(module).values() if not isinstance(each, type)
+        ]
+        return next((each for each in every if isinstance(each, self.kind)), None)
+
+
 class Registry(Generic[Part]):
     """The parts of one kind, by name.
 
     `group` is the group of the entry points, `noun` what messages call such a part, `kind` the class that
     every part is an instance of, and `built_in` gives the place, as in "package.module:ATTRIBUTE", of each
-    part of this package. A plug-in cannot take the name of a built-in part.
+    part of this package. `folder`: the name of a folder of the user's data whose Python files are plug-ins,
+    too, each called as its file. A plug-in cannot take the name of a built-in part.
     """
 
-    def __init__(self, group: str, noun: str, kind: type[Part], built_in: Mapping[str, str]) -> None:
-        self._group, self._noun, self._kind = group, noun, kind
+    def __init__(
+        self, group: str, noun: str, kind: type[Part], built_in: Mapping[str, str], folder: str = ""
+    ) -> None:
+        self._group, self._noun, self._kind, self._folder = group, noun, kind, folder
         self._built_in = {name: EntryPoint(name, place, group) for name, place in built_in.items()}
         self._parts: dict[str, Part] = {}
         self._failed: dict[str, str] = {}
@@ -49,13 +80,15 @@ class Registry(Generic[Part]):
         except Exception:  # a package's metadata can be damaged in any way
             return list(self._built_in)
 
-    def _plug_ins(self) -> list[EntryPoint]:
-        return sorted(entry_points(group=self._group), key=lambda point: point.name)
+    def _plug_ins(self) -> list[EntryPoint | _UserFile]:
+        files = sorted((data_dir() / self._folder).glob("*.py")) if self._folder else []
+        own = [_UserFile(file.stem.replace("_", "-"), str(file), self._kind) for file in files]
+        return [*own, *sorted(entry_points(group=self._group), key=lambda point: point.name)]
 
     @cached_property
-    def _offered(self) -> dict[str, EntryPoint]:
+    def _offered(self) -> dict[str, EntryPoint | _UserFile]:
         """Every part's entry point: built-in ones first, then plug-ins by their names."""
-        offered = dict(self._built_in)
+        offered: dict[str, EntryPoint | _UserFile] = {**self._built_in}
         try:
             plug_ins = self._plug_ins()
         except Exception as error:  # a package's metadata can be damaged in any way
@@ -135,7 +168,7 @@ class Registry(Generic[Part]):
         return part
 
 
-def _origin(point: EntryPoint) -> str:
+def _origin(point: EntryPoint | _UserFile) -> str:
     """The package that offers a plug-in, or where no package says so its module."""
     return f"the package {point.dist.name}" if point.dist is not None else point.module
 

@@ -26,6 +26,7 @@ from handfit_core.detect.body import (
 from handfit_core.detect.detector import InChunks
 from handfit_core.detect.sharing import detect_chunks
 from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.detect.tracker import Tracked
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.lens import Lens
 from handfit_core.media.read_ahead import read_ahead
@@ -96,7 +97,7 @@ def find_bodies(
     if not len(hands):
         return ()
     seen = np.stack(hands)
-    clip = _Clip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), camera)
+    clip = _HandsInClip(list(numbers), seen[:, :, 0], np.ptp(seen, axis=2).max(axis=-1), camera)
     if not clip.wanted.any():
         return ()
     with _BodyDetector(media, clip) as detector:
@@ -107,7 +108,7 @@ def find_bodies(
 
 
 @dataclass(frozen=True, eq=False)
-class _Clip:
+class _HandsInClip:
     """H hands in T frames, and the camera."""
 
     numbers: list[int]
@@ -125,14 +126,11 @@ class _Clip:
 
 
 @dataclass(eq=False)
-class _Followed:
-    """A person over some of a chunk's frames."""
+class _Followed(Tracked):
+    """A person over some of a chunk's frames; `points` are the two of `People.axis`."""
 
-    axis: np.ndarray
-    """(2, 2) pixels about which the next crop is laid"""
     near: dict[int, np.ndarray] = field(default_factory=dict)
     """(H,) how near each hand was to a wrist, 1 at it, 0 from `max_wrist_distance` on, by rows of the clip"""
-    misses: int = 0
     bodies: dict[int, Body] = field(default_factory=dict)
     """By rows of the clip"""
     scores: dict[int, float] = field(default_factory=dict)
@@ -152,7 +150,7 @@ class _Part:
 class _BodyDetector(InChunks[_Part]):
     """Finds the bodies of a clip's hands. Use it as a context manager."""
 
-    def __init__(self, media: Media, clip: _Clip) -> None:
+    def __init__(self, media: Media, clip: _HandsInClip) -> None:
         self.media = media
         self._clip = clip
         self._rows = {number: row for row, number in enumerate(clip.numbers)}
@@ -188,7 +186,7 @@ class _BodyDetector(InChunks[_Part]):
 class _Following:
     """Follows bodies through the frames of a chunk."""
 
-    def __init__(self, networks: BodyNetworks, clip: _Clip) -> None:
+    def __init__(self, networks: BodyNetworks, clip: _HandsInClip) -> None:
         self.people: list[_Followed] = []
         """All that were followed"""
         self.cuts: list[int] = []
@@ -238,7 +236,7 @@ class _Following:
         radii = np.linalg.norm(found.axis[:, 1] - found.axis[:, 0], axis=-1)
         known = np.zeros(len(found.score), dtype=bool)
         for person in self._now:
-            apart = np.linalg.norm(found.axis[:, 0] - person.axis[0], axis=-1)
+            apart = np.linalg.norm(found.axis[:, 0] - person.points[0], axis=-1)
             same = apart < FOLLOWING.same_person_distance * radii
             person.scores[row] = float(found.score[same].max(initial=0.0))
             known |= same
@@ -247,7 +245,8 @@ class _Following:
         reached = (off < FOLLOWING.max_reach * radii[:, None]).any(axis=1)
         candidates = np.flatnonzero(~known & reached & (found.score >= FOLLOWING.min_score))
         for i in candidates[: FOLLOWING.most_looked_at]:
-            person = _Followed(found.axis[i], scores={row: float(found.score[i])})
+            scores = {row: float(found.score[i])}
+            person = _Followed(found.axis[i], FOLLOWING.min_presence, scores=scores)
             # The second crop is one about landmarks, as all further ones are.
             for _ in range(2):
                 self._predict(person, rgb, row)
@@ -262,10 +261,11 @@ class _Following:
 
     def _predict(self, person: _Followed, rgb: np.ndarray, row: int) -> None:
         """Add the body of that row where it is found."""
-        body = self._networks.predict(rgb, person.axis, self._clip.camera)
+        body = self._networks.predict(rgb, person.points, self._clip.camera)
         person.bodies.pop(row, None)
-        if body.presence >= FOLLOWING.min_presence:
-            person.bodies[row], person.axis = body, body.axis
+        if body.presence >= person.min_presence:
+            person.bodies[row] = body
+            person.found(body.axis)
 
     def _nearness(self, body: Body, row: int) -> np.ndarray:
         """(H,) how near each hand of that row is to one of the body's wrists: 1 at it, 0 at the limit and
@@ -287,7 +287,7 @@ def _sees_arm(body: Body) -> bool:
     return bool((body.visibility[arms].min(axis=1) > FOLLOWING.min_visibility).any())
 
 
-def _joined(clip: _Clip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
+def _joined(clip: _HandsInClip, parts: Sequence[_Part]) -> tuple[BodyTrack, ...]:
     """The people of all chunks, by the hands that they have."""
     people = [person for part in parts for person in part.people]
     body_of = np.full(clip.extents.shape, -1)

@@ -14,21 +14,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from handfit_core.detect.clips import (
-    TRACKING,
-    ClipFinder,
-    PastFrames,
-    PastJpegs,
-    TrackedHand,
-    extend_track,
-)
+from handfit_core.detect.clips import TRACKING, ClipFinder, PastFrames, PastJpegs
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import DetectorSettings, InChunks, Region
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import is_same_hand
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.regions import detect_frame
 from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.detect.tracker import TrackedHand, extend_track
 from handfit_core.media.read_ahead import read_ahead
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Frame, Media
@@ -40,7 +34,7 @@ class Chunk:
 
     numbers: list[int]
     """Numbers of its frames: fewer than `chunk_frames` at the clip's end"""
-    frames: list[tuple[HandDetection, ...]]
+    frames: list[tuple[Detections, ...]]
     tracked: list[TrackedHand]
     """The hands of its last frame"""
     counts: list[int]
@@ -125,7 +119,7 @@ class ClipDetector(InChunks[Chunk]):
                 if not any(is_same_hand(hand, other.last) for other in going)
             ]
             for tracked in new:
-                past = reader.back_from(start, whole=tracked.last.shown, cuts=cuts)
+                past = reader.back_from(start, whole=bool(tracked.last.shown.all()), cuts=cuts)
                 for row, rgb in past:
                     if rgb is not None and not extend_track(self._networks, tracked, rgb, row, frames):
                         break

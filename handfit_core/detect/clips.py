@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from typing import Final
@@ -13,20 +13,14 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.skeleton import Side
-from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Detector, DetectorSettings
-from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.matching import (
-    distance,
-    hand_of_box,
-    is_same_hand,
-    mean_detection,
-    overlaps,
-)
-from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
-from handfit_core.detect.search import SEARCH, Search, tiles
+from handfit_core.detect.keypoints import Detections
+from handfit_core.detect.matching import distance, hand_of_box, overlaps
+from handfit_core.detect.networks import NETWORK, Networks
+from handfit_core.detect.search import Search, tiles
 from handfit_core.detect.shot_boundary import Thumbnail
+from handfit_core.detect.tracker import HandTracker, TrackedHand, cross_check, extend_track
 
 
 @dataclass(frozen=True)
@@ -57,68 +51,11 @@ class TrackingSettings:
     max_occluded_wait: int = 2
     """Between two of these searches, at most, which costs less than to track the hand"""
 
-    max_shift: float = 0.15
-    """A hand that is found farther than this from where it was expected lies at the crop's edge, and is
-    predicted once more"""
-    min_speed: float = 0.1
-    """Per frame, beyond which a hand is expected where it is going. Slower ones are expected where they were,
-    since a guess would only make them tremble"""
-    max_disagreement: float = 0.2
-    """Mean lengths of bones; where the two landmark networks' points are farther apart than this in the
-    picture, the mirrored crop is predicted, too. Of clear hands, hardly any differ by more than 0.14"""
-
 
 TRACKING: Final = TrackingSettings()
 
 
-@dataclass(eq=False)
-class TrackedHand:
-    """A hand that was seen, and what is known of its motion."""
-
-    last: HandDetection
-    velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    """(2,) pixels per frame"""
-    min_presence: float = 0.0
-    """Presence below which it is lost"""
-    searches: int = 0
-    """Failed ones since it was seen last"""
-    wait: int = 0
-    """Frames until the next search"""
-    occluded: bool = False
-    """Whether it was lost where another hand is"""
-
-    @classmethod
-    def of(cls, hand: HandDetection, threshold: float, velocity: np.ndarray | None = None) -> TrackedHand:
-        """Begin to track a hand that was found with that threshold of presence; one that a person has shown
-        needs less of it."""
-        min_presence = SEARCH.box_min_presence if hand.shown else threshold
-        return cls(hand, np.zeros(2) if velocity is None else velocity, min_presence)
-
-    def update(self, hand: HandDetection) -> None:
-        """Take in its detection in the next frame."""
-        self.velocity = hand.keypoints_2d.mean(axis=0) - self.last.keypoints_2d.mean(axis=0)
-        self.last = hand
-
-    def expected(self) -> np.ndarray:
-        """(21, 2) pixels where its landmarks are expected in the next frame."""
-        speed, slow = float(np.linalg.norm(self.velocity)), TRACKING.min_speed * self.last.extent
-        moving = max(0.0, 1.0 - slow / max(speed, 1e-9))
-        return self.last.keypoints_2d + moving * self.velocity
-
-    def search_failed(self) -> None:
-        """Count a failed search, and wait longer for the next one."""
-        self.velocity = np.zeros(2)
-        self.searches += 1
-        longest = TRACKING.max_occluded_wait if self.occluded else TRACKING.max_wait
-        self.wait = min(2**self.searches - 1, longest)
-
-    @property
-    def given_up(self) -> bool:
-        """Whether it is not searched for any more."""
-        return self.searches >= (TRACKING.max_occluded_searches if self.occluded else TRACKING.max_searches)
-
-
-class ClipFinder(Detector):
+class ClipFinder(HandTracker, Detector):
     """Finds the hands of consecutive frames of one clip.
 
     A new hand is tracked backwards, too, and the landmark network of December 2020 runs on a frame while the
@@ -127,8 +64,8 @@ class ClipFinder(Detector):
 
     def __init__(self, settings: DetectorSettings, networks: Networks, *, whole_past: bool = False) -> None:
         """`whole_past`: a new hand is tracked back to the first frame, not only for a second."""
-        self._frames: list[tuple[HandDetection, ...]] = []
-        self._cross_checks: list[tuple[int, HandDetection, Future[HandDetection]]] = []
+        self._frames: list[tuple[Detections, ...]] = []
+        self._cross_checks: list[tuple[int, Detections, Future[Detections]]] = []
         """The hands of the last frame, with the frame's index, on which `cross_check` runs"""
         self.cuts: list[int] = []
         """Indices of frames that begin another shot"""
@@ -138,11 +75,7 @@ class ClipFinder(Detector):
         """In how many of these frames another hand is likely"""
         self.thumbnails: list[Thumbnail] = []
         """Of the first and the last frame that could be read"""
-        self.tracked: list[TrackedHand] = []
-        """The hands of the last frame"""
-        self._threshold = settings.threshold
-        self._max_hands = settings.max_hands
-        self._networks = networks
+        HandTracker.__init__(self, networks, settings.threshold, settings.max_hands)
         self._searching = Search(self._networks, settings.threshold, plain=settings.plain)
         self._lost: list[TrackedHand] = []
         self._whole_past = whole_past
@@ -151,7 +84,7 @@ class ClipFinder(Detector):
         self._search_wait = 0
 
     @property
-    def frames(self) -> list[tuple[HandDetection, ...]]:
+    def frames(self) -> list[tuple[Detections, ...]]:
         """The hands of every frame so far."""
         for index, hand, future in self._cross_checks:
             self._frames[index] = tuple(future.result() if h is hand else h for h in self._frames[index])
@@ -163,8 +96,8 @@ class ClipFinder(Detector):
         rgb: np.ndarray,
         box: Sequence[float],
         side: Side | None = None,
-        known: Sequence[HandDetection] = (),
-    ) -> HandDetection | None:
+        known: Iterable[Detections] = (),
+    ) -> Detections | None:
         """The hand in a box of the last frame (see `Detector`), which is tracked from there, both ways."""
         index = len(self.frames) - 1
         checked = dict(zip(self.tracked, self.frames[index], strict=True))
@@ -173,22 +106,22 @@ class ClipFinder(Detector):
         if found is None:
             return None
         hand = next((h for t, h in checked.items() if t.last is found), found)
-        hand = replace(self._networks.with_keypoints_2020(rgb, hand), shown=True, given_side=side)
-        replaced = [t for t in self.tracked if t.last is found or overlaps(hand, [t.last])]
+        hand = self._networks.with_keypoints_2020(rgb, hand).shown_by_person(side)
+        replaced = [t for t in self.tracked if t.last is found or overlaps(hand, t.last)]
         self.tracked = [t for t in self.tracked if t not in replaced]
         self.frames[index] = (*(checked[t] for t in self.tracked), hand)
-        self._start_track(hand)
+        self.tracked.append(TrackedHand.of(hand, self._threshold))
         if not replaced:
             self._track_back(self.tracked[-1], index, islice(self._past.backwards(), 1, None))
         return hand
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:  # noqa: ARG002
         """The hands of the next frame (see `Detector`); `frames` may have more of it later."""
         index = len(self._frames)
         self._frames.append(())
         if rgb is None:
             self._past.append(None)
-            return ()
+            return Detections.of([[]])
         thumbnail = Thumbnail.of(rgb)
         cut = bool(self.thumbnails) and thumbnail.is_cut_from(self.thumbnails[-1])
         self.thumbnails[1:] = [thumbnail]
@@ -196,7 +129,10 @@ class ClipFinder(Detector):
             self.cuts.append(index)
             self.tracked, self._lost, self._search_wait = [], [], 0
             self._past.clear()
-        lost = self._track(rgb)
+        lost = self.follow(rgb)
+        for tracked in lost:
+            near = distance(tracked.last, self.hands) < TRACKING.occluder_distance
+            tracked.occluded = bool(near.any())
         new = self._search(rgb, index, bool(lost) or cut)
         self._lost += lost
         self.frames[index] = tuple(tracked.last for tracked in self.tracked)
@@ -205,62 +141,33 @@ class ClipFinder(Detector):
             hand = tracked.last
             behind = [t for t in self._lost if t.occluded]
             if behind:  # The nearest of them has come out from behind the other hand.
-                self._lost.remove(min(behind, key=lambda t: distance(t.last, hand)))
+                self._lost.remove(min(behind, key=lambda t: float(distance(t.last, hand)[0])))
             self._track_back(tracked, index, self._past.backwards())
-        if self._full and not self._whole_past:
+        if self.full and not self._whole_past:
             self._past.clear()  # Nothing is added to frames that show all hands that are wanted.
         else:
             self._past.append(rgb)
-        return self._frames[index]
+        return Detections.of([self._frames[index]])
 
     def _submit_cross_checks(self, rgb: np.ndarray, index: int) -> None:
         for tracked in self.tracked:
-            future = self._networks.submit(partial(cross_check, self._networks, rgb, replace(tracked)))
-            self._cross_checks.append((index, tracked.last, future))
-
-    @property
-    def _full(self) -> bool:
-        return self._max_hands is not None and len(self.tracked) >= self._max_hands
-
-    def _track(self, rgb: np.ndarray) -> list[TrackedHand]:
-        """Track all hands into the next frame; returns those that are lost."""
-        self.tracked, before = [], self.tracked
-        hands = self._networks.map(lambda networks, tracked: redetect(networks, rgb, tracked), before)
-        found = [(t, hand) for t, hand in zip(before, hands, strict=True) if hand is not None]
-        # Of two tracks that end up on one hand, the one that has come farther has taken the other's.
-        for tracked, hand in sorted(found, key=lambda each: distance(each[0].last, each[1])):
-            if not overlaps(hand, [other.last for other in self.tracked]):
-                tracked.update(hand)
-                self.tracked.append(tracked)
-        self.tracked = [tracked for tracked in before if tracked in self.tracked]
-        lost = [tracked for tracked in before if tracked not in self.tracked]
-        for tracked in lost:
-            tracked.occluded = any(
-                distance(tracked.last, other.last) < TRACKING.occluder_distance for other in self.tracked
-            )
-        return lost
-
-    def _is_known(self, hand: HandDetection) -> bool:
-        return any(is_same_hand(hand, tracked.last) for tracked in self.tracked)
+            hand, presence = tracked.last, tracked.min_presence
+            future = self._networks.submit(partial(cross_check, self._networks, rgb, hand, presence))
+            self._cross_checks.append((index, hand, future))
 
     def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[TrackedHand]:
         """Search near lost hands and in the whole picture, and begin to track what is new."""
         new: list[TrackedHand] = []
         for lost in self._lost:
-            if lost.wait > 0:
-                lost.wait -= 1
-            elif not self._full:
+            if lost.search_is_due() and not self.full:
                 hand = lost.last
-                centre = (hand.keypoints_2d.min(axis=0) + hand.keypoints_2d.max(axis=0)) / 2.0
-                crop = Crop.of_square(
-                    centre, TRACKING.search_span * max(hand.extent, 8.0), NETWORK.palm_input_px
-                )
+                centre = (hand.box_min[0] + hand.box_max[0]) / 2.0
+                span = TRACKING.search_span * max(float(hand.extent[0]), 8.0)
+                crop = Crop.of_square(centre, span, NETWORK.palm_input_px)
                 self._start_tracks(self._detect_new(rgb, [crop]), new)
-                lost.search_failed()
-        self._lost = [
-            t for t in self._lost if not (t.given_up or (self._is_known(t.last) and not t.occluded))
-        ]
-        if (lost_one and not self._full) or index % TRACKING.search_interval == 0:
+                lost.missed(TRACKING.max_occluded_wait if lost.occluded else TRACKING.max_wait)
+        self._lost = [t for t in self._lost if self._is_missing(t)]
+        if (lost_one and not self.full) or index % TRACKING.search_interval == 0:
             height, width = rgb.shape[:2]
             found = self._detect_new(rgb, list(tiles(width, height, 1)))
             self.counts.append(len(self.tracked) + len(found))
@@ -275,20 +182,21 @@ class ClipFinder(Detector):
                 self._search_wait = min(TRACKING.first_wait * 2**self._searches, TRACKING.max_wait)
         return new
 
-    def _detect_new(self, rgb: np.ndarray, crops: list[Crop]) -> list[HandDetection]:
-        known = [tracked.last for tracked in self.tracked]
-        return self._searching.detect_new(rgb, self._searching.detect_palms(rgb, crops), known)
+    def _detect_new(self, rgb: np.ndarray, crops: list[Crop]) -> list[Detections]:
+        return self._searching.detect_new(rgb, self._searching.detect_palms(rgb, crops), self.hands)
 
-    def _start_tracks(self, hands: list[HandDetection], new: list[TrackedHand]) -> None:
+    def _is_missing(self, lost: TrackedHand) -> bool:
+        """True if a lost hand is still to be searched for."""
+        if lost.occluded:
+            return lost.misses < TRACKING.max_occluded_searches
+        return lost.misses < TRACKING.max_searches and not self.is_known(lost.last)
+
+    def _start_tracks(self, hands: list[Detections], new: list[TrackedHand]) -> None:
         """Begin to track those hands that are not tracked yet, and add them to the new ones."""
-        for hand in hands:
-            if not self._full and not self._is_known(hand):
-                new.append(self._start_track(hand))
-                self._searches, self._search_wait = 0, TRACKING.first_wait
-
-    def _start_track(self, hand: HandDetection) -> TrackedHand:
-        self.tracked.append(TrackedHand.of(hand, self._threshold))
-        return self.tracked[-1]
+        begun = self.begin(hands)
+        new += begun
+        if begun:
+            self._searches, self._search_wait = 0, TRACKING.first_wait
 
     def _track_back(self, new: TrackedHand, index: int, past: Iterable[np.ndarray | None]) -> None:
         """Track a new hand of that frame through the frames before it, until it is lost."""
@@ -296,61 +204,6 @@ class ClipFinder(Detector):
         for row, rgb in zip(range(index - 1, -1, -1), past, strict=False):
             if rgb is not None and not extend_track(self._networks, tracked, rgb, row, self.frames):
                 return
-
-
-def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> HandDetection | None:
-    """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
-    there. None where it is lost."""
-    expected = tracked.expected()
-    prediction = networks.predict(rgb, crop_around(expected))
-    off = np.linalg.norm(prediction.hand.keypoints_2d - expected, axis=-1).mean()
-    if prediction.presence >= tracked.min_presence and off > TRACKING.max_shift * prediction.hand.extent:
-        prediction = networks.predict(rgb, crop_around(prediction.hand.keypoints))
-    if prediction.presence < tracked.min_presence:
-        return None
-    hand = prediction.hand
-    crops = list(augmented_crops(hand.keypoints))[1:] if networks.quality == "best" else []
-    return replace(
-        _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence), shown=tracked.last.shown
-    )
-
-
-def cross_check(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> HandDetection:
-    """Add what the landmark network of December 2020 sees of a hand. In quality `standard`, where the
-    networks disagree on a hand with a single prediction, the mirrored crop is averaged in."""
-    hand = networks.with_keypoints_2020(rgb, tracked.last)
-    if networks.quality != "standard" or hand.keypoints_2020 is None or hand.spread is not None:
-        return hand
-    apart = disagreement(hand.keypoints[None], hand.keypoints_2020[None])[0]
-    mirrored = list(augmented_crops(hand.keypoints))[len(NETWORK.augmentation_turns)]
-    crops = [mirrored] if apart > TRACKING.max_disagreement else []
-    return _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
-
-
-def _mean_with_crops(
-    networks: Networks, rgb: np.ndarray, hand: HandDetection, crops: Sequence[Crop], min_presence: float
-) -> HandDetection:
-    """The mean of a hand and its predictions in more crops, where these have enough presence."""
-    more = [networks.predict(rgb, crop) for crop in crops]
-    hands = [hand, *(prediction.hand for prediction in more if prediction.presence >= min_presence)]
-    return replace(mean_detection(hands), shown=hand.shown) if len(hands) > 1 else hand
-
-
-def extend_track(
-    networks: Networks,
-    tracked: TrackedHand,
-    rgb: np.ndarray,
-    row: int,
-    frames: list[tuple[HandDetection, ...]],
-) -> bool:
-    """Track a hand into the frame `row` with that picture, and add it to the frame's hands. False where it is
-    lost, or is one of them."""
-    hand = redetect(networks, rgb, tracked)
-    if hand is None or overlaps(hand, frames[row]):
-        return False
-    tracked.update(hand)
-    frames[row] = (*frames[row], cross_check(networks, rgb, tracked))
-    return True
 
 
 class PastFrames:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handfit_core.common.skeleton import other_side
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 
 
 def downscale(rgb: np.ndarray, block_width: int, block_height: int) -> np.ndarray:
@@ -84,12 +83,13 @@ class Crop:
             borderMode=cv2.BORDER_CONSTANT if black_beyond else cv2.BORDER_REPLICATE,
         )
 
-    def to_picture(self, hand: HandDetection) -> HandDetection:
+    def to_picture(self, hand: Detections) -> Detections:
         """Map a hand detected in the crop to the picture: its pixels, world axes and side."""
         world, inverse = hand.world.copy(), np.linalg.inv(self.linear)
-        world[:, :2] = world[:, :2] @ (inverse * self.scale).T
-        side = other_side(hand.side) if self.mirrored else hand.side
-        return HandDetection(side, hand.score, self.points_to_picture(hand.keypoints), world)
+        world[0, :, :2] = world[0, :, :2] @ (inverse * self.scale).T
+        side = 1 - hand.side if self.mirrored else hand.side
+        keypoints = self.points_to_picture(hand.keypoints[0])[None]
+        return replace(hand, side=side, keypoints=keypoints, world=world)
 
     def points_to_picture(self, points: np.ndarray) -> np.ndarray:
         """Map points (21, 3) with depth from crop pixels to picture pixels."""

@@ -7,7 +7,7 @@ their entry points of the group `handfit.detectors` (see `registry`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol, Self, TypeVar
 
@@ -16,7 +16,7 @@ import numpy as np
 from handfit_core.common.errors import OptionError
 from handfit_core.common.registry import Registry
 from handfit_core.common.skeleton import Side
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.media.source import Media
 
 Quality = Literal["draft", "standard", "best"]
@@ -27,8 +27,8 @@ and test-time augmentation in stills. `best`: test-time augmentation in every fr
 class Detector:
     """Finds the hands of one run's pictures. Use it as a context manager."""
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
-        """Detect all hands of the next picture (H, W, 3) uint8 RGB; () where there is none.
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:
+        """Detect all hands of the next picture (H, W, 3) uint8 RGB.
 
         `time`, seconds, rises from frame to frame of a clip. None stands for a frame that could not be read,
         and has no hands.
@@ -40,8 +40,8 @@ class Detector:
         rgb: np.ndarray,  # noqa: ARG002
         box: Sequence[float],  # noqa: ARG002
         side: Side | None = None,  # noqa: ARG002
-        known: Sequence[HandDetection] = (),  # noqa: ARG002
-    ) -> HandDetection | None:
+        known: Iterable[Detections] = (),  # noqa: ARG002
+    ) -> Detections | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, of the picture that `find` was
         given last: the one about whose keypoints the box is drawn, or what is detected there beside the hands
         that `find` returned and the `known` ones; where there is nothing else, the better detection of one of
@@ -157,10 +157,8 @@ class InChunks(Protocol[Part]):
 class ChunkedDetector(InChunks[Any], Protocol):
     """Finds the hands of one clip; ours is `chunks.ClipDetector`, which makes and joins `chunks.Chunk`s."""
 
-    def joined(
-        self, chunks: Sequence[Any], /
-    ) -> tuple[Detections | Sequence[Sequence[HandDetection]], list[int]]:
-        """The hands of all frames, as columns or frame by frame, and the rows that begin another shot."""
+    def joined(self, chunks: Sequence[Any], /) -> tuple[Detections, list[int]]:
+        """The hands of all frames, and the rows that begin another shot."""
         ...
 
 

@@ -1,17 +1,17 @@
-"""Hands as detectors see them: one in one picture, all of a clip as columns, and one over a clip."""
+"""Hands as detectors see them: those of pictures and clips, a row each, and one over a clip."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, Self
 
 import numpy as np
 
-from handfit_core.common.arrays import Array, array, array_dataclass, declared
+from handfit_core.common.arrays import Array, array, array_dataclass, arrays_of, declared
 from handfit_core.common.batch import Batch
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side, other_side
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.hand_model.landmarks import Landmarks
 
 MOST_IN_FRAME: Final = 4000
@@ -62,64 +62,10 @@ class Landmarked(Batch):
         return np.concatenate([self.pixels, self.pixel_sigma, depth], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class HandDetection:
-    """One hand in one picture."""
-
-    side: Side
-    """The true hand, in a picture that is not mirrored"""
-    score: float
-    """Confidence in the hand and its side, 0..1"""
-    keypoints: np.ndarray
-    """(21, 3) image landmarks in pixels of the upright picture: x, y, and depth z towards the scene,
-    relative to the wrist and on the scale of x"""
-    world: np.ndarray
-    """(21, 3) world landmarks: metres about the hand's centre, axes as the camera frame's"""
-    keypoints_2020: np.ndarray | None = None
-    """(21, 3) pixels, as `keypoints`, of the landmark network of December 2020; None: it was not run"""
-    spread: np.ndarray | None = None
-    """(21, 3) standard deviation in pixels (x, y, z) of the predictions that `keypoints` averages; None of a
-    single prediction"""
-    overlapped: np.ndarray | None = None
-    """(21,) bool: points that are believed less. They lie on another hand, and may be that one's; or another
-    program doubts them, or did not find them, so that they are guessed. None: there are none"""
-    shown: bool = False
-    """Whether a person has said that it is there"""
-    given_side: Side | None = None
-    """The side that a person has given"""
-    certainty: float | None = None
-    """Probability that this is a hand, of whatever side; None: the detector does not tell"""
-    right_side: float | None = None
-    """Probability that `side` is the true one, by the correction network; None: it was not run"""
-    distance: float | None = None
-    """Metres along the line of sight to the mean of its points, where these are known in space and
-    `corrected` has their depth about that; None: a picture does not tell"""
-    corrected: tuple[Side, np.ndarray] | None = None
-    """The correction network's landmarks for this detection taken for a hand of that side, as a row (21, 6)
-    of `Landmarked.table`. Solvers that want the detector's own take `keypoints`"""
-
-    @property
-    def likely_side(self) -> Side:
-        """The likelier side, by the detector and the correction network."""
-        if self.right_side is None or self.right_side >= 0.5 or self.score >= SURE_SIDE_SCORE:
-            return self.side
-        return other_side(self.side)
-
-    @property
-    def keypoints_2d(self) -> np.ndarray:
-        """(21, 2) pixels."""
-        return self.keypoints[:, :2]
-
-    @property
-    def extent(self) -> float:
-        """Size of the hand in the picture: the longer side of its keypoints' box, pixels."""
-        return float(np.max(np.ptp(self.keypoints_2d, axis=0)))
-
-
 @array_dataclass
 class Detections(Batch):
-    """N hands, each in one of a clip's T frames, frame by frame; a photo is a clip of one frame. Pixels and
-    metres as in `HandDetection`.
+    """N hands that a detector found, each in one of a clip's T frames, frame by frame; a picture is a clip of
+    one frame. Iterating gives one row after the other, as `Detections` too.
 
     The large columns that nobody filled are None, which saves their memory.
     """
@@ -131,50 +77,73 @@ class Detections(Batch):
     score: np.ndarray = array("N")
     """Confidence in the hand and its side, 0..1"""
     keypoints: np.ndarray = array("N", NUM_KEYPOINTS, 3, finite="all")
-    """Image landmarks, pixels"""
+    """Image landmarks in pixels of the upright picture: x, y, and depth z towards the scene, relative to the
+    wrist and on the scale of x"""
     world: np.ndarray = array("N", NUM_KEYPOINTS, 3, finite="all")
-    """World landmarks, metres"""
+    """World landmarks: metres about the hand's centre, axes as the camera frame's"""
     keypoints_2020: np.ndarray | None = array("N", NUM_KEYPOINTS, 3, default=None)
-    """Pixels, of the landmark network of December 2020; NaN where it was not run"""
+    """Pixels, as `keypoints`, of the landmark network of December 2020; NaN where it was not run"""
     spread: np.ndarray | None = array("N", NUM_KEYPOINTS, 3, default=None)
-    """Standard deviation in pixels of the predictions that `keypoints` averages; NaN of a single one"""
+    """Standard deviation in pixels (x, y, z) of the predictions that `keypoints` averages; NaN of a single
+    one"""
     overlapped: np.ndarray | None = array("N", NUM_KEYPOINTS, kind="b", default=None)
-    """Points that are believed less"""
+    """Points that are believed less. They lie on another hand, and may be that one's; or another program
+    doubts them, or did not find them, so that they are guessed"""
     shown: np.ndarray = array("N", kind="b", default=None)
-    """Whether a person has said that it is there"""
+    """True if a person has said that it is there"""
     given_side: np.ndarray = array("N", kind="i", default=None)
     """Index in `SIDES` of the side that a person has given, else -1"""
     certainty: np.ndarray = array("N", default=None)
-    """Probability that this is a hand, of whatever side; NaN where the detector does not tell"""
+    """Probability that this is a hand, of whatever side; NaN where the detector does not say"""
     right_side: np.ndarray = array("N", default=None)
     """Probability that `side` is the true one, by the correction network; NaN where it was not run"""
     distance: np.ndarray = array("N", default=None)
-    """Metres along the line of sight to the mean of its points; NaN where a picture does not tell"""
+    """Metres along the line of sight to the mean of its points, where these are known in space and
+    `corrected` has their depth about that; NaN: a picture does not show it"""
     corrected_side: np.ndarray = array("N", kind="i", default=None)
     """Index in `SIDES` of the side that `corrected` takes each hand for, -1 where it is not known"""
     corrected: np.ndarray | None = array("N", NUM_KEYPOINTS, 6, default=None)
-    """The correction network's landmarks, rows of `Landmarked.table`"""
+    """The correction network's landmarks, rows of `Landmarked.table`. Solvers that want the detector's own
+    take `keypoints`"""
 
     def __post_init__(self) -> None:
         for name, nothing in _UNKNOWN.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.full(len(self.frame), nothing))
 
+    def __iter__(self) -> Iterator[Self]:
+        return (self.select(slice(row, row + 1)) for row in range(len(self)))
+
     @classmethod
-    def of(cls, frames: Sequence[Sequence[HandDetection]]) -> Self:
-        """The hands of T frames. Raises ValueError for arrays of another shape."""
-        hands = [hand for frame in frames for hand in frame]
-        corrected = [hand.corrected or (None, None) for hand in hands]
-        floats = {name: spec for name, spec in declared(cls).items() if spec.kind != "i"}
-        rows = {name: [getattr(hand, name) for hand in hands] for name in floats}
-        rows["corrected"] = [table for _, table in corrected]
-        return cls(
-            frame=np.repeat(np.arange(len(frames)), [len(frame) for frame in frames]),
-            side=_side_indices([hand.side for hand in hands]),
-            given_side=_side_indices([hand.given_side for hand in hands]),
-            corrected_side=_side_indices([side for side, _ in corrected]),
-            **{name: _column(name, spec, rows[name]) for name, spec in floats.items()},
-        )
+    def hand(cls, side: Side, score: float, keypoints: Any, world: Any, **columns: Any) -> Self:
+        """One hand of one picture: its `keypoints` (21, 3), `world` landmarks (21, 3), and values of further
+        columns. Raises ValueError for arrays of another shape."""
+        row = {"frame": 0, "side": SIDES.index(side), "score": score, "keypoints": keypoints, "world": world}
+        specs = declared(cls)
+        given = {name: value for name, value in columns.items() if value is not None}
+        hand = cls(**{name: np.asarray([value]) for name, value in (row | given).items()})
+        for name, column in arrays_of(hand).items():
+            specs[name].check_form(name, column, {"N": 1})
+        return hand
+
+    @classmethod
+    def of(cls, frames: Sequence[Iterable[Self]]) -> Self:
+        """The hands of T frames; a frame may be `Detections`, or several of them."""
+        parts = [(row, part) for row, frame in enumerate(frames) for part in _parts(frame)]
+        rows, hands = np.array([row for row, _ in parts], dtype=np.int64), [hands for _, hands in parts]
+        columns: dict[str, Any] = {name: _joined(name, spec, hands) for name, spec in declared(cls).items()}
+        return cls(**columns | {"frame": np.repeat(rows, np.array([len(each) for each in hands], dtype=int))})
+
+    def at_frames(self, frames: np.ndarray) -> Self:
+        """A hand's detections in those `frames` (K,) of its clip, in any order, which count as 0 to K - 1."""
+        rows = np.minimum(np.searchsorted(self.frame, frames), max(len(self) - 1, 0))
+        there = np.flatnonzero(self.frame[rows] == frames) if len(self) else rows[:0]
+        return replace(self.select(rows[there]), frame=there)
+
+    def shown_by_person(self, side: Side | None) -> Self:
+        """These hands as ones that a person has seen, and says to be of that side."""
+        given = -1 if side is None else SIDES.index(side)
+        return replace(self, shown=np.ones(len(self), bool), given_side=np.full(len(self), given))
 
     def moved(self, change: Callable[[np.ndarray], np.ndarray]) -> Self:
         """These hands with all their points in the picture changed, (..., 2) pixels to (..., 2) pixels;
@@ -255,23 +224,23 @@ _UNKNOWN: Final = {
 """What stands in a small column that nobody filled"""
 
 
-def _column(name: str, spec: Array, rows: Sequence[Any]) -> Any:
-    """The values of N hands as a column, NaN or False for None; None where all are, if that is allowed."""
-    if spec.optional and all(row is None for row in rows):
+def _parts(frame: Iterable[Detections]) -> Iterable[Detections]:
+    return [frame] if isinstance(frame, Detections) else frame
+
+
+def _joined(name: str, spec: Array, parts: Sequence[Detections]) -> np.ndarray | None:
+    """A column of several detections; None where all lack it, NaN or False in the rows of those that lack
+    it."""
+    columns = [getattr(part, name) for part in parts]
+    if spec.optional and all(column is None for column in columns) and name not in _UNKNOWN:
         return None
-    if not spec.optional and any(row is None for row in rows):
-        raise ValueError(f"a hand has no {name}")
-    shape = tuple(size for size in spec.shape if isinstance(size, int))
-    nothing = np.full(shape, False if spec.kind == "b" else np.nan)
-    column = np.array([nothing if row is None else row for row in rows], spec.dtype(np.float64))
-    if len(rows) and column.shape[1:] != shape:
-        raise ValueError(f"{name} has the shape {column.shape[1:]}, expected {shape}")
-    return column.reshape(-1, *shape)
-
-
-def _side_indices(sides: Sequence[Side | None]) -> np.ndarray:
-    """(N,) indices in `SIDES`; -1 for None."""
-    return np.array([-1 if side is None else SIDES.index(side) for side in sides], dtype=np.int64)
+    shape = [size for size in spec.shape if isinstance(size, int)]
+    nothing = False if spec.kind == "b" else np.nan
+    filled = [
+        np.full((len(part), *shape), nothing) if column is None else column
+        for part, column in zip(parts, columns, strict=True)
+    ]
+    return np.concatenate([np.empty((0, *shape), spec.dtype(np.float64)), *filled])
 
 
 def largest_extent(extents: np.ndarray) -> float:

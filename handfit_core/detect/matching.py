@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from handfit_core.common.batch import slices
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 
 _PALM = [0, 5, 9, 13, 17]
 _BONES = [[parent, point] for point, parent in enumerate(KEYPOINT_PARENTS) if parent >= 0]
@@ -44,11 +44,11 @@ class MatchingSettings:
 MATCHING: Final = MatchingSettings()
 
 
-def distance(a: HandDetection, b: HandDetection, shift: np.ndarray | float = 0.0) -> float:
-    """Mean distance of the keypoints in the picture, in sizes of the larger hand, with `a` shifted by (2,)
-    pixels."""
-    size = max(a.extent, b.extent, 1e-9)
-    return float(np.mean(np.linalg.norm(a.keypoints_2d + shift - b.keypoints_2d, axis=-1))) / size
+def distance(hand: Detections, others: Detections) -> np.ndarray:
+    """(N,) mean distance of the keypoints in the picture, in sizes of the larger hand, from one hand to N."""
+    size = np.maximum(np.maximum(hand.extent, others.extent), 1e-9)
+    apart = np.linalg.norm(hand.keypoints_2d - others.keypoints_2d, axis=-1)
+    return np.asarray(apart.mean(axis=-1) / size)
 
 
 def distances(
@@ -114,67 +114,66 @@ def _lengths(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(vectors[..., 0]) + np.square(vectors[..., 1]))
 
 
-def is_same_hand(a: HandDetection, b: HandDetection) -> bool:
-    """Whether two detections are of one hand, be it once as a left and once as a right one."""
-    if distance(a, b) < MATCHING.same_hand_distance:
-        return True
-    apart = a.keypoints_2d[_PALM].mean(axis=0) - b.keypoints_2d[_PALM].mean(axis=0)
-    if float(np.linalg.norm(apart)) < MATCHING.same_hand_palm_distance * max(a.extent, b.extent):
-        return True
-    return iou(a.keypoints_2d, b.keypoints_2d) > MATCHING.same_hand_iou
-
-
-def overlaps(hand: HandDetection, others: Iterable[HandDetection]) -> bool:
-    """True if all of a hand lies where another one is: hands that cross share a place, but not with all their
-    points."""
-    return any(distance(hand, other) < MATCHING.same_hand_distance for other in others)
-
-
-def is_part_of(a: HandDetection, b: HandDetection) -> bool:
-    """Whether the smaller of two detections may be a part of the other's hand; the order does not matter."""
-    small, large = sorted((a, b), key=lambda hand: hand.extent)
-    box_min, box_max = large.keypoints_2d.min(axis=0), large.keypoints_2d.max(axis=0)
-    inside = ((small.keypoints_2d >= box_min) & (small.keypoints_2d <= box_max)).all(axis=-1)
-    return (
-        small.extent < MATCHING.max_part_size * large.extent
-        and float(inside.mean()) > MATCHING.min_part_inside
+def is_same_hand(hand: Detections, others: Detections) -> np.ndarray:
+    """(N,) bool: which of N hands a detection is of, be it once as a left and once as a right one."""
+    size = np.maximum(hand.extent, others.extent)
+    palms = [each.keypoints_2d[:, _PALM].mean(axis=1) for each in (hand, others)]
+    return np.asarray(
+        (distance(hand, others) < MATCHING.same_hand_distance)
+        | (np.linalg.norm(palms[0] - palms[1], axis=-1) < MATCHING.same_hand_palm_distance * size)
+        | (iou(hand.keypoints_2d, others.keypoints_2d) > MATCHING.same_hand_iou)
     )
 
 
-def hand_of_box(hands: Iterable[HandDetection], box: Sequence[float]) -> HandDetection | None:
-    """The hand about whose keypoints a box (x, y, width, height) was drawn; None: it is about none of
-    them."""
+def overlaps(hand: Detections, others: Detections) -> bool:
+    """True if all of a hand lies where another one is: hands that cross share a place, but not with all their
+    points."""
+    return bool((distance(hand, others) < MATCHING.same_hand_distance).any())
+
+
+def is_part_of(one: Detections, other: Detections) -> bool:
+    """True if the smaller of two hands may be a part of the other; the order does not matter."""
+    small, large = sorted((one, other), key=lambda hand: hand.extent[0])
+    row = np.zeros(1, dtype=int)
+    return bool(
+        small.extent[0] < MATCHING.max_part_size * large.extent[0]
+        and share_within(Detections.of([[small, large]]), row, row + 1)[0] > MATCHING.min_part_inside
+    )
+
+
+def hand_of_box(hands: Sequence[Detections], box: Sequence[float]) -> Detections | None:
+    """The one of these hands about whose keypoints a box (x, y, width, height) was drawn; None: it is about
+    none of them."""
     x, y, width, height = box
-    corners = np.array([[x, y], [x + width, y + height]])
-    overlaps = [(iou(hand.keypoints_2d, corners), hand) for hand in hands]
-    best, hand = max(overlaps, key=lambda each: each[0], default=(0.0, None))
-    return hand if best > MATCHING.chosen_hand_iou else None
+    shares = iou(np.array([[[x, y], [x + width, y + height]]]), Detections.of([hands]).keypoints_2d)
+    return hands[int(shares.argmax())] if shares.max(initial=0.0) > MATCHING.chosen_hand_iou else None
 
 
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union, 0..1, of the boxes about two sets of points (N, 2)."""
-    low, high = np.maximum(a.min(axis=0), b.min(axis=0)), np.minimum(a.max(axis=0), b.max(axis=0))
-    intersection = float(np.clip(high - low, 0.0, None).prod())
-    areas = sum(float(np.ptp(points, axis=0).prod()) for points in (a, b))
-    return intersection / max(areas - intersection, 1e-9)
+def iou(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(N,) intersection over union, 0..1, of the boxes about two sets of points, (N, K, 2) or (1, K, 2)."""
+    low = np.maximum(a.min(axis=1), b.min(axis=1))
+    high = np.minimum(a.max(axis=1), b.max(axis=1))
+    intersection = np.clip(high - low, 0.0, None).prod(axis=-1)
+    areas = sum(np.ptp(points, axis=1).prod(axis=-1) for points in (a, b))
+    return np.asarray(intersection / np.maximum(areas - intersection, 1e-9))
 
 
-def mean_detection(hands: Sequence[HandDetection]) -> HandDetection:
-    """One detection from several predictions for one hand, as test-time augmentation has them.
+def mean_detection(hands: Detections) -> Detections:
+    """One hand from several predictions for it, as test-time augmentation has them.
 
     Keypoints and world landmarks are averaged; `keypoints_2020` over the predictions that have them. The side
     is voted for with the scores; the mean's score is what that side got per prediction, so that predictions
     of the other side lower it.
     """
-    votes = {side: sum(hand.score for hand in hands if hand.side == side) for side in SIDES}
-    side = max(SIDES, key=lambda s: votes[s])
-    keypoints = np.array([hand.keypoints for hand in hands])
-    second = [hand.keypoints_2020 for hand in hands if hand.keypoints_2020 is not None]
-    return HandDetection(
-        side=side,
-        score=votes[side] / len(hands),
-        keypoints=keypoints.mean(axis=0),
-        world=np.mean([hand.world for hand in hands], axis=0),
-        keypoints_2020=np.mean(second, axis=0) if second else None,
-        spread=keypoints.std(axis=0) if len(hands) > 1 else None,
+    votes = [hands.score[hands.side == side].sum() for side in range(len(SIDES))]
+    side, asked = int(np.argmax(votes)), hands.asked_2020
+    return Detections.hand(
+        SIDES[side],
+        votes[side] / len(hands),
+        hands.keypoints.mean(axis=0),
+        hands.world.mean(axis=0),
+        keypoints_2020=hands.keypoints_2020[asked].mean(axis=0)
+        if hands.keypoints_2020 is not None and asked.any()
+        else None,
+        spread=hands.keypoints.std(axis=0) if len(hands) > 1 else None,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from handfit_core.common.errors import LandmarkModelError
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.detector import Backend, Detector, DetectorSettings
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.landmark_model import fingerprint, is_calibrated, landmark_model_path
 
 MAX_HANDS = 10
@@ -61,10 +61,10 @@ class MediaPipeHands(Detector):
         """Give MediaPipe's threads and memory back."""
         self._landmarker.close()
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:
         """The hands of a picture (see `Detector`); `time` is used for video only."""
         if rgb is None:
-            return ()
+            return Detections.of([[]])
         height, width = rgb.shape[:2]
         image = self._mp.Image(image_format=self._mp.ImageFormat.SRGB, data=_downscaled(rgb))
         if self._video:
@@ -73,12 +73,13 @@ class MediaPipeHands(Detector):
             result = self._landmarker.detect_for_video(image, self._last_ms)
         else:
             result = self._landmarker.detect(image)
-        return tuple(
+        hands = (
             _detection(handedness[0], image_points, world_points, width, height)
             for handedness, image_points, world_points in zip(
                 result.handedness, result.hand_landmarks, result.hand_world_landmarks, strict=True
             )
         )
+        return Detections.of([hands])
 
 
 def _downscaled(rgb: np.ndarray) -> np.ndarray:
@@ -93,12 +94,12 @@ def _downscaled(rgb: np.ndarray) -> np.ndarray:
 
 def _detection(
     category: Any, image_points: list[Any], world_points: list[Any], width: int, height: int
-) -> HandDetection:
+) -> Detections:
     side: Side = "left" if category.category_name == "Left" else "right"
     # Normalised by the width (x and z) and the height (y).
     keypoints = np.array([(p.x * width, p.y * height, p.z * width) for p in image_points])
     world = np.array([(p.x, p.y, p.z) for p in world_points])
-    return HandDetection(side=side, score=float(category.score), keypoints=keypoints, world=world)
+    return Detections.hand(side, float(category.score), keypoints, world)
 
 
 # The calibration holds for single predictions of the same networks: for 194 real hands, the mean expected

@@ -30,7 +30,7 @@ from handfit_core.common.machine import usable_cores
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.landmark_model import TASK, landmark_model_path, landmarks_2020_path
 
 
@@ -114,10 +114,10 @@ class Palms:
         """Palms in a picture that is larger by this factor."""
         return Palms(self.score, self.centre * factor, self.side * factor, self.points * factor)
 
-    def is_of(self, index: int, hand: HandDetection) -> bool:
-        """Whether that palm is the hand's."""
+    def is_of(self, index: int, hand: Detections) -> bool:
+        """True if the palm detection lies on this hand's landmarks."""
         # These landmarks are a palm's points.
-        off = self.points[index] - hand.keypoints_2d[[0, 5, 9, 13, 17, 1, 2]]
+        off = self.points[index] - hand.keypoints_2d[0, [0, 5, 9, 13, 17, 1, 2]]
         return float(np.linalg.norm(off, axis=-1).mean()) < NETWORK.palm_of_hand_distance * float(
             self.side[index]
         )
@@ -130,16 +130,6 @@ class Palms:
         return Crop.of_square(
             centre, NETWORK.palm_crop_span * side, NETWORK.hand_input_px, turn=turn_upright(up)
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """The landmark network's output for one crop."""
-
-    presence: float
-    """Probability that the crop shows a hand"""
-    hand: HandDetection
-    """In pixels of the picture; its score is that of the side"""
 
 
 def crop_around(keypoints: np.ndarray) -> Crop:
@@ -323,29 +313,32 @@ class Networks(Runner):
             points=(numbers[:, 2:] - crop.offset) @ inverse.T,
         )
 
-    def predict(self, rgb: np.ndarray, crop: Crop) -> Prediction:
-        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB."""
+    def predict(self, rgb: np.ndarray, crop: Crop) -> Detections:
+        """Run the landmark network on a crop, `hand_input_px` wide, of a picture (H, W, 3) uint8 RGB: one
+        hand, whose `certainty` is its presence, the probability that the crop shows a hand, and whose `score`
+        is that of the side."""
         pixels = crop.render(rgb)
         if self.is_draft:
             return self._predict_2020(pixels, crop)
         landmarks, presence, handedness, world = self._run(self._hand, pixels)
         right = float(handedness[0])
-        hand = HandDetection(
+        hand = Detections.hand(
             side="right" if right >= 0.5 else "left",
             score=max(right, 1.0 - right),
             keypoints=_with_depth(landmarks),
             world=world.reshape(NUM_KEYPOINTS, 3).astype(np.float64),
+            certainty=float(presence[0]),
         )
-        return Prediction(float(presence[0]), crop.to_picture(hand))
+        return crop.to_picture(hand)
 
-    def with_keypoints_2020(self, rgb: np.ndarray, hand: HandDetection) -> HandDetection:
+    def with_keypoints_2020(self, rgb: np.ndarray, hand: Detections) -> Detections:
         """Add to a hand of a picture (H, W, 3) uint8 RGB the keypoints of the landmark network of December
         2020, where that network is there and the hand has none yet."""
-        if self._hand_2020 is None or hand.keypoints_2020 is not None:
+        if self._hand_2020 is None or hand.asked_2020.all():
             return hand
-        crop = crop_around(hand.keypoints)
+        crop = crop_around(hand.keypoints[0])
         points = _with_depth(self._run(self._hand_2020, crop.render(rgb))[0])
-        return replace(hand, keypoints_2020=crop.points_to_picture(points))
+        return replace(hand, keypoints_2020=crop.points_to_picture(points)[None])
 
     def submit(self, function: Callable[[], Result]) -> Future[Result]:
         """Call a function in a background thread, one call after another; at once where `threads` is 1."""
@@ -356,7 +349,7 @@ class Networks(Runner):
         self._background = self._background or ThreadPoolExecutor(1, "handfit-background")
         return self._background.submit(function)
 
-    def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Prediction:
+    def _predict_2020(self, pixels: np.ndarray, crop: Crop) -> Detections:
         """The prediction of the landmark network of December 2020 for a crop and its rendered pixels. World
         landmarks are its keypoints at the size of an average hand."""
         landmarks, presence, handedness = self._run(self._hand_2020, pixels)
@@ -364,9 +357,9 @@ class Networks(Runner):
         bones = np.linalg.norm(keypoints[1:] - keypoints[list(KEYPOINT_PARENTS[1:])], axis=-1)
         world = (keypoints - keypoints.mean(axis=0)) * (NETWORK.mean_bone / max(float(bones.mean()), 1e-9))
         side = "right" if right >= 0.5 else "left"
-        hand = crop.to_picture(HandDetection(side, max(right, 1.0 - right), keypoints, world))
+        hand = crop.to_picture(Detections.hand(side, max(right, 1.0 - right), keypoints, world))
         odds = float(presence[0]) / max(1.0 - float(presence[0]), 1e-9) * np.exp(-NETWORK.presence_bias_2020)
-        return Prediction(float(odds / (1.0 + odds)), replace(hand, keypoints_2020=hand.keypoints))
+        return replace(hand, keypoints_2020=hand.keypoints, certainty=np.array([odds / (1.0 + odds)]))
 
 
 def _with_depth(landmarks: np.ndarray) -> np.ndarray:

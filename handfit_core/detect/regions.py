@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from handfit_core.detect.detector import Detector, Region
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.media.source import Frame
 
 log = logging.getLogger("handfit")
 
 
-def detect_frame(
-    detector: Detector, frame: Frame, regions: Sequence[Region], *, first: bool
-) -> tuple[HandDetection, ...]:
+def detect_frame(detector: Detector, frame: Frame, regions: Sequence[Region], *, first: bool) -> Detections:
     """Detect the hands of the next frame and of the regions that name it; regions without a frame number are
     those of the `first` one."""
     found = detector.find(frame.rgb, frame.time)
     for region in regions:
         if region.frame == frame.number or (first and region.frame is None):
-            found = (*found, *detect_region(detector, frame.rgb, region, found))
+            found = Detections.of([[found, detect_region(detector, frame.rgb, region, found)]])
     return found
 
 
 def detect_region(
-    detector: Detector, rgb: np.ndarray | None, region: Region, known: Sequence[HandDetection] = ()
-) -> tuple[HandDetection, ...]:
+    detector: Detector, rgb: np.ndarray | None, region: Region, known: Iterable[Detections] = ()
+) -> Detections:
     """The hand of a region of the picture that `find` was given last, as `Detector.detect_in_box` finds it;
-    () and a warning where there is none."""
+    no row and a warning where there is none."""
     box = (region.x, region.y, region.width, region.height)
     hand = None if rgb is None else detector.detect_in_box(rgb, box, region.side, known)
     if hand is None:
@@ -40,4 +38,4 @@ def detect_region(
             *box,
             extra={"offer": "add_hand"},
         )
-    return () if hand is None else (hand,)
+    return Detections.of([[]]) if hand is None else hand

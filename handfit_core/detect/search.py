@@ -12,13 +12,12 @@ from typing import Final
 import numpy as np
 
 from handfit_core.detect.crops import Crop, downscale
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import distance, is_part_of, is_same_hand, mean_detection, overlaps
 from handfit_core.detect.networks import (
     NETWORK,
     Networks,
     Palms,
-    Prediction,
     augmented_crops,
     crop_around,
     square_around,
@@ -139,7 +138,7 @@ SEARCH: Final = SearchSettings()
 class Candidate:
     """What may be a hand."""
 
-    hand: HandDetection
+    hand: Detections
     presence: float
     """Mean presence over the predictions, 0..1"""
     palm_score: float
@@ -148,6 +147,11 @@ class Candidate:
     """Share of the rotated crops about it in which it was found again; None: it was not verified"""
     context_score: float = 0.0
     """Best score of its palm in crops that show much around it, 0..1"""
+
+    @property
+    def likely_hand(self) -> Detections:
+        """The hand with its probability as its certainty."""
+        return replace(self.hand, certainty=np.array([self.probability]))
 
     @property
     def probability(self) -> float:
@@ -197,7 +201,7 @@ class Search:
         self._rejected: list[Candidate] = []
         """Candidates that share their place with a likelier one"""
 
-    def detect_all(self, rgb: np.ndarray) -> list[HandDetection]:
+    def detect_all(self, rgb: np.ndarray) -> list[Detections]:
         """The hands of a picture, the likeliest first."""
         self._palms, self._rejected = [], []
         longest = max(rgb.shape[:2])
@@ -206,7 +210,7 @@ class Search:
         height, width = small.shape[:2]
         found: list[Candidate] = []
         for divisor in self._divisors:
-            largest = max((c.hand.extent for c in found if self._accepts(c)), default=0.0)
+            largest = max((float(c.hand.extent[0]) for c in found if self._accepts(c)), default=0.0)
             # Hands so small that only these tiles show them are not expected beside the largest one.
             if largest * SEARCH.tile_to_smallest_hand * (divisor - 1) > longest * SEARCH.max_size_ratio:
                 break
@@ -226,11 +230,9 @@ class Search:
                 found = self._extend(rgb, self.detect_palms(rgb, neighbours), found)
         found = self._verify(rgb, found)
         self._note_missed(found)
-        return [replace(c.hand, certainty=c.probability) for c in found if self._accepts(c)]
+        return [c.likely_hand for c in found if self._accepts(c)]
 
-    def detect_new(
-        self, rgb: np.ndarray, palms: Palms, known: Sequence[HandDetection]
-    ) -> list[HandDetection]:
+    def detect_new(self, rgb: np.ndarray, palms: Palms, known: Detections) -> list[Detections]:
         """The hands of palms, without the known ones. A likely one has a single prediction, as tracked hands
         have."""
         self._palms, self._rejected = [], []
@@ -240,40 +242,40 @@ class Search:
         return [c.hand for c in found if self._accepts(c) and c not in sure]
 
     def detect_in_box(
-        self, rgb: np.ndarray, box: Sequence[float], known: Sequence[HandDetection] = ()
-    ) -> HandDetection | None:
+        self, rgb: np.ndarray, box: Sequence[float], known: Sequence[Detections] = ()
+    ) -> Detections | None:
         """The hand that a person sees in a box (x, y, width, height), pixels, at whatever angle: the one that
         most rotated crops agree on, among those that do not lie on `known` hands of the picture. Where there
         is none of these, it is the known hand itself, or what is clearly better in its place. None where
         there is no hand."""
         corner, size = np.array(box[:2]), np.array(box[2:])
         middle, side = corner + size / 2.0, float(size.max())
-        groups: list[list[Prediction]] = []
+        groups: list[list[Detections]] = []
         for prediction in self._predict_rotated(rgb, middle, side, SEARCH.box_spans):
-            if prediction is not None and _fits_box(prediction.hand, middle, size):
-                same = next((g for g in groups if _is_same(g[0].hand, prediction.hand)), None)
+            if prediction is not None and _fits_box(prediction, middle, size):
+                same = next((g for g in groups if _is_same(g[0], prediction)), None)
                 groups.append([prediction]) if same is None else same.append(prediction)
         groups.sort(key=len, reverse=True)
 
-        def known_at(hand: HandDetection) -> HandDetection | None:
-            return next((k for k in known if overlaps(hand, [k])), None)
+        def known_at(hand: Detections) -> Detections | None:
+            return next((k for k in known if overlaps(hand, k)), None)
 
-        new, _, count = self._best_of(rgb, [g for g in groups if known_at(g[0].hand) is None])
-        on_known = [g for g in groups if known_at(g[0].hand) is not None]
+        new, _, count = self._best_of(rgb, [g for g in groups if known_at(g[0]) is None])
+        on_known = [g for g in groups if known_at(g[0]) is not None]
         again, score, _ = self._best_of(rgb, on_known)
         if new is not None and known_at(new.hand) is None:
             beside = new.presence >= SEARCH.box_min_presence_beside and count >= SEARCH.box_min_crops_beside
             if beside or (again is None and new.presence >= SEARCH.box_min_presence):
-                return replace(new.hand, certainty=new.probability)
+                return new.likely_hand
         kept = None if again is None else known_at(again.hand)
         if again is None or kept is None or _is_same(again.hand, kept):
             return kept
-        _, least, _ = self._best_of(rgb, [g for g in on_known if _is_same(g[0].hand, kept)])
+        _, least, _ = self._best_of(rgb, [g for g in on_known if _is_same(g[0], kept)])
         better = score >= SEARCH.box_better * max(least, 1.0)
-        return replace(again.hand, certainty=again.probability) if better else kept
+        return again.likely_hand if better else kept
 
     def _best_of(
-        self, rgb: np.ndarray, groups: Sequence[list[Prediction]]
+        self, rgb: np.ndarray, groups: Sequence[list[Detections]]
     ) -> tuple[Candidate | None, float, int]:
         """The likeliest of groups of predictions that agree, the largest first, after test-time augmentation,
         with its score and the size of its group; None and 0 where there are none."""
@@ -283,12 +285,13 @@ class Search:
 
     def _note_missed(self, found: Sequence[Candidate]) -> None:
         """Set `missed` from all candidates and palms of a search."""
-        hands = [c.hand for c in found if self._accepts(c)]
+        accepted = [c for c in found if self._accepts(c)]
+        hands = Detections.of([[c.hand for c in accepted]])
         least = SEARCH.missed_probability[len(hands) % 2]
         self.missed = any(
             c.probability >= least and not overlaps(c.hand, hands)
             for c in (*found, *self._rejected)
-            if not any(c.hand is hand for hand in hands)
+            if not any(c.hand is other.hand for other in accepted)
         ) or (len(hands) % 2 == 1 and any(_is_beside(palms, hands) for palms in self._palms))
 
     def _accepts(self, candidate: Candidate) -> bool:
@@ -309,12 +312,12 @@ class Search:
             kept.append(candidate)
         return sorted(kept, key=lambda c: c.probability, reverse=True)
 
-    def _neighbour_crops(self, hands: Sequence[HandDetection], longer: int) -> Iterator[Crop]:
+    def _neighbour_crops(self, hands: Sequence[Detections], longer: int) -> Iterator[Crop]:
         """Crops about the first hands in which others of about their size would be seen, in a picture with
         that longer side: the second hand of a pair often has a palm that no tile shows."""
         begun: list[tuple[np.ndarray, float]] = []
         for hand in hands:
-            centre, span = hand.keypoints_2d.mean(axis=0), SEARCH.neighbour_span * hand.extent
+            centre, span = hand.centroid[0], SEARCH.neighbour_span * float(hand.extent[0])
             searched = any(np.abs(centre - c).max() < s / 4.0 and 0.7 < span / s < 1.4 for c, s in begun)
             inside = span < SEARCH.whole_picture_crops[-1][0] * longer
             if not searched and inside and len(begun) < SEARCH.max_neighbour_searches:
@@ -324,22 +327,22 @@ class Search:
 
     def _with_rotation_recall(self, rgb: np.ndarray, candidate: Candidate) -> Candidate:
         """The candidate with its rotation recall, or with a bound of it that already rules the hand out."""
-        points, count = candidate.hand.keypoints_2d, 0
-        middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
-        rotated = self._predict_rotated(rgb, middle, candidate.hand.extent, SEARCH.recall_spans)
+        hand, count = candidate.hand, 0
+        middle, side = (hand.box_min[0] + hand.box_max[0]) / 2.0, float(hand.extent[0])
+        rotated = self._predict_rotated(rgb, middle, side, SEARCH.recall_spans)
         for tried, prediction in enumerate(rotated, start=1):
-            count += prediction is not None and _is_same(prediction.hand, candidate.hand)
+            count += prediction is not None and _is_same(prediction, candidate.hand)
             best = (count + SEARCH.rotations - tried) / SEARCH.rotations
             if not self._accepts(replace(candidate, rotation_recall=best)):
                 break
         return replace(candidate, rotation_recall=count / SEARCH.rotations)
 
-    def _context_score(self, rgb: np.ndarray, hand: HandDetection) -> float:
+    def _context_score(self, rgb: np.ndarray, hand: Detections) -> float:
         """Best score of a hand's palm in crops that show much around it; 0 where it is not detected."""
-        centre, _, upright = square_around(hand.keypoints)
+        centre, _, upright = square_around(hand.keypoints[0])
         best = 0.0
         turns = (0.0, upright, *(upright + more for more in SEARCH.context_turns))
-        span = SEARCH.context_span * hand.extent
+        span = SEARCH.context_span * float(hand.extent[0])
         crops = [Crop.of_square(centre, span, NETWORK.palm_input_px, turn=turn) for turn in turns]
         min_score = SEARCH.context_min_palm_score
         for palms in self._networks.map(lambda n, crop: n.detect_palms(rgb, crop, min_score), crops):
@@ -348,7 +351,7 @@ class Search:
 
     def _predict_rotated(
         self, rgb: np.ndarray, middle: np.ndarray, side: float, spans: Sequence[float]
-    ) -> Iterator[Prediction | None]:
+    ) -> Iterator[Detections | None]:
         """The refined predictions for crops of all rotations about a box with that middle and longer side."""
         turns = np.arange(SEARCH.rotations) * (2.0 * np.pi / SEARCH.rotations)
         crops = [
@@ -370,7 +373,7 @@ class Search:
         first. Unless `augment_all`, likely ones have one prediction only."""
         found = list(known)
         self._palms.append(palms)
-        predictions: dict[int, Prediction | None] = {}
+        predictions: dict[int, Detections | None] = {}
         for i in range(len(palms)):
             palm_score = float(palms.score[i])
             same = next((c for c in found if palms.is_of(i, c.hand)), None)
@@ -382,71 +385,73 @@ class Search:
                 predictions |= dict(zip(ahead, refined, strict=True))
             prediction = None if same is not None else predictions[i]
             if prediction is not None:
-                same = next((c for c in found if _is_same(c.hand, prediction.hand)), None)
+                same = next((c for c in found if _is_same(c.hand, prediction)), None)
             if same is not None and palm_score > same.palm_score:
                 found.append(replace(same, palm_score=palm_score))
             elif same is None and prediction is not None:
-                first = Candidate(prediction.hand, prediction.presence, palm_score)
+                first = Candidate(prediction, float(prediction.certainty[0]), palm_score)
                 likely = first.probability > SEARCH.doubtful_probability[1]
                 enough = likely and not augment_all
                 found.append(first if enough else self._augment(rgb, prediction, palm_score))
-        kept: list[Candidate] = []
-        for candidate in sorted(found, key=lambda c: c.probability, reverse=True):
-            same_place = any(is_same_hand(candidate.hand, other.hand) for other in kept)
-            (self._rejected if same_place else kept).append(candidate)
-        return kept
+        found.sort(key=lambda c: c.probability, reverse=True)
+        hands = Detections.of([[candidate.hand for candidate in found]])
+        kept: list[int] = []
+        for row, hand in enumerate(hands):
+            if is_same_hand(hand, hands.select(np.array(kept, dtype=int))).any():
+                self._rejected.append(found[row])
+            else:
+                kept.append(row)
+        return [found[row] for row in kept]
 
-    def _augment(self, rgb: np.ndarray, first: Prediction, palm_score: float) -> Candidate:
+    def _augment(self, rgb: np.ndarray, first: Detections, palm_score: float) -> Candidate:
         """The mean of test-time augmentation about a prediction; unlikely ones are given up early."""
-        predictions, candidate = [first], Candidate(first.hand, first.presence, palm_score)
-        crops = list(islice(augmented_crops(first.hand.keypoints), 1, self._crop_count))
+        predictions, candidate = [first], Candidate(first, float(first.certainty[0]), palm_score)
+        crops = list(islice(augmented_crops(first.keypoints[0]), 1, self._crop_count))
         for prediction in self._networks.map(lambda n, crop: n.predict(rgb, crop), crops):
             predictions.append(prediction)
-            candidate = replace(candidate, presence=float(np.mean([p.presence for p in predictions])))
+            candidate = replace(candidate, presence=float(np.mean([p.certainty[0] for p in predictions])))
             unlikely = candidate.probability < SEARCH.min_early_probability
             if unlikely and len(predictions) == SEARCH.early_crops:
                 break
-        return replace(candidate, hand=mean_detection([p.hand for p in predictions]))
+        return replace(candidate, hand=mean_detection(Detections.of([predictions])))
 
 
 def refine(
     networks: Networks, rgb: np.ndarray, crop: Crop, min_presence: float = SEARCH.min_presence
-) -> Prediction | None:
+) -> Detections | None:
     """Predict in a crop and then in the crops around the landmarks found, until these stay where they are.
     None where there is no hand."""
     prediction = networks.predict(rgb, crop)
     for _ in range(SEARCH.max_passes - 1):
-        if prediction.presence < SEARCH.min_first_presence:
+        if prediction.certainty[0] < SEARCH.min_first_presence:
             return None
-        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.hand.keypoints))
-        sure = min(before.presence, prediction.presence) > SEARCH.converged_presence
-        if sure and distance(before.hand, prediction.hand) < SEARCH.converged_distance:
+        before, prediction = prediction, networks.predict(rgb, crop_around(prediction.keypoints[0]))
+        sure = min(before.certainty[0], prediction.certainty[0]) > SEARCH.converged_presence
+        if sure and distance(before, prediction) < SEARCH.converged_distance:
             break
-    return prediction if prediction.presence >= min_presence else None
+    return prediction if prediction.certainty[0] >= min_presence else None
 
 
-def _is_beside(palms: Palms, hands: Sequence[HandDetection]) -> bool:
+def _is_beside(palms: Palms, hands: Detections) -> bool:
     """True if one of these palms may well be that of another hand beside these hands (H >= 1)."""
-    size = np.array([hand.extent for hand in hands])
-    off = palms.centre[:, None] - np.array([hand.keypoints_2d.mean(axis=0) for hand in hands])
-    apart = np.linalg.norm(off, axis=-1) / size
-    ratio = palms.side / size[apart.argmin(axis=1)]
+    off = palms.centre[:, None] - hands.centroid
+    apart = np.linalg.norm(off, axis=-1) / hands.extent
+    ratio = palms.side / hands.extent[apart.argmin(axis=1)]
     (near, far), (small, large) = SEARCH.missed_palm_distance, SEARCH.missed_palm_size
     apart = apart.min(axis=1)
     likely = palms.score >= SEARCH.missed_palm_score
     return bool((likely & (apart > near) & (apart < far) & (ratio > small) & (ratio < large)).any())
 
 
-def _is_same(a: HandDetection, b: HandDetection) -> bool:
-    """Whether two predictions are of one candidate."""
-    return distance(a, b) < SEARCH.same_candidate_distance
+def _is_same(a: Detections, b: Detections) -> bool:
+    """True if two predictions are of one candidate."""
+    return bool(distance(a, b) < SEARCH.same_candidate_distance)
 
 
-def _fits_box(hand: HandDetection, middle: np.ndarray, size: np.ndarray) -> bool:
+def _fits_box(hand: Detections, middle: np.ndarray, size: np.ndarray) -> bool:
     """Whether a hand lies in a box with that middle and size, and is about as large."""
-    low, high = hand.keypoints_2d.min(axis=0), hand.keypoints_2d.max(axis=0)
-    off, longer = np.abs((low + high) / 2.0 - middle), float(size.max())
-    return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent / longer < 2.0
+    off, longer = np.abs((hand.box_min[0] + hand.box_max[0]) / 2.0 - middle), float(size.max())
+    return bool((off < size / 2.0 + 0.1 * longer).all()) and 0.45 < hand.extent[0] / longer < 2.0
 
 
 def _logit(probability: float) -> float:

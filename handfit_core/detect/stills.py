@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.detector import Detector, DetectorSettings
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.matching import hand_of_box
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.search import Search
@@ -24,7 +23,7 @@ class StillFinder(Detector):
         self._networks = Networks(settings.landmark_model, quality=settings.quality)
         self._search = Search(self._networks, settings.threshold, plain=settings.plain)
         self._counts = [0]
-        self._last: list[HandDetection] = []
+        self._last = Detections.of([[]])
         """All hands of the last picture"""
 
     def close(self) -> None:
@@ -41,35 +40,25 @@ class StillFinder(Detector):
         """True if another hand is likely in the last picture."""
         return self._search.missed
 
-    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> tuple[HandDetection, ...]:  # noqa: ARG002
+    def find(self, rgb: np.ndarray | None, time: float = 0.0) -> Detections:  # noqa: ARG002
         """The hands of a picture (see `Detector`), the likeliest first, with their sides judged."""
-        self._last = [] if rgb is None else self._search.detect_all(rgb)
+        self._last = Detections.of([[] if rgb is None else self._search.detect_all(rgb)])
         self._counts.append(len(self._last))
-        hands = [
-            self._networks.with_keypoints_2020(rgb, hand)
-            for hand in self._last[: self._max_hands]
-            if rgb is not None
-        ]
-        return tuple(_with_side_judged(hands))
+        wanted = self._last.select(slice(self._max_hands))
+        hands = [self._networks.with_keypoints_2020(rgb, hand) for hand in wanted if rgb is not None]
+        return with_side_judged(Detections.of([hands]))
 
     def detect_in_box(
         self,
         rgb: np.ndarray,
         box: Sequence[float],
         side: Side | None = None,
-        known: Sequence[HandDetection] = (),
-    ) -> HandDetection | None:
+        known: Iterable[Detections] = (),
+    ) -> Detections | None:
         """The hand in a box of the last picture (see `Detector`), with its side judged."""
         known = [*self._last, *known]
         hand = hand_of_box(known, box) or self._search.detect_in_box(rgb, box, known)
         if hand is None:
             return None
         hand = self._networks.with_keypoints_2020(rgb, hand)
-        return replace(_with_side_judged([hand])[0], shown=True, given_side=side)
-
-
-def _with_side_judged(hands: Sequence[HandDetection]) -> list[HandDetection]:
-    judged = with_side_judged(Detections.of([hands]))
-    assert judged.corrected is not None
-    rows = zip(hands, judged.right_side.tolist(), judged.corrected, strict=True)
-    return [replace(hand, right_side=right, corrected=(hand.side, table)) for hand, right, table in rows]
+        return with_side_judged(hand).shown_by_person(side)

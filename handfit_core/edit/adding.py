@@ -65,15 +65,9 @@ def with_added(
     laid_pose = laid(model, take.intrinsics, wrist, knuckle, seen)
     pose = (scatter(each[None], [row], len(take.frame_numbers)) for each in laid_pose)
     motion = HandMotion(model.side, np.zeros(NUM_BETAS), *pose)
-    nothing = np.full((len(take.frame_numbers), NUM_KEYPOINTS, 3), np.nan)
-    placed = nothing[..., :2].copy()
+    placed = np.full((len(take.frame_numbers), NUM_KEYPOINTS, 2), np.nan)
     placed[row, [WRIST, KNUCKLE]] = wrist, knuckle
-    track = replace(
-        HandTrack.undetected(motion, model),
-        keypoints_depth=nothing[..., 0],
-        world_landmarks=nothing,
-        placed=placed,
-    )
+    track = replace(HandTrack.undetected(motion, model), placed=placed)
     # A hand of that side that an older model was fitted to keeps its own.
     digests = {model.side: model.digest, **take.model_digests}
     return replace(take, hands=(*take.hands, track), model_digests=digests)

@@ -17,8 +17,8 @@ from handfit_core.detect.keypoints import Landmarked
 from handfit_core.edit import pins as pinning
 from handfit_core.edit.settings import EDITS
 from handfit_core.fit.fast import FastFitter
-from handfit_core.fit.observation import Kept, observation_of
-from handfit_core.fit.problem import Held
+from handfit_core.fit.observation import PoseAnchor, observation_of
+from handfit_core.fit.problem import FixedJoints
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import BEND, LAST_BEND, MIDDLE_BEND
@@ -49,7 +49,7 @@ def pose_from_pins(
     start = _starts(fitter, intrinsics, pins, at, own)
     count, held = len(start), None
     if locked.any():
-        held = Held(np.tile(locked, (count, 1)), own.select(np.zeros(count, dtype=int)))
+        held = FixedJoints(np.tile(locked, (count, 1)), own.select(np.zeros(count, dtype=int)))
         start = held.put(start)
     points = fitter.chain.points(start)
     loose = pinning.landmarks_of_pose(points, intrinsics)
@@ -65,7 +65,7 @@ def pose_from_pins(
         pinned=np.tile(at, (count, 1)),
     )
     away = np.linalg.norm(own.wrist) / np.linalg.norm(start.wrist, axis=1, keepdims=True)
-    kept = Kept(
+    kept = PoseAnchor(
         start.wrist * away,
         np.full(count, EDITS.distance_sigma),
         start.angles,

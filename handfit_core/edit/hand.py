@@ -88,7 +88,7 @@ def second_sight(take: Take, hand: HandTrack, rows: np.ndarray) -> SecondSight |
         camera.translation,
         moments=moments,
         times=times[found],
-        detections=hand.detections(found) if seen is None else seen.detections(found, hand.side),
+        detections=(hand if seen is None else seen).detections.at_frames(found),
         fps=view.fps,
     )
 

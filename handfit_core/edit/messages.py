@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from handfit_core.common.arrays import LARGEST, array, array_dataclass, check_arrays, packed, unpacked
-from handfit_core.common.batch import scatter
+from handfit_core.common.arrays import LARGEST, check_arrays, packed, unpacked
 from handfit_core.common.errors import Cancelled, OptionError, ProtocolError
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Detections
 from handfit_core.edit.hand import Prop, RefineHand, SecondSight
 from handfit_core.edit.refit import refit_each, refit_grip, refit_range
 from handfit_core.fit.solvers import ShouldStop
 from handfit_core.hand_model.motion import HandMotion
+from handfit_core.take.found import FoundRows
 
 MODES = ("each", "draft", "range", "grip")
 _LAST: list[tuple[tuple[object, ...], HandMotion]] = []
@@ -25,70 +26,22 @@ frame with a pin that has moved a little; the solver needs a few steps from the 
 where the drag began"""
 
 
-@array_dataclass
-class _Detections:
-    """What was detected in T frames, as a message has it: NaN in frames where nothing was."""
-
-    keypoints: np.ndarray = array("T", NUM_KEYPOINTS, 3, sent=np.float32)
-    """pixels, with depth"""
-    world: np.ndarray = array("T", NUM_KEYPOINTS, 3, sent=np.float32)
-    """metres"""
-    score: np.ndarray = array("T", sent=np.float32)
-    agrees: np.ndarray | None = array("T", kind="b", default=None)
-    """Whether the detector named the hand's side; None: wherever it found the hand"""
-    keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, sent=np.float32, default=None)
-    """Pixels and depth, by the network of December 2020; NaN where it was not asked, None: nowhere"""
-    overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
-
-    def __post_init__(self) -> None:
-        check_arrays(self, OptionError)
-
-    @classmethod
-    def of(cls, hands: Detections, side: Side, count: int) -> _Detections:
-        """The detections of a hand of that side; arrays that no frame has are None."""
-        second, overlapped = hands.keypoints_2020, hands.overlapped
-
-        def over_time(rows: np.ndarray, nothing: Any = np.nan) -> np.ndarray:
-            return scatter(rows, hands.frame, count, nothing)
-
-        return cls(
-            keypoints=over_time(hands.keypoints),
-            world=over_time(hands.world),
-            score=over_time(hands.score),
-            agrees=over_time(hands.side == SIDES.index(side), True),
-            keypoints_2020=None if second is None or not hands.asked_2020.any() else over_time(second),
-            overlapped=None if overlapped is None or not overlapped.any() else over_time(overlapped, False),
-        )
-
-    def of_side(self, side: Side) -> Detections:
-        """The inverse, for a hand of that side."""
-        points = np.concatenate([self.keypoints, self.world], axis=1)
-        frame = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-        named = np.full(len(frame), SIDES.index(side))
-        return Detections(
-            frame=frame,
-            side=named if self.agrees is None else np.where(self.agrees[frame], named, 1 - named),
-            score=np.nan_to_num(self.score[frame], nan=0.5),
-            keypoints=self.keypoints[frame],
-            world=self.world[frame],
-            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[frame],
-            overlapped=None if self.overlapped is None else self.overlapped[frame],
-        )
-
-
 def to_message(hand: RefineHand) -> dict[str, Any]:
     """A hand as JSON's types: the `hand` of a `refit` request, its arrays and its detections' packed."""
-    message = packed(hand) | packed(_Detections.of(hand.detections, hand.side, len(hand)))
+    message = packed(hand) | _packed(hand.detections, hand.side, len(hand))
     second = hand.second
     if second is not None:
-        seen = _Detections.of(second.detections, hand.side, len(second.times))
-        message["second"] = packed(second) | packed(seen)
+        message["second"] = packed(second) | _packed(second.detections, hand.side, len(second.times))
     return message
 
 
+def _packed(hands: Detections, side: Side, count: int) -> dict[str, Any]:
+    return packed(replace(FoundRows.of(hands, side, count), right_side=None))
+
+
 def from_message(message: Mapping[str, Any]) -> RefineHand:
-    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `agrees`, `keypoints_2020`,
-    `overlapped`, `touches` and `second` may be missing.
+    """The inverse of `to_message`. `model`, `fps`, `smoothing`, `holes`, `added`, `other_side`,
+    `keypoints_2020`, `overlapped`, `touches` and `second` may be missing.
 
     Raises ProtocolError for a field that is missing or not of its kind, OptionError for one of a wrong
     shape or range; both name it.
@@ -96,21 +49,21 @@ def from_message(message: Mapping[str, Any]) -> RefineHand:
     if not isinstance(message, Mapping):
         raise ProtocolError("refit: hand must be an object")
     fields = unpacked(RefineHand, message, "refit: ")
-    seen = _Detections(**unpacked(_Detections, message, "refit: "))
+    seen = FoundRows(**unpacked(FoundRows, message, "refit: "))
     second = None
     if message.get("second") is not None:
         second = _second_from(message["second"], fields["side"])
-    hand = RefineHand(detections=seen.of_side(fields["side"]), second=second, **fields)
-    check_arrays(seen, OptionError, T=len(hand))
-    return hand
+    check_arrays(seen, OptionError, T=len(fields["pins"]))
+    return RefineHand(detections=seen.detections(fields["side"]), second=second, **fields)
 
 
 def _second_from(message: Any, side: Side) -> SecondSight:
     where = "refit: second: "
     if not isinstance(message, Mapping):
         raise ProtocolError(f"{where.removesuffix(': ')} must be an object")
-    seen = _Detections(**unpacked(_Detections, message, where))
-    return SecondSight(detections=seen.of_side(side), **unpacked(SecondSight, message, where))
+    seen = FoundRows(**unpacked(FoundRows, message, where))
+    check_arrays(seen, OptionError, "second: ")
+    return SecondSight(detections=seen.detections(side), **unpacked(SecondSight, message, where))
 
 
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:

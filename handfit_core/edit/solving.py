@@ -20,8 +20,14 @@ from handfit_core.edit.handles import landmark_points
 from handfit_core.edit.settings import EDITS
 from handfit_core.fit.fast import FastFitter, fitter_of, smooth_track
 from handfit_core.fit.gaps import Times, detect_cuts, missing_between
-from handfit_core.fit.observation import Kept, Observation, SecondView, kept_at_distance, observation_of
-from handfit_core.fit.problem import Held
+from handfit_core.fit.observation import (
+    Observation,
+    PoseAnchor,
+    SecondView,
+    anchored_at_distance,
+    observation_of,
+)
+from handfit_core.fit.problem import FixedJoints
 from handfit_core.fit.seen_over_time import SeenOverTime
 from handfit_core.fit.settings import SOLVER, TERMS
 from handfit_core.fit.solution import Solution
@@ -252,7 +258,7 @@ class _Frames(Batch):
         turned = pinning.angle_sigma(uncertainty, pinning.hand_sizes(seen.pixels), self._idle)
         turned = np.where(self.posed[:, None], turned, np.inf)
         limits = np.where(self.posed, pinning.PINS.limits_sigma, np.nan)
-        near = Kept(kept.wrist, distance_sigma, kept.angles, turned, limits)
+        near = PoseAnchor(kept.wrist, distance_sigma, kept.angles, turned, limits)
         most = EDITS.max_iterations if self.near is None else EDITS.draft_iterations
         observed = replace(observed, kept=near, touches=self.touches)
         return _cheapest(self.fitter, observed, starts, _held(held, kept), most, solid=True).state
@@ -336,7 +342,7 @@ def _corrected(
     displaced = pinning.propagate_in_time(displaced, rows, hand.fps)
     uncertainty = pinning.propagate(displaced)
     touched = uncertainty.any(axis=1) | hand.pinned[rows].any(axis=1) | hand.touching[rows]
-    kept = kept_at_distance(plain, pinning.distance_sigma(displaced, size))
+    kept = anchored_at_distance(plain, pinning.distance_sigma(displaced, size))
     observed = observation_of(pinning.apply_pins(seen, pins, uncertainty), hand.intrinsics)
     if second is not None:
         there = uncertainty * (pinning.hand_sizes(second.pixels) / size)[:, None]
@@ -510,7 +516,7 @@ def _cheapest(
     fitter: FastFitter,
     observed: Observation,
     starts: Sequence[State],
-    held: Held | None,
+    held: FixedJoints | None,
     max_iterations: int | None = None,
     *,
     solid: bool = False,
@@ -531,6 +537,6 @@ def _cheapest(
     return solution.select(cost.argmin(axis=0) * count + np.arange(count))
 
 
-def _held(joints: np.ndarray, state: State) -> Held | None:
+def _held(joints: np.ndarray, state: State) -> FixedJoints | None:
     """The joints (B, 16) bool of B hands, held at `state`; None where there are none."""
-    return Held(joints, state) if joints.any() else None
+    return FixedJoints(joints, state) if joints.any() else None

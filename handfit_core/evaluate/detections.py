@@ -78,7 +78,7 @@ class UnitDetector:
     def found_in(self, unit: Unit, on_picture: Callable[[], None]) -> UnitDetections:
         """The hands in a unit's pictures, found now."""
         if unit.is_clip:
-            clip = _Clip(unit, on_picture)
+            clip = _UnitMedia(unit, on_picture)
             hands = detect_frames(clip, self._options).hands
             return UnitDetections(hands, np.array(clip.sizes))
         if self._stills is None:
@@ -106,7 +106,7 @@ def _content(picture: Path) -> str:
         return "unreadable"
 
 
-class _Clip(Media):
+class _UnitMedia(Media):
     """A unit's pictures as one clip."""
 
     def __init__(self, unit: Unit, on_picture: Callable[[], None]) -> None:

@@ -21,7 +21,7 @@ import pandas as pd
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import capture
 from handfit_core.capturing.views.joining import joined
-from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.readings import ViewTake
 from handfit_core.capturing.views.rig_file import Rig
 from handfit_core.capturing.views.verdict import rotation_between
 from handfit_core.common.errors import DatasetError
@@ -90,7 +90,7 @@ def evaluate_views(
         for done, (told, first, second) in enumerate(pairs, start=1):
             rig = _rig(first) if told == "cameras" else None
             started = time.process_time()
-            take = joined(Clip(first.first, lenses), Clip(second.second, lenses), options, rig)
+            take = joined(ViewTake(first.first, lenses), ViewTake(second.second, lenses), options, rig)
             rows.append({"told": told} | _row(first, second, take, time.process_time() - started))
             progress("score", done, len(pairs))
     return pd.DataFrame(rows)

@@ -24,8 +24,8 @@ from handfit_core.fit.doubt import (
 )
 from handfit_core.fit.gaps import Times, detect_cuts, interpolate_gaps, missing_between, segments
 from handfit_core.fit.levenberg import solve
-from handfit_core.fit.observation import Observation, kept_at_distance, observation_of
-from handfit_core.fit.problem import Held, MotionPrior, Problem, SharedShape
+from handfit_core.fit.observation import Observation, anchored_at_distance, observation_of
+from handfit_core.fit.problem import FixedJoints, MotionPrior, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
 from handfit_core.fit.settings import MOTION, SOLVER, TERMS, VIEWS
 from handfit_core.fit.solution import Solution
@@ -105,7 +105,7 @@ class FastFitter:
         self,
         seen: Observation,
         shape: SharedShape = "given",
-        held: Held | None = None,
+        held: FixedJoints | None = None,
         *,
         solid: bool = False,
     ) -> Problem:
@@ -149,7 +149,7 @@ class FastFitter:
         )
 
     def solve_solid(
-        self, seen: Observation, plain: Solution, times: Times | None = None, held: Held | None = None
+        self, seen: Observation, plain: Solution, times: Times | None = None, held: FixedJoints | None = None
     ) -> tuple[Observation, Solution]:
         """The observation with its self-contact, and the solution in which parts do not pass through each
         other.
@@ -317,7 +317,7 @@ def smooth_track(
     cuts: np.ndarray,
     smoothing: float,
     fps: float,
-    held: Held | None = None,
+    held: FixedJoints | None = None,
     before_each: Callable[[], None] = lambda: None,
 ) -> tuple[np.ndarray, State]:
     """Interpolate the gaps of a track and smooth its motion, segment by segment.
@@ -352,7 +352,7 @@ def smooth_track(
                     wrist=guess.wrist * distance_factor[:, None],
                     depth_zero=guess.depth_zero * distance_factor,
                 )
-                kept = kept_at_distance(guess, np.full(len(distance_factor), MOTION.distance_sigma))
+                kept = anchored_at_distance(guess, np.full(len(distance_factor), MOTION.distance_sigma))
                 problem = replace(
                     problem, seen=replace(segment_seen, kept=kept), terms=(*problem.terms, distance)
                 )

@@ -14,9 +14,9 @@ from handfit_core.hand_model.chain import State
 
 
 @dataclass(frozen=True, eq=False)
-class Kept(Batch):
+class PoseAnchor(Batch):
     """Poses that B hands are to stay near, and how firmly; an infinite sigma keeps nothing. Joints that are
-    held exactly are in `problem.Held`."""
+    held exactly are in `problem.FixedJoints`."""
 
     wrist: np.ndarray
     """(B, 3) metres, camera frame, of which only the distance from the camera counts"""
@@ -32,9 +32,9 @@ class Kept(Batch):
     keep"""
 
 
-def kept_at_distance(state: State, sigma: np.ndarray) -> Kept:
+def anchored_at_distance(state: State, sigma: np.ndarray) -> PoseAnchor:
     """B hands of which only the wrist's distance is kept; `sigma` (B,) is relative to it."""
-    return Kept(
+    return PoseAnchor(
         state.wrist, sigma, state.angles, np.full(state.angles.shape[:2], np.inf), np.full(len(sigma), np.nan)
     )
 
@@ -108,7 +108,7 @@ class Observation(Landmarked):
     """(B, 2) pixels"""
     depth_zero: np.ndarray | None = None
     """(B,) metres along the line of sight where depth is zero, NaN where not known; None: known of none"""
-    kept: Kept | None = None
+    kept: PoseAnchor | None = None
     """Poses that the hands are to stay near; None: there are none"""
     self_contact: SelfContact | None = None
     """Which parts cross and touch; None: not looked for"""

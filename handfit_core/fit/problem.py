@@ -20,7 +20,7 @@ SharedShape = Literal["given", "each", "one"]
 
 
 @dataclass(frozen=True, eq=False)
-class Held(Batch):
+class FixedJoints(Batch):
     """Joints of B hands that are no variables, and the state they are held at."""
 
     joints: np.ndarray
@@ -67,7 +67,7 @@ class Problem(Batch):
     terms: tuple[Term, ...]
     shape: SharedShape = "given"
     """Whether betas are constant, each hand's own variables, or one set for all hands"""
-    held: Held | None = None
+    held: FixedJoints | None = None
     """Joints that are no variables; None: all are variables"""
     motion: MotionPrior | None = None
     """The motion prior of B consecutive frames of a clip; None: frames are independent"""

@@ -5,6 +5,7 @@ Nothing in it is run: pickles are read by `safe_pickle`, and only where a reader
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -36,6 +37,8 @@ class Table:
     columns: tuple[str, ...]
     rows: list[list[str]]
     """Each as long as `columns`"""
+    is_trc: bool = False
+    """Whether it was a .trc, whose markers' names are in `columns`"""
 
     def texts(self, column: str) -> list[str]:
         """One column. Raises KeyError where there is none of that name."""
@@ -64,6 +67,8 @@ class Document:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = path_of(path)
+        self.cut = ""
+        """What is said of a file that breaks off, once it was read"""
         self.is_folder = os.path.isdir(self.path)  # noqa: PTH112  (raises for no name, however long)
 
     def _refuse(self, what: str) -> NoReturn:
@@ -142,31 +147,73 @@ class Document:
             return None
         self._check_room(_memory_of_json(self.bytes))
         try:
-            with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8") as text:
-                return self._checked([json.loads(line) for line in text if line.strip()])
+            texts = [line for line in self.bytes.decode("utf-8").splitlines() if line.strip()]
+            told = [json.loads(line) for line in texts[:-1]]
+            try:
+                told.append(json.loads(texts[-1]))
+            except ValueError:
+                if not told:
+                    return None
+                self.cut = "its last line breaks off, and is left out"
+            return self._checked(told)
         except (ValueError, RecursionError):
             return None
 
     @cached_property
     def table(self) -> Table | None:
         """What a CSV file with a line of names holds; None also where lines differ in length."""
-        if self.suffix not in (".csv", ".tsv", ".txt"):
+        is_trc = self.bytes[:12] == b"PathFileType"
+        if self.suffix not in (".csv", ".tsv", ".txt", ".trc") and not is_trc:
             return None
         lines, cells = (sum(map(self.bytes.count, signs)) for signs in ((b"\n", b"\r"), (b",", b"\t")))
         self._check_room(64 * lines + 58 * cells)
         with io.TextIOWrapper(io.BytesIO(self.bytes), "utf-8-sig", newline="") as text:
             try:
-                read = csv.reader(text, delimiter="\t" if self.suffix == ".tsv" else ",")
+                read = csv.reader(text, delimiter=self._delimiter)
                 rows = [line for line in read if line]
             except (csv.Error, UnicodeDecodeError):
                 return None
+        if is_trc:
+            rows = _rows_of_trc(rows)
         if len(rows) < 2 or not 1 < len(rows[0]) <= LIMITS.columns:
             return None
+        if len(rows) > 2 and len(rows[-1]) < len(rows[0]):
+            self.cut = "its last line breaks off, and is left out"
+            rows.pop()
         if any(len(row) != len(rows[0]) for row in rows):
             return None
         if any(len(cell) > LIMITS.letters for row in rows for cell in row):
             self._refuse(f"it has a cell of more than {LIMITS.letters} letters")
-        return Table(tuple(name.strip() for name in rows[0]), rows[1:])
+        return Table(tuple(name.strip() for name in rows[0]), rows[1:], is_trc)
+
+    @property
+    def _delimiter(self) -> str:
+        """What stands between a table's cells, by its first lines."""
+        start = self.bytes[:4096]
+        most = max((",", "\t", ";"), key=lambda sign: start.count(sign.encode()))
+        return most if most.encode() in start else " "
+
+    @cached_property
+    def numbers(self) -> np.ndarray | None:
+        """(R, C) numbers of a table whose columns have no names."""
+        if self.suffix not in (".csv", ".tsv", ".txt") or self.table is None:
+            return None
+        first = [_number(name) for name in self.table.columns]
+        if not np.isfinite(first).all():
+            return None
+        return np.array([first, *([_number(cell) for cell in row] for row in self.table.rows)])
+
+    @cached_property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """The arrays of numbers in a .npy, a .npz or a table without names, by their names."""
+        if self.npz is None:
+            alone = self.npy if self.npy is not None else self.numbers
+            return {} if alone is None else {self.path.stem: alone}
+        found = {}
+        for name in self.npz.names:
+            with contextlib.suppress(NotNpz):
+                found[name] = self.npz.array(name, "fiub")
+        return found
 
     @cached_property
     def npz(self) -> NpzArchive | None:
@@ -256,15 +303,52 @@ class Document:
         return [self.path / name for name in sorted(found) if not name.startswith(".")]
 
     @property
+    def media(self) -> str:
+        """ "a picture" or "a video" by its first bytes; empty for anything else."""
+        start = self.bytes[:16]
+        if start[4:8] == b"ftyp":
+            return "a picture" if start[8:11] in (b"hei", b"mif", b"avi") else "a video"
+        if start[:4] == b"RIFF":
+            return "a video" if start[8:11] == b"AVI" else "a picture"
+        return next((kind for signs, kind in _MEDIA for sign in signs if start.startswith(sign)), "")
+
+    @property
     def found(self) -> str:
-        """What it looks like, for messages."""
+        """What it is by its content, and what can be done where it is something that is not read."""
         if self.is_folder:
-            return f"a folder with {len(self.files('.json'))} .json and {len(self.files('.npz'))} .npz files"
+            counts = {ending: len(self.files(ending)) for ending in (".json", ".npz", ".npy", ".csv", ".pkl")}
+            some = [f"{count} {ending}" for ending, count in counts.items() if count]
+            return (
+                f"a folder with {', '.join(some)} files" if some else "a folder without files that are read"
+            )
+        if not self.bytes:
+            return "an empty file"
+        kind = self.media or next((what for sign, what in _OTHERS if self.bytes.startswith(sign)), "")
+        if kind:
+            return kind
+        if self.npz is not None and any(name.endswith("data.pkl") for name in self.npz.names):
+            return (
+                "PyTorch's file, which is not read; write its arrays as .npz in the program's own environment"
+            )
+        names = set(self.names)
+        what = next((what for sign, what in _NAMED if set(sign.split()) <= names), "")
+        if what:
+            return what
         if self.npz is not None:
             return f"an .npz with {_some(self.npz.names)}"
+        if self.bytes[:2] == b"PK":
+            return "a zip archive, or a damaged .npz; unpack it first"
+        if b'"joint_angles"' in self.bytes[:4096] and (self.json or self.lines):
+            return (
+                "the angles of UmeTrack's joints (HOT3D), which are not read; give "
+                "mano_hand_pose_trajectory.jsonl, which lies beside them"
+            )
         if self.json is not None:
             few = _some(self.json) if isinstance(self.json, dict) else f"a list of {len(self.json)}"
             return f"JSON with {few}"
+        if self.lines:
+            few = _some(self.lines[0]) if isinstance(self.lines[0], dict) else "lists"
+            return f"lines of JSON with {few}"
         if self.npy is not None:
             return f"an .npy of the shape {'x'.join(map(str, self.npy.shape)) or 'of one number'}"
         held, refused = self._unpickled
@@ -275,9 +359,74 @@ class Document:
                 f"a pickle that {refused}; such files are not read, as they can run programs: write what is "
                 "in it as .npz or JSON"
             )
+        if self.table is not None and self.numbers is not None:
+            return f"a table of {len(self.numbers)}x{self.numbers.shape[1]} numbers without names"
         if self.table is not None:
             return f"a table with the columns {_some(self.table.columns)}"
-        return f"a file of {len(self.bytes)} bytes that is no JSON, .npz or table"
+        if self.bytes.lstrip()[:1] in (b"{", b"["):
+            return _damage(self.bytes)
+        if self.text is not None:
+            return (
+                f"a text, and no table with a cell below each name; it begins with {self.text.strip()[:40]!r}"
+            )
+        return f"a file of {len(self.bytes)} bytes of a kind that is not known"
+
+
+_MEDIA: Final = (
+    (
+        (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*", b"BM", b"v/1\x01", b"SDPX", b"XPDS"),
+        "a picture",
+    ),
+    ((b"\x1aE\xdf\xa3", b"\0\0\x01\xba", b"OggS", b"FLV"), "a video"),
+)
+_OTHERS: Final = (
+    (b"Kaydara FBX", "an FBX; import it in Blender and export its hands as BVH"),
+    (b"glTF", "a glTF or VRM model, without hands that were captured"),
+    (b"BLENDER", "a .blend; open it in Blender"),
+    (b"\x89HDF", "HDF5 (DeepLabCut, SLEAP); export its points as CSV"),
+    (b"\x1f\x8b", "a gzip archive; unpack it first"),
+    (b"7z", "a 7z archive; unpack it first"),
+    (b"\x02P", "a C3D; export its markers as .trc"),
+)
+"""What files begin with that are not read"""
+_NAMED: Final = (
+    ("hands_components", "MANO's own model, which is given as --model"),
+    ("pred_vertices", "surfaces without MANO's parameters; have the program save pred_mano_params, too"),
+    ("global_orient body_pose", "a body of SMPL without hands"),
+    ("root_orient pose_body", "a body of SMPL without hands"),
+)
+"""What arrays or keys tell of files whose hands no reader knows"""
+
+
+def _damage(data: bytes) -> str:
+    """What is wrong with a JSON text, or with lines of it."""
+    text = data.decode("utf-8", "replace")
+    lines = [line for line in text.splitlines() if line.strip()]
+    for what, parts in (("lines of JSON", lines), ("JSON", [text])):
+        for number, part in enumerate(parts, 1):
+            try:
+                json.loads(part)
+            except ValueError as error:
+                if number > 1:
+                    return f"{what}, of which line {number} is damaged"
+                if what == "JSON":
+                    at = getattr(error, "lineno", 1)
+                    return f"damaged JSON: it breaks off, or has something that is no JSON in line {at}"
+                break
+            except RecursionError:
+                break
+    return "JSON whose lists lie too deep in one another"
+
+
+def _rows_of_trc(rows: list[list[str]]) -> list[list[str]]:
+    """A .trc's rows as those of a table with a line of names: frame, time, and MARKER_x, _y, _z of each
+    marker."""
+    if len(rows) < 5:
+        return []
+    markers = [name.strip() for name in rows[3][2:] if name.strip()]
+    columns = ["frame", "time", *(f"{name}_{axis}" for name in markers for axis in "xyz")]
+    told = [row for row in rows[4:] if row[0].strip().isdigit()]
+    return [columns, *((row + [""] * len(columns))[: len(columns)] for row in told)]
 
 
 def _memory_of_json(data: bytes) -> int:

@@ -16,6 +16,7 @@ from handfit_core.common.files import shown
 from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
 from handfit_core.common.values import LARGEST_WHOLE
 from handfit_core.interchange.document import Document
+from handfit_core.interchange.orders import width_of
 from handfit_core.interchange.point_names import plain, point_named, side_named
 from handfit_core.interchange.settings import LIMITS
 
@@ -23,11 +24,20 @@ _LAST_NUMBER: Final = re.compile(r"\d+(?!.*\d)")
 _FRAMES: Final = "frames results data predictions detections annotations instanceinfo".split()
 _FRAME: Final = "frame frameid framenumber frameindex frameidx frameno imageid".split()
 _TIME: Final = "timestamp timestampms timestampinmilliseconds time timems t predicteddisplaytime".split()
-_PICTURE: Final = "multihandlandmarks handlandmarks landmarks lmlist keypoints points joints landmark".split()
-_WORLD: Final = "multihandworldlandmarks handworldlandmarks worldlandmarks landmarksworld".split()
-_SIDE: Final = "multihandedness handedness handednesses side label type hand chirality".split()
+_PICTURE: Final = (
+    "multihandlandmarks handlandmarks landmarks lmlist keypoints points joints landmark posekeypoints2d "
+    "worldcoord keypoints2d"
+).split()
+_WORLD: Final = (
+    "multihandworldlandmarks handworldlandmarks worldlandmarks landmarksworld keypoints3d landmarks3d"
+).split()
+_OF_SIDE: Final = (
+    "{}handlandmarks {} {}hand hand{}keypoints2d hand{}keypoints {}handkpts {}handkeypoints".split()
+)
+_SIDE: Final = "multihandedness handedness handednesses side label type handtype hand chirality".split()
 _SCORE: Final = "score confidence handednessscore".split()
 _WITHIN: Final = "result results hands observations detections".split()
+_PICTURES: Final = (".jpg", ".jpeg", ".png", ".bmp")
 _CHIRALITY: Final = {-1: SIDES[0], 1: SIDES[1]}
 
 
@@ -116,9 +126,10 @@ def some_contents(document: Document) -> Iterator[Any]:
             yield Document(file).json
 
 
-def frames_of(document: Document, is_one: Callable[[Any], bool]) -> JsonFrames:
+def frames_of(document: Document, is_one: Callable[[Any], bool], *, grouped: bool = False) -> JsonFrames:
     """The frames of a folder of JSON files, of a list, of an object with a list or with frames by their
-    numbers, or of a single frame, of which `is_one` says that it is no list of frames. Raises InputError."""
+    numbers, or of a single frame, of which `is_one` says that it is no list of frames. `grouped`: whether
+    what has the same number belongs to one frame. Raises InputError."""
     if document.is_folder:
         files, assumed = _frame_files(document)
         contents = [Document(file).json for _, file in files]
@@ -130,12 +141,26 @@ def frames_of(document: Document, is_one: Callable[[Any], bool]) -> JsonFrames:
     header = keyed(content)
     if isinstance(content, Mapping):
         listed = next((header[key] for key in _FRAMES if isinstance(header.get(key), list | dict)), None)
+        # Where more hands stand beside one another than a picture has, they are one hand's frames.
+        many = (header[key] for key in (*_PICTURE, *_WORLD) if isinstance(header.get(key), list))
+        listed = listed or next((each for each in many if len(each) > 8 and all(map(is_hand, each))), None)
         if listed is not None:
             content = listed
-            header = {key: value for key, value in header.items() if not isinstance(value, list | dict)}
+            header = {k: v for k, v in header.items() if k == "images" or not isinstance(v, list | dict)}
     alone = is_one(content)
-    if isinstance(content, Mapping) and content and not alone and all(map(_digits, content)):
-        return _in_order(document, [int(key) for key in content], list(content.values()), header)
+    keys = [_number_of(key) for key in content] if isinstance(content, Mapping) and not alone else []
+    numbers = [number for number in keys if number is not None]
+    if isinstance(content, Mapping) and numbers and len(numbers) == len(keys):
+        of = next(iter(content.values()))
+        if isinstance(of, Mapping) and of and all(map(_digits, of)):
+            if len(content) > 1:
+                some = ", ".join(list(content)[:5])
+                raise InputError(
+                    f"{shown(document.path)}: it has {len(content)} clips ({some} ..); give each its own file"
+                )
+            content = of
+            numbers = [int(key) for key in content]
+        return _in_order(document, numbers, list(content.values()), header)
     if isinstance(content, Mapping) or alone:
         number = _number_in(content) or _number_in({"frame": document.path.stem}) or 1
         return _in_order(document, [number], [content], header)
@@ -143,7 +168,7 @@ def frames_of(document: Document, is_one: Callable[[Any], bool]) -> JsonFrames:
         raise InputError(f"{shown(document.path)}: there is no frame in it ({document.found})")
     told = [number for each in content if (number := _number_in(each)) is not None]
     if len(told) == len(content):
-        return _in_order(document, told, content, header)
+        return _in_order(document, told, content, header, grouped=grouped)
     assumed = ("its frames have no numbers: they are counted from 1",) if len(content) > 1 else ()
     return _in_order(document, range(1, len(content) + 1), content, header, assumed)
 
@@ -154,8 +179,15 @@ def _in_order(
     contents: list[Any],
     header: dict[str, Any],
     assumed: tuple[str, ...] = (),
+    *,
+    grouped: bool = False,
 ) -> JsonFrames:
     """Frames by their numbers. Raises InputError where one comes twice, or there are too many."""
+    if grouped and len(set(told)) < len(told):
+        together: dict[int, list[Any]] = {}
+        for number, content in zip(told, contents, strict=True):
+            together.setdefault(number, []).append(content)
+        told, contents = list(together), list(together.values())
     LIMITS.check(document.path, len(contents))
     numbers = np.array([*told], dtype=np.int64)
     order = np.argsort(numbers, kind="stable")
@@ -198,6 +230,14 @@ def _digits(key: Any) -> bool:
     return isinstance(key, str) and key.isascii() and key.isdigit() and len(key) <= LIMITS.number_digits
 
 
+def _number_of(key: Any) -> int | None:
+    """The frame that a key counts, or whose picture it names."""
+    if _digits(key):
+        return int(key)
+    stem = key.rpartition(".")[0] if isinstance(key, str) and key.lower().endswith(_PICTURES) else ""
+    return _number_in({"frame": stem}) if stem else None
+
+
 def _number_in(content: Any) -> int | None:
     """The number of a frame that tells its own; a text's last number, as of a picture's name."""
     of = keyed(content)
@@ -213,8 +253,10 @@ def _number_in(content: Any) -> int | None:
 
 def size_in(header: Mapping[str, Any]) -> tuple[int, int] | None:
     """The pictures' size as plain keys tell it; None where they do not."""
-    for before in ("", "canvas"):
-        sides = header.get(f"{before}width"), header.get(f"{before}height")
+    images = header.get("images")
+    pictures = keyed(images[0]) if isinstance(images, list) and images else {}
+    for of, before in ((header, ""), (header, "canvas"), (pictures, "")):
+        sides = of.get(f"{before}width"), of.get(f"{before}height")
         if all(type(side) is int and 0 < side < 1 << 24 for side in sides):
             return sides  # type: ignore[return-value]
     return None
@@ -230,9 +272,11 @@ class JsonHand(NamedTuple):
     score: float
     """NaN: not told"""
     points: np.ndarray
-    """(N, 4) x, y, z, and how sure it is; NaN: not told"""
+    """(N, 4) x, y, z, and how sure it is, in the file's order; NaN: not told"""
     world: np.ndarray
-    """(21, 3) metres; NaN: not told"""
+    """(N, 3) metres; NaN: not told"""
+    named: bool
+    """Whether its points are named, and stand in MediaPipe's order"""
     mirrored: bool | None
     """Whether the side counts for mirrored pictures; None: not known"""
 
@@ -253,13 +297,7 @@ def hands_in(content: Any, columns: Mapping[int, str], depth: int = 0) -> Iterat
     named = False
     for side in SIDES:
         # Holistic's and OpenPose's hands are those of the person that is seen.
-        for key in (
-            f"{side}handlandmarks",
-            side,
-            f"{side}hand",
-            f"hand{side}keypoints2d",
-            f"hand{side}keypoints",
-        ):
+        for key in (name.format(side) for name in _OF_SIDE):
             if of.get(key):
                 named = True
                 inner = keyed(of[key])
@@ -310,8 +348,12 @@ def _several(
         if where is None and space is None:
             continue
         side, sure = _label(label)
-        seen = _numbers([None] * NUM_KEYPOINTS if where is None else where, columns)
-        there = _numbers([None] * NUM_KEYPOINTS if space is None else space, {3: "xyz", 4: "xyzc"})
+        seen, named = _numbers(space if where is None else where, columns)
+        if where is None:
+            seen = np.full_like(seen, np.nan)
+        there = np.full_like(seen, np.nan)
+        if space is not None:
+            there, named = _numbers(space, {3: "xyz", 4: "xyzc"})
         if "keypointscores" in of:
             scores = np.array(of["keypointscores"], dtype=np.float64).ravel()
             if len(scores) != len(seen):
@@ -319,7 +361,7 @@ def _several(
             seen[:, 3] = scores
         if not np.isnan(seen[:, 3]).all():
             seen[:, 3] = np.nan_to_num(seen[:, 3])
-        yield JsonHand(side, score if sure is None else sure, seen, there[:, :3], mirrored)
+        yield JsonHand(side, score if sure is None else sure, seen, there[:, :3], named, mirrored)
 
 
 def _label(entry: Any) -> tuple[Side | None, float | None]:
@@ -340,7 +382,13 @@ def _as_hands(value: Any) -> list[Any]:
     """A list of hands, whether one or several are told."""
     if value is None:
         return []
-    return value[: LIMITS.hands] if isinstance(value, list) and not is_hand(value) else [value]
+    several = isinstance(value, list) and not is_hand(value) and not _flat(value)
+    return value[: LIMITS.hands] if several else [value] if value else []
+
+
+def _flat(value: list[Any]) -> bool:
+    """True if numbers of points follow one another without lists; some may be null."""
+    return any(isinstance(each, int | float) for each in value[:9])
 
 
 def is_hand(value: Any) -> bool:
@@ -350,8 +398,8 @@ def is_hand(value: Any) -> bool:
     if not isinstance(value, list) or not value:
         return False
     first = value[0]
-    if isinstance(first, int | float):
-        return len(value) in (2 * NUM_KEYPOINTS, 3 * NUM_KEYPOINTS)
+    if _flat(value):
+        return len(value) >= 40 and width_of(len(value), (2, 3, 4)) > 0
     if isinstance(first, Mapping):
         return {"x", "y"} <= {key.lower() for key in first if isinstance(key, str)}
     return isinstance(first, list) and 2 <= len(first) <= 4 and all(isinstance(n, int | float) for n in first)
@@ -364,23 +412,30 @@ def _place(key: str) -> int | None:
     return point_named(key)
 
 
-def _numbers(hand: Any, columns: Mapping[int, str]) -> np.ndarray:
-    """(N, 4) x, y, z and how sure it is, of whatever stands for points. Raises ValueError, TypeError."""
+def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
+    """(N, 4) x, y, z and how sure it is, of whatever stands for points, and whether their names tell which
+    they are. Raises ValueError, TypeError."""
     if isinstance(hand, Mapping) and "landmark" in hand:
         hand = hand["landmark"]
+    if isinstance(hand, list) and hand and all(isinstance(each, Mapping) for each in hand):
+        names = [each.get("name", each.get("part")) for each in hand]
+        if all(isinstance(name, str) for name in names):
+            hand = dict(zip(names, hand, strict=True))
+    named = False
     if isinstance(hand, Mapping):
         places = {place: value for key, value in hand.items() if (place := _place(key)) is not None}
+        named = not all(map(_digits, hand))
         hand = [places.get(place) for place in range(NUM_KEYPOINTS)]
     if not isinstance(hand, list):
         raise ValueError("a hand is neither a list nor an object of points")
-    if hand and isinstance(hand[0], int | float):
-        size = next((n for n in columns if len(hand) == n * NUM_KEYPOINTS), 0)
+    if _flat(hand):
+        size = width_of(len(hand), columns)
         if not size:
             raise ValueError(
                 f"{len(hand)} numbers of a hand; expected 21 times {' or '.join(columns.values())}"
             )
         hand = [hand[i : i + size] for i in range(0, len(hand), size)]
-    return np.array([_point(value, columns) for value in hand], dtype=np.float64).reshape(-1, 4)
+    return np.array([_point(value, columns) for value in hand], dtype=np.float64).reshape(-1, 4), named
 
 
 def _point(value: Any, columns: Mapping[int, str]) -> list[Any]:

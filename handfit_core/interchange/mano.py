@@ -20,7 +20,7 @@ from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import FINGER_JOINTS, NUM_BETAS, SIDES, Side
 from handfit_core.common.values import Unfit
 from handfit_core.detect.keypoints import check_crowd
-from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import quat_to_rotvec, rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.anatomy import anatomical_angles, anatomical_axes, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, mirrored_pose
 from handfit_core.hand_model.data import HandModel
@@ -54,26 +54,24 @@ def numbers(name: str, value: Any, *shape: int) -> np.ndarray:
 
 
 def rotations(name: str, value: Any, joints: int, count: int | None = None) -> np.ndarray:
-    """(N, 3 * joints) axis-angle in radians of a program's rotations: matrices (N, joints, 3, 3) or
-    axis-angle (N, joints, 3) or (N, 3 * joints). `count`: the N that is expected. Raises Unfit, also for
-    matrices that are no rotations and for angles in degrees."""
+    """(N, 3 * joints) axis-angle in radians of a program's rotations: matrices (N, joints, 3, 3), axis-angle
+    (N, joints, 3) or (N, 3 * joints), or a quaternion (N, 4), w first. `count`: the N that is expected.
+    Raises Unfit, also for matrices that are no rotations and for angles in degrees."""
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise Unfit(f"{name} must be rotations, and is no array of numbers") from None
-    three_vectors = joints == 1 and array.ndim == 2 and count == 3
-    if array.shape[-2:] == (3, 3) and not three_vectors:
-        matrices = numbers(name, array, joints, 3, 3)
-        rotvec = np.concatenate(
-            [rotmat_to_rotvec(checked_matrices(name, matrices[part])) for part in slices(len(matrices))]
-        ).reshape(-1, 3 * joints)
+        shape = np.shape(value)
+    except ValueError:
+        shape = ()
+    if joints == 1 and shape[-1:] == (4,):
+        rotvec = quat_to_rotvec(numbers(name, value, 4))
+    elif shape[-2:] == (3, 3) and not (joints == 1 and len(shape) == 2 and count == 3):
+        matrices = checked_matrices(name, numbers(name, value, joints, 3, 3))
+        parts = [rotmat_to_rotvec(matrices[part]) for part in slices(len(matrices))]
+        rotvec = np.concatenate(parts).reshape(-1, 3 * joints)
     else:
-        rotvec = numbers(name, array, 3 * joints)
-        angles = np.linalg.norm(rotvec.reshape(len(rotvec), joints, 3), axis=-1)
-        if np.any(angles > 4.0 * np.pi):
-            raise Unfit(
-                f"{name} holds turns by {np.nanmax(angles):.0f} radians: these are degrees, or no axis-angle"
-            )
+        rotvec = numbers(name, value, 3 * joints)
+    most = np.nanmax(np.linalg.norm(rotvec.reshape(-1, 3), axis=-1), initial=0.0)
+    if most > 4.0 * np.pi:
+        raise Unfit(f"{name} holds turns by {most:.0f} radians: these are degrees, or no axis-angle")
     if count is not None and len(rotvec) != count:
         raise Unfit(f"{name} has {len(rotvec)} rows where {count} are expected")
     return rotvec
@@ -81,11 +79,12 @@ def rotations(name: str, value: Any, joints: int, count: int | None = None) -> n
 
 def checked_matrices(name: str, matrices: np.ndarray) -> np.ndarray:
     """Matrices that are rotations but for their rounding. Raises Unfit."""
-    there = np.isfinite(matrices).all(axis=(-1, -2))
-    product = matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)
-    # What the elements of R R^T may differ from those of I
-    if np.any(np.abs(product[there]) > 0.05) or np.any(np.linalg.det(matrices[there]) < 0.0):
-        raise Unfit(f"{name} holds matrices that are no rotations")
+    for part in slices(len(matrices)):
+        told = matrices[part][np.isfinite(matrices[part]).all(axis=(-1, -2))]
+        # What the elements of R R^T may differ from those of I
+        off = np.abs(told @ np.swapaxes(told, -1, -2) - np.eye(3)).max(initial=0.0)
+        if off > 0.05 or np.any(np.linalg.det(told) < 0.0):
+            raise Unfit(f"{name} holds matrices that are no rotations")
     return matrices
 
 
@@ -94,28 +93,21 @@ def own_model(asked: ReadOptions, side: Side, needed: str) -> HandModel:
     HandModelError."""
     if asked.model is None or asked.model == OPEN_HAND:
         raise OptionError(
-            f"{needed}, which belongs to MANO's licensed files and is not part of this program: give your "
-            "own MANO folder or file as the model (--model)"
+            f"{needed}: give your own MANO folder or file as the model (--model), as MANO's license keeps "
+            "both out of this program"
         )
     return load_model(asked.model, side)
 
 
-def from_flat(pose: np.ndarray, side: Side, asked: ReadOptions, counted: Counted) -> np.ndarray:
-    """Poses (N, 45), which count from the flat hand or from the mean as the format has it, or as the user
-    says, relative to the flat hand. Raises OptionError where MANO's mean is needed and not there."""
-    if (counted if asked.hand_mean == "auto" else asked.hand_mean) == "flat":
-        return pose
-    needed = "these hand poses count from MANO's mean pose"
-    if asked.hand_mean == "auto":
-        needed = "in this format hand poses count from MANO's mean pose (--hand-mean flat reads them without)"
-    return pose + own_model(asked, side, needed).hands_mean
-
-
-def from_directions(coefficients: np.ndarray, side: Side, asked: ReadOptions) -> np.ndarray:
-    """(N, 45) axis-angle of coefficients (N, C) of MANO's first C principal directions, without the mean.
-    Raises OptionError where these are not there."""
-    model = own_model(asked, side, "these hand poses are coefficients of MANO's principal directions")
-    return coefficients @ model.hands_components[: coefficients.shape[1]]
+def from_directions(coefficients: np.ndarray, side: np.ndarray, asked: ReadOptions) -> np.ndarray:
+    """(N, 45) axis-angle of coefficients (N, C) of MANO's first C principal directions, without the mean, of
+    hands of these SIDES (N,). Raises OptionError where the directions are not there."""
+    needed = "these hand poses are coefficients of MANO's principal directions"
+    pose = np.empty((len(side), POSE))
+    for index in set(side.tolist()):
+        directions = own_model(asked, SIDES[index], needed).hands_components[: coefficients.shape[1]]
+        pose[side == index] = coefficients[side == index] @ directions
+    return pose
 
 
 def tell(assumed: list[str], phrase: str) -> None:
@@ -131,12 +123,9 @@ def standing(pelvis: np.ndarray, assumed: list[str]) -> np.ndarray:
     """
     along = rotvec_to_rotmat(pelvis[known(pelvis)])[:, :, 1]
     mean = along.mean(axis=0) if len(along) else np.array([0.0, 1.0, 0.0])
-    ups = (
-        ("y-up", mean[1], UP_AXES["y"]),
-        ("z-up", mean[2], UP_AXES["z"]),
-        ("the camera's, y-down", -mean[1], np.eye(3)),
-    )
-    name, _, turn = max(ups, key=lambda up: up[1])
+    ups = [(mean[1], "y-up", UP_AXES["y"]), (mean[2], "z-up", UP_AXES["z"])]
+    ups.append((-mean[1], "the camera's, y-down", np.eye(3)))
+    _, name, turn = max(ups, key=lambda up: up[0])
     tell(assumed, f"its world was taken to be {name}, as the body stands so")
     return turn
 
@@ -202,12 +191,31 @@ class FoundHands(Batch):
         orient = rotmat_to_rotvec(rotation @ rotvec_to_rotmat(self.global_orient))
         return replace(self, global_orient=orient)
 
+    def seen_from(self, rotation: np.ndarray, shift: np.ndarray, asked: ReadOptions) -> FoundHands:
+        """The hands in a camera's frame: x_camera = rotation x + shift, (3, 3) or (N, 3, 3), (3,) or (N, 3).
+
+        MANO's root turns about the wrist, which does not lie at the origin of the model: with J the wrist of
+        the model, the new transl is R (J + transl) + t - J.
+        """
+        wrists = np.zeros_like(self.transl)
+        for key in np.unique(np.stack([self.side, self.person]), axis=1).T:
+            mine = (self.side == key[0]) & (self.person == key[1])
+            model = load_model(asked.model, SIDES[key[0]])
+            wrists[mine] = model.shaped(shape_of(self.betas[mine], asked, [])).joints[0]
+        place = (rotation @ (self.transl + wrists)[..., None])[..., 0] - wrists + shift
+        return replace(self.turned(rotation), transl=np.where(np.isinf(self.transl), self.transl, place))
+
     def from_flat(self, asked: ReadOptions, counted: Counted) -> FoundHands:
-        """The hands with poses that count from the flat hand. Raises what `from_flat` raises."""
+        """The hands with poses that count from the flat hand, which count as the format has it, or as the
+        user says. Raises OptionError where MANO's mean is needed and not there."""
+        if (counted if asked.hand_mean == "auto" else asked.hand_mean) == "flat":
+            return self
+        needed = "these hand poses count from MANO's mean pose"
+        if asked.hand_mean == "auto":
+            needed = f"in this format{needed[5:]} (--hand-mean flat reads them without)"
         pose = self.hand_pose.copy()
-        for index, side in enumerate(SIDES):
-            if np.any(mine := self.side == index):
-                pose[mine] = from_flat(pose[mine], side, asked, counted)
+        for index in set(self.side.tolist()):
+            pose[self.side == index] += own_model(asked, SIDES[index], needed).hands_mean
         return replace(self, hand_pose=pose)
 
     @property
@@ -240,21 +248,17 @@ def followed(
     """
     check_crowd(hands.frame)
     track = _linked(hands)
-    order = np.lexsort((hands.side, hands.frame))
-    tracks = list(dict.fromkeys(track[order].tolist()))
-    first = {t: int(np.flatnonzero(track == t)[0]) for t in tracks}
+    tracks = list(dict.fromkeys(track[np.lexsort((hands.side, hands.frame))].tolist()))
     if asked.person is not None:
-        persons = sorted({int(p) for p in hands.person if p >= 0})
-        if persons:
-            wanted = persons[asked.person - 1 : asked.person]
-            tracks = [t for t in tracks if int(hands.person[first[t]]) in wanted]
-            most = len(persons)
-        else:
-            of_side = [[t for t in tracks if hands.side[first[t]] == side] for side in range(len(SIDES))]
-            tracks = [t for mine in of_side for t in mine[asked.person - 1 : asked.person]]
-            most = max(map(len, of_side))
+        first = [int(np.flatnonzero(track == t)[0]) for t in tracks]
+        whose, sides = hands.person[first].tolist(), hands.side[first].tolist()
+        if min(whose) < 0:
+            whose = [sides[:n].count(side) for n, side in enumerate(sides)]
+        persons = sorted(set(whose))
+        wanted = persons[asked.person - 1 : asked.person]
+        tracks = [t for t, person in zip(tracks, whose, strict=True) if person in wanted]
         if not tracks:
-            raise Unfit(f"there is no person {asked.person}: it has {most}")
+            raise Unfit(f"there is no person {asked.person}: it has {len(persons)}")
     motions = []
     for t in tracks:
         mine = hands.select(np.flatnonzero(track == t))
@@ -267,52 +271,39 @@ def followed(
 
 def _linked(hands: FoundHands) -> np.ndarray:
     """(N,) int: which track each hand is of. Raises Unfit."""
-    if np.all(hands.person >= 0):
-        keys = np.stack([hands.person, hands.side], axis=1)
-        _, track = np.unique(keys, axis=0, return_inverse=True)
-        if len(np.unique(np.stack([track.reshape(-1), hands.frame]), axis=1).T) != len(track):
+    order = np.lexsort((hands.side, hands.frame))
+    keys = np.stack([hands.frame, hands.side])[:, order]
+    together = np.split(order, np.flatnonzero(np.any(np.diff(keys) != 0, axis=0)) + 1)
+    most = [
+        max((len(rows) for rows in together if hands.side[rows[0]] == side), default=0) for side in (0, 1)
+    ]
+    track, by_person = np.full(len(hands), -1), bool(np.all(hands.person >= 0))
+    if by_person:
+        _, track = np.unique(np.stack([hands.person, hands.side]), axis=1, return_inverse=True)
+        track = track.reshape(-1)
+        if len(set(zip(track.tolist(), hands.frame.tolist(), strict=True))) != len(track):
             raise Unfit("a hand of one person is there twice in one frame")
-        if len(track) and track.max() >= TAKE_LIMITS.max_hands:
-            raise Unfit(_MANY)
-        return track.reshape(-1)
-    track = np.full(len(hands), -1)
+    if max(sum(most), track.max(initial=-1) + 1) > TAKE_LIMITS.max_hands:
+        raise Unfit(
+            f"it has more than {TAKE_LIMITS.max_hands} hands, and at most so many are read; cut it into parts"
+        )
     # Its direction, and the logarithm of its depth, which is known least
     places = np.zeros_like(hands.transl) if hands.nowhere else hands.transl
     depth = np.maximum(np.abs(places[:, 2:]), 1e-6)
     seen = np.concatenate([places[:, :2] / depth, np.log(depth)], axis=1)
-    sides: list[int] = []
-    last: list[np.ndarray] = []
-    order = np.lexsort((hands.side, hands.frame))
-    keys = np.stack([hands.frame, hands.side])[:, order]
-    for rows in np.split(order, np.flatnonzero(np.any(np.diff(keys) != 0, axis=0)) + 1):
+    last = np.full((sum(most), 3), np.nan)
+    for rows in () if by_person else together:
         side = int(hands.side[rows[0]])
-        free = [t for t, of in enumerate(sides) if of == side]
-        if len(rows) == len(free) == 1:
-            track[rows[0]] = free[0]
-        else:
-            away = np.linalg.norm(
-                seen[rows][:, None] - np.array([last[t] for t in free]).reshape(1, -1, 3), axis=-1
-            )
-            left = set(free)
-            for nearest in np.argsort(away, axis=None, kind="stable").tolist():
-                i, j = divmod(nearest, len(free))
-                if track[rows[i]] < 0 and free[j] in left:
-                    track[rows[i]] = free[j]
-                    left.remove(free[j])
-            for row in rows[track[rows] < 0]:
-                track[row] = len(sides)
-                sides.append(side)
-                last.append(seen[row])
-            if len(sides) > TAKE_LIMITS.max_hands:
-                raise Unfit(_MANY)
-        for row in rows:
-            last[track[row]] = seen[row]
+        tracks = np.arange(most[side]) + most[0] * side
+        # Rows beside tracks by their distance; those that have not begun, which are NaN, come last.
+        away = np.linalg.norm(seen[rows][:, None] - last[tracks], axis=-1)
+        for nearest in np.argsort(away, axis=None, kind="stable").tolist() if away.size > 1 else (0,):
+            i, j = divmod(nearest, len(tracks))
+            if track[rows[i]] < 0 and tracks[j] not in track[rows]:
+                track[rows[i]] = tracks[j]
+        last[track[rows]] = seen[rows]
     return track
 
-
-_MANY: Final = (
-    f"it has more than {TAKE_LIMITS.max_hands} hands, and at most so many are read; cut it into parts"
-)
 
 _FINGERS: Final = np.array([j - 1 for f, joints in FINGER_JOINTS.items() if f != "thumb" for j in joints])
 
@@ -344,20 +335,17 @@ def doubts(hands: Sequence[HandMotion], asked: ReadOptions, mirrored_by: str = "
         if now < np.radians(4.0):
             continue
         mean = load_model(asked.model, hand.side).hands_mean
-        others = {
-            f"as if {what}: if they look so, read them with --hand-mean {how}": poses + more
-            for how, what, more in (
-                ("mean", "they counted from the mean pose", mean),
-                ("flat", "the mean pose had been added twice", -mean),
-            )
-        }
+        read = "if they look so, read them with --hand-mean"
+        others = [
+            (f"as if they counted from the mean pose: {read} mean", poses + mean),
+            (f"as if the mean pose had been added twice: {read} flat", poses - mean),
+        ]
         if mirrored_by and hand.side == "left":
             said = f"as if a mirror were missing or were one too many: {mirrored_by}"
-            others[said] = mirrored_pose(poses[:, :3], poses)[1]
-        best, said = min((beyond_range(other, hand.side), said) for said, other in others.items())
+            others.append((said, mirrored_pose(poses[:, :3], poses)[1]))
+        best, said = min((beyond_range(other, hand.side), f", {said}") for said, other in others)
         if best >= 0.4 * now:
-            said = "the poses may be of another model, or their joints in another order"
+            said = ": the poses may be of another model, or their joints in another order"
         how = "further back" if np.median(_bends(poses, hand.side)) < 0.0 else "further"
-        comma = ": " if best >= 0.4 * now else ", "
-        tell(phrases, f"the {hand.side} hand's fingers bend {how} than fingers can{comma}{said}")
+        tell(phrases, f"the {hand.side} hand's fingers bend {how} than fingers can{said}")
     return phrases

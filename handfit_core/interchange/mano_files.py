@@ -1,31 +1,37 @@
-"""One reader of all trackers that keep MANO's parameters: a `ManoLayout` says how, `mano_reader` reads it."""
+"""The one reader of MANO's parameters: a `ManoLayout` is an entry of the table in formats/mano.py."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
 from handfit_core.common.files import shown
-from handfit_core.common.skeleton import NUM_BETAS, SIDES
+from handfit_core.common.skeleton import NUM_BETAS, SIDES, Side
 from handfit_core.common.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.hand_model.files import load_model
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.mano import FoundHands, tell
+from handfit_core.interchange.mano import POSE, FoundHands, tell
 from handfit_core.interchange.readers import Reader
 from handfit_core.interchange.recording import ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
+from handfit_core.interchange.skeletons import UP_AXES
 
 _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
 """of a hand's number in a file's name; longer ones are frames'"""
+_LOOKED_AT: Final = 2000
+"""Dictionaries of a file in which a hand is looked for before it is said that it has none"""
+_WORLDS: Final = {**UP_AXES, "OpenGL": np.diag([1.0, -1.0, -1.0])}
 
 
 @dataclass(frozen=True)
@@ -33,61 +39,78 @@ class ManoLayout:
     """How a program keeps MANO's parameters in a file, or in the files of a folder."""
 
     source: str
-    """Where that is written down: an address"""
-    keys: Mapping[str, str]
-    """Under which names, parted by blanks, stand `global_orient`, `hand_pose`, `transl`, `betas`, `right` (1
-    and 0), `frame`, `present`, `fps`, `focal`, `size`, `intrinsics` (fx, fy, cx, cy), `cam_R`, `cam_t`; with
-    `body_pose`, `global_orient` is a body's. `SIDE` in a name stands for left and right"""
-    needs: str
-    """Which of them tell that a file is of this layout; `a|b`: one of the two"""
-    axes: Literal["hands", "sides", "tracks"] = "hands"
-    """What rows are: hands of any frame, with `right`; the frames of each side; or tracks with frames, by
-    `right`, else a left and a right hand"""
+    """The address where this is written down"""
+    keys: str
+    """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
+    `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
+    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`; with `body_pose`, `global_orient` is a
+    body's. `SIDE` stands for left and right"""
+    needs: str = "global_orient hand_pose transl"
+    """Which of them a file of this layout must have; `a|b`: one of the two"""
+    met: str = ""
+    """The real file that it was tried with, and when; empty: it is read by its description"""
+    rows: Literal["hands", "sides", "tracks"] = "hands"
+    """What rows are: hands; the frames of each side; or tracks with frames, whose sides are `right`, else a
+    left and a right hand"""
+    side: Literal["", "right", "asked"] = ""
+    """Whose all hands are, where a file has one side: right, or what --hands says"""
+    sides: Mapping[str, Side] = field(default_factory=lambda: {side: side for side in SIDES})
+    """Keys and folders that have the hands of one side"""
     nested: str = ""
     """Dictionaries within that have some of the keys, or begin their names"""
     listed: str = ""
     """The names of what stands in a list without any"""
     columns: Mapping[str, Mapping[int, Mapping[str, slice]]] = field(default_factory=dict)
-    """Which columns of an array of so many hold which of the values"""
+    """Which columns of an array of so many have which of the values; by the array's name, "" for a .npy"""
     folder: str = ""
     """The folder within the one that is given in which the files lie, if it is there"""
-    side_folders: tuple[str, ...] = ()
-    """In it, the folders of left and right hands"""
     files: str = ""
-    """An expression that names of a folder's files match, with the groups `first` and `last` or `frame` and
-    `person`"""
-    many: bool = False
-    """Whether a dictionary may stand for each frame or hand, in lists, by their names, and in files"""
+    """An expression that names of a folder's files match; with groups, the number of the (first) `frame` and
+    of the `person`, each of these files must have hands"""
     matrices: bool = False
-    """Whether poses are only known by being matrices"""
+    """Whether poses are only recognised by being matrices"""
+    directions: bool = False
+    """Whether poses are coefficients of MANO's principal directions, even if there are 45"""
     counted: mano.Counted = "flat"
-    mean_where: tuple[str, str] | None = None
+    mean_where: tuple[str, str] = ("", "")
     """A name and what stands under it where poses count from the mean"""
     mirrored: Literal["no", "hands", "world"] = "no"
     """Whether left hands are right ones in a mirror, which takes their places along or not"""
-    camera: Literal["none", "told", "centred", "focal"] = "none"
-    """How the camera is told: not; by `size` and `intrinsics`; by `intrinsics` with the picture's centre; by
-    `focal`"""
+    world: str = ""
+    """The frame that hands are in, one of _WORLDS; empty: the camera's"""
+    camera: Literal["", "intrinsics", "focal"] = ""
     first_frame: int = 0
-    """What is added to the frames' numbers in files' names"""
+    """What is added to the frames' numbers"""
     assumed: tuple[str, ...] = ()
     left_assumed: str = ""
     """What is assumed where there is a left hand"""
     mirrored_by: str = ""
     """What to do, or to think, where left hands bend as if mirrored"""
 
+    @cached_property
+    def names(self) -> dict[str, list[str]]:
+        """The names in a file of each of the values, the one that counts first."""
+        told = (each.replace("SIDE", side) for side in SIDES for each in self.keys.split())
+        return {each.split("=")[0]: each.split("=")[-1].split("|") for each in told}
+
+    @cached_property
+    def wanted(self) -> dict[str, str]:
+        """Which value a name in a file has, the ones that count after the others."""
+        return {name: what for what, names in self.names.items() for name in reversed(names)}
+
 
 @dataclass(frozen=True, eq=False)
 class _Part:
     """The values of one dictionary: name in the file and value, by the names of `ManoLayout.keys`."""
 
-    values: Mapping[str, tuple[str, Any]]
     layout: ManoLayout
-    frame: int | None = None
-    name: str | None = None
-    """The name of its file or its key, where that has the frame's number"""
+    values: Mapping[str, tuple[str, Any]] = field(default_factory=dict)
+    row: int | None = None
+    """The place, from 1, in a list of frames"""
+    name: str = ""
+    """The names of the file and of the keys that it stands under, as far as they have numbers"""
     fixed: Mapping[str, int] = field(default_factory=dict)
-    """What its file's name and folder tell: `first`, `last`, `person`, `side`"""
+    """What names of files, folders and keys say: `frame`, `person`, `side`"""
 
     def __contains__(self, what: str) -> bool:
         return what in self.values
@@ -97,309 +120,149 @@ class _Part:
 
     def rotations(self, what: str, joints: int, count: int | None = None) -> np.ndarray:
         if what not in self:
-            raise Unfit(f"{self.layout.keys[what].split()[0]} is missing")
+            raise Unfit(f"{self.layout.names[what][0]} is missing")
         return mano.rotations(*self.values[what], joints, count)
 
     @property
     def is_hands(self) -> bool:
         """Whether all is there that the layout needs, for one side at least."""
-        needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES]
+        needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES if self.values]
         return any(all(any(each in self for each in what.split("|")) for what in of) for of in needs)
 
+    def under(self, key: str) -> _Part:
+        """What stands under a key, or in a file or folder of that name."""
+        if key in self.layout.sides:
+            return replace(self, fixed={**self.fixed, "side": SIDES.index(self.layout.sides[key])})
+        return replace(self, name=f"{self.name}/{key}".strip("/")) if _NUMBERS.search(key) else self
 
-def _part(layout: ManoLayout, held: Any, **told: Any) -> _Part | None:
-    """The values in a document, a dictionary or a list; None where it is none of these."""
-    if isinstance(held, Document):
-        listed = held.held if isinstance(held.held, list) and held.npz is None else None
-        names, value = held.names, held.value
-    else:
-        listed = None
-        names, value = (list(held), held.get) if isinstance(held, dict) else ([], dict[str, Any]().get)
-    wanted: dict[str, str] = {}
-    for what, aliases in layout.keys.items():
-        sides = SIDES if "SIDE" in aliases else ("",)
-        wanted |= {
-            each.replace("SIDE", side): what.replace("SIDE", side)
-            for side in sides
-            for each in aliases.split()
-        }
-    flat: dict[str, Any] = {}
-    nested = layout.nested.split()
-    for name in names:
-        key = str(name)
-        for each in nested:
-            key = re.sub(rf"^{each}[._/]", "", key)
-        if key in wanted or key in layout.columns:
-            flat[key] = value(name)
-        elif key in nested and isinstance(inside := value(name), dict):
-            flat |= {str(k): v for k, v in inside.items() if str(k) in wanted}
-    if listed is not None and len(listed) == len(layout.listed.split()):
-        flat = dict(zip(layout.listed.split(), listed, strict=True))
-    values = {wanted[key]: (key, flat[key]) for key in reversed(list(wanted)) if flat.get(key) is not None}
-    for key, widths in layout.columns.items():
-        if flat.get(key) is not None:
-            values |= {what: (key, flat[key]) for parts in widths.values() for what in parts}
-    return _Part(values, layout, **told) if flat else None
+    def having(self, names: Iterable[Any], value: Callable[[Any], Any]) -> _Part:
+        """With those values of a dictionary that are wanted."""
+        layout, flat = self.layout, dict[str, Any]()
+        nested = layout.nested.split()
+        begins = tuple(each + sign for each in nested for sign in "._/")
+        for name in names:
+            key = str(name)
+            if key.startswith(begins) and key not in nested:
+                key = key[len(next(each for each in begins if key.startswith(each))) :]
+            if key in layout.wanted or key in layout.columns:
+                flat[key] = value(name)
+            elif key in nested and isinstance(inside := value(name), dict):
+                flat |= {str(k): v for k, v in inside.items() if str(k) in layout.wanted}
+        values = {w: (k, flat[k]) for k, w in layout.wanted.items() if k in flat and not _holds(flat[k])}
+        for key, widths in layout.columns.items():
+            columns = flat.get(key)
+            if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
+                values |= {what: (key, columns) for parts in widths.values() for what in parts}
+        return replace(self, values={**self.values, **values}) if values else self
+
+    def unpacked(self) -> _Part:
+        """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
+        values = dict(self.values)
+        for what, (name, value) in self.values.items():
+            with suppress(TypeError, ValueError):
+                values[what] = name, np.asarray(value, dtype=np.float64)
+        for name, what in [(of[0], what) for what, of in values.items() if of[0] in self.layout.columns]:
+            widths, array = self.layout.columns[name], np.asarray(values[what][1], dtype=np.float64)
+            array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
+            if array.shape[-1] not in widths or not array.size:
+                found, known = "x".join(map(str, array.shape)), " or ".join(map(str, widths))
+                raise Unfit(
+                    f"{name} must have {known} numbers a frame, and is {found}; without hands it has fewer"
+                )
+            values[what] = name, array[:, widths[array.shape[-1]][what]]
+        return replace(self, values=values)
 
 
-def _unpacked(part: _Part) -> _Part:
-    """The part with the columns of its arrays apart. Raises Unfit."""
-    values = dict(part.values)
-    for what, (name, value) in part.values.items():
-        if name not in part.layout.columns:
-            continue
-        widths = part.layout.columns[name]
-        array = np.asarray(value, dtype=np.float64)
-        array = array.reshape(len(array), -1) if array.ndim > 2 else array
-        if array.ndim != 2 or array.shape[1] not in widths or not len(array):
-            found, known = "x".join(map(str, array.shape)), " or ".join(map(str, widths))
-            raise Unfit(
-                f"{name} must have {known} numbers a frame, and is {found}; without hands it has fewer"
-            )
-        values[what] = name, array[:, widths[array.shape[1]][what]]
-    return replace(part, values=values)
+def _holds(value: Any) -> bool:
+    """Whether a value is nothing, or a dictionary or a list that may have some, rather than of numbers."""
+    while isinstance(value, list) and value:
+        value = value[0]
+    return value is None or isinstance(value, dict | list)
+
+
+def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
+    """The dictionaries in what a file holds, each with what stands around it, down to those of hands."""
+    layout = part.layout
+    if isinstance(held, list) and layout.listed and len(held) == len(layout.listed.split()):
+        held = dict(zip(layout.listed.split(), held, strict=True))
+    if isinstance(held, np.ndarray) or ("" in layout.columns and isinstance(held, list) and not _holds(held)):
+        held = {"": held}
+    inner = part if row is None else replace(part, row=row)
+    if isinstance(held, dict):
+        mine = (inner if layout.rows == "sides" else part).having(held, held.get)
+        yield mine
+        if not mine.is_hands:
+            inner = inner if mine.values is part.values else replace(inner, values=mine.values)
+            for key, value in held.items():
+                if isinstance(value, dict | list) and _holds(value):
+                    yield from _walk(value, inner.under(str(key)))
+    elif isinstance(held, list) and _holds(held):
+        for number, each in enumerate(held, 1):
+            yield from _walk(each, inner, number)
+
+
+def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
+    if document.npz is None:
+        held = document.held
+        held = document.lines if held is None else held
+        yield from _walk(document.npy if held is None else held, part)
+        return
+    mine = part.having(document.names, document.value)
+    yield mine
+    for name in () if mine.is_hands else sorted(set(document.names) & set(part.layout.sides)):
+        yield from _walk(document.value(name), mine.under(name))
 
 
 def _parts(layout: ManoLayout, document: Document) -> Iterator[_Part]:
     """The dictionaries in a file, or in the files of a folder. Raises Unfit."""
-    if document.is_folder:
-        folder = document.path / layout.folder
-        folder = folder if layout.folder and folder.is_dir() else document.path
-        for side, within in enumerate(layout.side_folders or ("",)):
-            for path in Document(folder / within).files(*_SUFFIXES):
-                match = re.fullmatch(layout.files, path.stem) if layout.files else None
-                if match:
-                    told = {key: int(text) for key, text in match.groupdict().items()}
-                    part = _part(layout, Document(path), fixed=told | ({"side": side} if within else {}))
-                    if part is None or not part.is_hands:
-                        found = Document(path).found
-                        raise Unfit(f"{path.name} must hold hands, or a body with hands, and is {found}")
-                    yield part
-                elif layout.many:
-                    for part in _parts(layout, Document(path)):
-                        yield replace(part, name=path.stem) if _NUMBERS.search(path.stem) else part
+    if not document.is_folder:
+        yield from _in_file(document, _Part(layout))
         return
-    names = document.names
-    by_frame = layout.many and bool(names) and all(re.search(r"\d", str(name)) for name in names)
-    held: Any = document.held if by_frame or not names else None
-    if not layout.many or not (by_frame or isinstance(held, list)):
-        held = [document]
-    rows = held.items() if isinstance(held, dict) else enumerate(held, 1)
-    for key, value in rows:
-        name = key if isinstance(held, dict) and _NUMBERS.search(str(key)) else None
-        for values in value if isinstance(value, list) else [value]:
-            of_row = key if isinstance(value, list) and not isinstance(held, dict) else None
-            part = _part(layout, values, frame=of_row, name=None if name is None else str(name))
-            if part is not None:
-                yield part
+    folder = document.path / layout.folder
+    folder = folder if layout.folder and folder.is_dir() else document.path
+    for within in [side for side in layout.sides if layout.files and (folder / side).is_dir()] or [""]:
+        for path in Document(folder / within).files(*_SUFFIXES) if layout.files else ():
+            if (match := re.fullmatch(layout.files, path.stem)) is None:
+                continue
+            fixed = {key: int(text) for key, text in match.groupdict().items()}
+            part, file = _Part(layout, fixed=fixed).under(within), Document(path)
+            found = [p for p in _in_file(file, part if fixed else part.under(path.stem)) if p.is_hands]
+            if fixed and not found:
+                raise Unfit(f"{path.name} must hold hands, or a body with hands, and is {file.found}")
+            yield from found
 
 
 def _recognises(layout: ManoLayout, document: Document) -> bool:
-    if document.is_folder and not (layout.files or layout.many):
-        return False
     try:
-        first = next((part for part in _parts(layout, document) if part.is_hands), None)
+        parts = islice(_parts(layout, document), _LOOKED_AT)
+        first = next((part for part in parts if part.is_hands), None)
+        shape = np.shape(first.values["hand_pose"][1]) if first and layout.matrices else (15, 3, 3)
     except (Unfit, ValueError, TypeError):
         return False
-    if first is None or not layout.matrices:
-        return first is not None
-    try:
-        shape = np.shape(first.values["hand_pose"][1])
-    except ValueError:
-        return False
-    return shape[-2:] == (3, 3) and np.prod(shape) % (9 * 15) == 0
+    return first is not None and shape[-2:] == (3, 3) and np.prod(shape) % (9 * 15) == 0
 
 
-def _hands(part: _Part, path: Path, assumed: list[str]) -> FoundHands:
-    """Rows of hands, with their sides."""
-    first, last = part.fixed.get("first"), part.fixed.get("last")
-    count = None
-    if first is not None and last is not None:
-        count = last - first + 1
-        LIMITS.check(path, max(count, 0))
-        if count < 1:
-            raise Unfit(f"{first}_{last} are no frames")
-    if "side" in part.fixed:
-        orient = part.rotations("global_orient", 1, count)
-        side = np.full(len(orient), part.fixed["side"])
-    else:
-        right = part.numbers("right", 1)
-        if right is None or not np.isin(right, (0.0, 1.0)).all():
-            raise Unfit("right must be 1 for right hands and 0 for left ones")
-        LIMITS.check(path, len(right))
-        side = np.where(right[:, 0] > 0.0, SIDES.index("right"), SIDES.index("left"))
-        orient = part.rotations("global_orient", 1, len(right))
-    frames = np.arange(first, first + len(side)) if first is not None else _frames(part, side, assumed)
-    person = np.full(len(side), -1)
-    return _found(part, frames + part.layout.first_frame, side, person, orient)
-
-
-def _found(
-    part: _Part,
-    frames: np.ndarray,
-    side: np.ndarray,
-    person: np.ndarray,
-    orient: np.ndarray,
-    prefix: str = "",
-) -> FoundHands:
-    """Hands of these frames, sides and orientations (N, 3), with the part's other values of them."""
-    count = len(orient)
-    pose, transl, betas = (f"{prefix}{what}" for what in ("hand_pose", "transl", "betas"))
-    place = part.numbers(transl, 3)
-    if place is None:
-        place = np.full((count, 3), np.inf)
-    elif len(place) != count:
-        raise Unfit(f"{part.values[transl][0]} has {len(place)} rows where {count} are expected")
-    shapes = np.full((count, NUM_BETAS), np.nan)
-    if betas in part and np.size(part.values[betas][1]):
-        name, value = part.values[betas]
-        try:
-            rows = np.asarray(value, dtype=np.float64)[..., :NUM_BETAS]
-        except (TypeError, ValueError, IndexError):
-            raise Unfit(f"{name} must be numbers of the shape Nx{NUM_BETAS}") from None
-        rows = mano.numbers(name, rows, NUM_BETAS)
-        # A shape of each row, of each track, or of all; else it is not known whose it is
-        if len(rows) and count % len(rows) == 0:
-            shapes = np.repeat(rows, count // len(rows), axis=0)
-    found = FoundHands(frames, side, person, shapes, orient, part.rotations(pose, 15, count), place)
-    present = part.values.get("present") or part.values.get(f"{prefix}present")
-    if present is not None:
-        rows = mano.numbers(present[0], present[1], 1)[:, 0]
-        if len(rows) != count:
-            rows = mano.numbers(present[0], present[1], 2)[:, int(side[0])]
-        if len(rows) != count:
-            raise Unfit(
-                f"{present[0]} tells of {len(rows)} frames whether there is a hand, and there are {count}"
-            )
-        found = found.at(rows > 0.0)
-    if part.layout.mirrored != "no":
-        found = found.mirrored(places=part.layout.mirrored == "world")
-    return found
-
-
-def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
-    """Each hand's frame; any where the part's name has it."""
-    count = len(side)
-    if "frame" in part:
-        rows = mano.numbers(*part.values["frame"], 1)[:, 0]
-        rows = np.repeat(rows, count) if len(rows) == 1 else rows
-        if len(rows) != count or not np.all(rows == np.round(rows)):
-            raise Unfit(f"frame must be {count} whole numbers, one for each hand")
-        return rows.astype(np.int64)
-    if part.frame is not None or part.name is not None:
-        return np.full(count, part.frame or 0)
-    if count > 1 and len(set(side.tolist())) == 1:
-        tell(assumed, "its rows were taken as one hand's frames, as it does not tell whose they are")
-        return np.arange(1, count + 1)
-    return np.ones(count, dtype=int)
-
-
-def _tracks(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> Iterator[FoundHands]:
-    """The hands of tracks: (tracks, frames, ...), in a world whose camera `cam_R` and `cam_t` tell."""
-    of = "right" if "right" in part else "present"
-    name, value = part.values[of]
-    flags = np.asarray(value, dtype=np.float64)
-    if flags.ndim != 2 or not flags.size or (of == "present" and len(flags) != len(SIDES)):
-        raise Unfit(f"{name} must have the shape {'BxT: tracks and frames' if of == 'right' else '2xT'}")
-    count = flags.shape[1]
-    LIMITS.check(path, count, len(flags))
-    whole = {
-        what: np.asarray(value)
-        for what, (_, value) in part.values.items()
-        if what not in ("fps", "intrinsics")
-    }
-    for what, joints in (("global_orient", 1), ("hand_pose", 15), ("transl", 1)):
-        rows = mano.numbers(*part.values[what], 3 * joints) if whole[what].shape[-2:] != (3, 3) else None
-        if rows is not None and len(rows) != flags.size:
-            raise Unfit(
-                f"{part.values[what][0]} must have {len(flags)} tracks of {count} frames, and has "
-                f"{len(rows)} rows"
-            )
-        whole[what] = whole[what].reshape(len(flags), count, -1)
-    seen = [0, 0]
-    for track in range(len(flags)):
-        side = track if of == "present" else int(np.mean(flags[track] > 0.5) >= 0.5) * SIDES.index("right")
-        mine = {
-            what: (part.values[what][0], whole[what][track])
-            for what in ("global_orient", "hand_pose", "transl", "betas", "present")
-            if what in whole and len(whole[what]) == len(flags)
-        }
-        one = replace(part, values=mine)
-        orient = one.rotations("global_orient", 1, count)
-        person = 0 if of == "present" else seen[side]
-        seen[side] += 1
-        sides, persons = np.full(count, side), np.full(count, person)
-        hands = _found(one, np.arange(1, count + 1), sides, persons, orient)
-        yield _before_camera(part, hands, asked, track, flags.shape, assumed)
-
-
-def _before_camera(
-    part: _Part, hands: FoundHands, asked: ReadOptions, track: int, shape: tuple[int, ...], assumed: list[str]
-) -> FoundHands:
-    """A track's hands of a world in their camera's frame: x_camera = R x + t.
-
-    MANO's root turns about the wrist, which does not lie at the origin of the model: with J the wrist of the
-    model, the new transl is R (J + transl) + t - J.
-    """
-    if "cam_R" not in part.layout.keys:
-        return hands
-    if "cam_R" not in part or "cam_t" not in part:
-        tell(assumed, "the camera is not told (cam_R, cam_t): the world was taken to have its axes")
-        return hands
-    rotation, shift = mano.numbers(*part.values["cam_R"], 3, 3), mano.numbers(*part.values["cam_t"], 3)
-    tracks, count = shape
-    if len(rotation) != len(shift) or len(rotation) not in (count, tracks * count):
-        raise Unfit(f"cam_R and cam_t must have {count} frames, and have {len(rotation)}, {len(shift)}")
-    rows = slice(track * count, (track + 1) * count) if len(rotation) == tracks * count else slice(None)
-    rotation = mano.checked_matrices("cam_R", rotation[rows])
-    side = SIDES[int(hands.side[0])]
-    wrist = load_model(asked.model, side).shaped(mano.shape_of(hands.betas, asked, assumed)).joints[0]
-    place = (rotation @ (hands.transl + wrist)[..., None])[..., 0] - wrist + shift[rows]
-    return replace(hands.turned(rotation), transl=place)
-
-
-def _sides(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> Iterator[FoundHands]:
-    """The frames of a left and a right hand, or of a body with both."""
-    part = _unpacked(part)
-    body, pelvis, turn = None, np.empty((0, 3)), None
-    if "body_pose" in part:
+def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part, np.ndarray | None]]:
+    """A part for each of both sides, where they are apart, and how a body's world turns to the camera's axes.
+    Raises Unfit."""
+    if part.layout.rows != "sides":
+        yield part, None
+        return
+    body, turn, wrists = "body_pose" in part, None, dict[Side, np.ndarray]()
+    if body:
         LIMITS.check(path, np.size(part.values["body_pose"][1]) // (3 * mano.BODY_JOINTS), 2)
-        body = part.rotations("body_pose", mano.BODY_JOINTS)
-        pelvis = part.rotations("global_orient", 1, len(body))
+        joints = part.rotations("body_pose", mano.BODY_JOINTS)
+        pelvis = part.rotations("global_orient", 1, len(joints))
+        wrists = {side: mano.wrist_of_body(pelvis, joints, side) for side in SIDES}
         tell(assumed, _NO_PLACE)
-        if "person" not in part.fixed:
-            turn = mano.standing(pelvis, assumed)
-    still = []
+        turn = mano.standing(pelvis, assumed) if "person" not in part.fixed else None
     for index, side in enumerate(SIDES):
-        name = f"{side}_hand_pose"
-        if name not in part:
-            continue
-        LIMITS.check(path, np.size(part.values[name][1]) // mano.POSE, 2)
-        value = part.values[name][1]
-        if body is not None and np.size(value) and np.shape(value)[-1] not in (3, mano.POSE):
-            coefficients = np.asarray(value, dtype=np.float64).reshape(len(body), -1)
-            value = mano.from_directions(coefficients, side, asked)
-        pose = mano.rotations(part.values[name][0], value, 15, None if body is None else len(body))
-        still.append(pose)
-        if body is None:
-            orient = part.rotations(f"{side}_global_orient", 1, len(pose))
-        else:
-            orient = mano.wrist_of_body(pelvis, body, side)
-        one = replace(part, values={**part.values, name: (name, pose)})
-        frames = np.arange(1, len(pose) + 1)
-        if "frame" in part.fixed:
-            if len(pose) != 1:
-                raise Unfit(f"each file must hold one body, and one has {len(pose)}")
-            frames = np.array([part.fixed["frame"]])
-        elif "frame" in part:
-            frames = _frames(part, frames, assumed)
-        persons = np.full(len(pose), part.fixed.get("person", 0))
-        hands = _found(one, frames, np.full(len(pose), index), persons, orient, f"{side}_")
-        yield hands if turn is None else hands.turned(turn)
-    if part.layout.columns and not any(np.any(np.nan_to_num(pose)) for pose in still):
-        raise Unfit("the fingers of this body never move: it has none")
-    if body is not None and len(body) > 1 and not any(np.any(np.nan_to_num(p - p[0])) for p in still):
-        tell(assumed, "the fingers never move: this body was captured without its hands")
+        if f"{side}_hand_pose" in part:
+            values = {what.removeprefix(f"{side}_"): of for what, of in part.values.items()}
+            if body:
+                values["global_orient"] = "body_pose", wrists[side]
+                values = {what: of for what, of in values.items() if what not in ("transl", "betas")}
+            yield replace(part, values=values, fixed={"person": 0, **part.fixed, "side": index}), turn
 
 
 _NO_PLACE: Final = (
@@ -407,24 +270,126 @@ _NO_PLACE: Final = (
 )
 
 
+def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> FoundHands:
+    """The hands of a part, as its own frame has them. Raises Unfit, InputError and OptionError."""
+    layout, (name, value) = part.layout, part.values["hand_pose"]
+    shape = np.shape(value)[-2:]
+    LIMITS.check(path, np.size(value) // (9 * 15 if shape == (3, 3) else POSE), 2)
+    side, person, frames = _whose(part, asked, path, assumed)
+    count = side.size if side.ndim else None
+    directions = layout.directions or (np.size(value) and shape[-1:] and shape[-1] < POSE and shape[-1] != 3)
+    pose = mano.numbers(name, value, shape[-1]) if directions else mano.rotations(name, value, 15, count)
+    count = len(pose)
+    orient, side, place = part.rotations("global_orient", 1, count), np.broadcast_to(side, count), np.inf
+    if directions:
+        pose = mano.from_directions(pose, side, asked)
+    frames = _frames(part, side, assumed) if frames is None else frames
+    if "transl" in part and len(place := mano.numbers(*part.values["transl"], 3)) != count:
+        raise Unfit(f"{part.values['transl'][0]} has {len(place)} rows where {count} are expected")
+    person, place = np.broadcast_to(person, count), np.broadcast_to(place, (count, 3))
+    found = FoundHands(frames, side, person, _shapes(part, count), orient, pose, place)
+    there = np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1)
+    if "present" in part:
+        name, value = part.values["present"]
+        rows = mano.numbers(name, value, 1)[:, 0]
+        rows = rows if len(rows) == count else mano.numbers(name, value, 2)[:, int(side[0])]
+        if len(rows) != count:
+            raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
+        there &= rows > 0.0
+    # Nothing but zeros is the place of a hand that was not there.
+    found = found if there.all() else found.at(there)
+    return found if layout.mirrored == "no" else found.mirrored(places=layout.mirrored == "world")
+
+
+def _whose(
+    part: _Part, asked: ReadOptions, path: Path, assumed: list[str]
+) -> tuple[np.ndarray, np.ndarray | int, np.ndarray | None]:
+    """Which of SIDES each row is of (N,), or all rows are of (); whose; and tracks' frames. Raises Unfit."""
+    which = part.layout.side
+    if part.layout.rows == "tracks":
+        of = "right" if "right" in part else "present"
+        name, flags = part.values[of][0], np.asarray(part.values[of][1], dtype=np.float64)
+        if flags.ndim != 2 or not flags.size or (of == "present" and len(flags) != len(SIDES)):
+            raise Unfit(f"{name} must have the shape {'BxT: tracks and frames' if of == 'right' else '2xT'}")
+        LIMITS.check(path, count := flags.shape[1], len(flags))
+        is_right = np.mean(flags > 0.5, axis=1) >= 0.5 if of == "right" else np.arange(2) > 0
+        person = [int(np.sum(is_right[:track] == each)) for track, each in enumerate(is_right)]
+        sides = np.where(is_right, SIDES.index("right"), SIDES.index("left"))
+        frames = np.tile(np.arange(1, count + 1), len(flags))
+        return np.repeat(sides, count), np.repeat(person, count), frames
+    if "side" in part.fixed:
+        return np.array(part.fixed["side"]), part.fixed.get("person", -1), None
+    if which == "asked":
+        which = "left" if asked.hands == "left" else "right"
+        tell(assumed, f"it was taken for a {which} hand, as the file does not say (--hands)")
+    if which:
+        return np.array(SIDES.index(which)), -1, None
+    right = part.numbers("right", 1)
+    if right is None or not np.isin(right, (0.0, 1.0)).all():
+        raise Unfit("right must be 1 for right hands and 0 for left ones")
+    return np.where(right[:, 0] > 0.0, SIDES.index("right"), SIDES.index("left")), -1, None
+
+
+def _shapes(part: _Part, count: int) -> np.ndarray:
+    """(N, 10) betas: one shape for each row, each track or all; NaN where nobody knows whose they are."""
+    shapes = np.full((count, NUM_BETAS), np.nan)
+    if "betas" not in part or not np.size(part.values["betas"][1]):
+        return shapes
+    name, value = part.values["betas"]
+    rows = mano.numbers(name, np.asarray(value, dtype=np.float64)[..., :NUM_BETAS], NUM_BETAS)
+    return np.repeat(rows, count // len(rows), axis=0) if count % len(rows) == 0 else shapes
+
+
+def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
+    """Each hand's frame; any where the part's name has it. Raises Unfit."""
+    count, sides = len(side), part.layout.rows == "sides"
+    if "frame" in part.fixed:
+        return part.fixed["frame"] + np.arange(count)
+    if "frame" in part:
+        rows = mano.numbers(*part.values["frame"], 1)[:, 0]
+        rows = np.repeat(rows, count) if len(rows) == 1 else rows
+        if len(rows) != count or not np.all(rows == np.round(rows)):
+            raise Unfit(f"frame must be {count} whole numbers, one for each hand")
+        return rows.astype(np.int64)
+    counted = count > 1 and (sides or len(set(side.tolist())) == 1)
+    if (part.row is not None or part.name) and not (sides and counted):
+        return np.full(count, part.row or 0)
+    if counted and not sides:
+        tell(assumed, "its rows were taken as one hand's frames, as it does not tell whose they are")
+    return np.arange(1, count + 1) if counted else np.ones(count, dtype=int)
+
+
+def _before_camera(part: _Part, hands: FoundHands, asked: ReadOptions, assumed: list[str]) -> FoundHands:
+    """The hands of a world whose camera is told in the camera's frame. Raises Unfit."""
+    if "cam_R" not in part or "cam_t" not in part:
+        if "cam_R" in part.layout.names:
+            tell(assumed, "the camera is not told (cam_R, cam_t): the world was taken to have its axes")
+        return hands
+    rotation, shift = mano.numbers(*part.values["cam_R"], 3, 3), mano.numbers(*part.values["cam_t"], 3)
+    frames = len(set(hands.frame.tolist()))
+    if len(rotation) != len(shift) or len(rotation) not in (frames, len(hands)):
+        raise Unfit(f"cam_R and cam_t must have {frames} frames, and have {len(rotation)}, {len(shift)}")
+    times, rotation = len(hands) // len(rotation), mano.checked_matrices("cam_R", rotation)
+    return hands.seen_from(np.tile(rotation, (times, 1, 1)), np.tile(shift, (times, 1)), asked)
+
+
 def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
     """The frames that files or keys are of, by their last numbers, or by those before them where the last
     ones count the hands of a picture. Raises Unfit for names of several clips."""
     found = {name: [*_NUMBERS.finditer(name)] for name in names}
+    counting = [len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values()]
     around = {(name[: each[-1].start()], name[each[-1].end() :]) for name, each in found.items()}
-    counting = all(len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values())
-    if len(around) == 1:
-        if any(len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values()):
-            tell(assumed, f"the last numbers in the names are the frames', as in {shown(min(names))}")
-        return {name: int(each[-1][0]) for name, each in found.items()}
-    beside = {
-        (name[: each[-2].start()], name[each[-2].end() : each[-1].start()], name[each[-1].end() :])
-        for name, each in found.items()
-        if counting
-    }
-    if len(beside) == 1:
-        tell(assumed, f"the last numbers in the names are the hands', as in {shown(min(names))}")
-        return {name: int(each[-2][0]) for name, each in found.items()}
+    for last, what in ((-1, "frames"), (-2, "hands")):
+        if last == -2 and not all(counting):
+            break
+        parts = {
+            (name[: each[last].start()], name[each[last].end() : each[-1].start()], name[each[-1].end() :])
+            for name, each in found.items()
+        }
+        if len(parts) == 1:
+            if any(counting):
+                tell(assumed, f"the last numbers in the names are the {what}', as in {shown(min(names))}")
+            return {name: int(each[last][0]) for name, each in found.items()}
     first, second = ("..".join(each) for each in sorted(around)[:2])
     raise Unfit(
         f"its frames belong to several clips ({first} and {second}, for example); give each its own folder, "
@@ -432,49 +397,76 @@ def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
     )
 
 
+def _by_time(parts: Sequence[_Part]) -> tuple[float, list[_Part]]:
+    """Frames per second, and the parts with their frames, from 1, by their times; the first one of each side
+    where several cameras saw a hand at almost the same time."""
+    times = np.array([part.values["time"][1] for part in parts], dtype=np.float64) / 1e9
+    steps = np.diff(np.unique(times))
+    step = float(np.median(steps[steps > 0.5 * np.quantile(steps, 0.75)])) if len(steps) else 1.0
+    numbers = 1.0 + np.round((times - times.min()) / step)
+    if times.ndim != 1 or not np.all(numbers < 1 << 31):
+        raise Unfit(f"{parts[0].values['time'][0]} must be nanoseconds of one recording")
+    first: dict[tuple[int, int], _Part] = {}
+    for number, part in zip(numbers.astype(np.int64).tolist(), parts, strict=True):
+        timed = replace(part, fixed={**part.fixed, "frame": number})
+        first.setdefault((number, part.fixed.get("side", -1)), timed)
+    return (1.0 / step if len(steps) else 0.0), [*first.values()]
+
+
 def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions) -> Recording:
     assumed = list(layout.assumed)
     found: list[FoundHands] = []
     named: dict[str, list[FoundHands]] = {}
-    parts = [part for part in _parts(layout, document) if part.is_hands]
+    parts = [part.unpacked() for part in _parts(layout, document) if part.is_hands]
     if not parts:
         raise Unfit(f"there is no hand in {document.found}")
+    rate, parts = _by_time(parts) if "time" in parts[0] else (0.0, parts)
     for part in parts:
-        if layout.axes == "hands":
-            hands = [_hands(part, document.path, assumed)]
-        else:
-            each = _tracks if layout.axes == "tracks" else _sides
-            hands = [*each(part, asked, document.path, assumed)]
-        if part.name is None or "frame" in part:
-            found += hands
-        else:
-            named.setdefault(part.name, []).extend(hands)
+        for one, turn in _sided(part, document.path, assumed):
+            hands = _hands(one, asked, document.path, assumed)
+            hands = _before_camera(one, hands, asked, assumed) if turn is None else hands.turned(turn)
+            counted = "frame" in part or "frame" in part.fixed or (layout.rows != "hands" and len(hands) > 1)
+            (found if counted or not part.name else named.setdefault(part.name, [])).append(hands)
         LIMITS.check(document.path, 1, sum(map(len, found)))
     numbers = _by_names(named, assumed) if named else {}
     found += [replace(h, frame=np.full(len(h), numbers[key])) for key, each in named.items() for h in each]
-    counted = layout.counted
-    if layout.mean_where is not None and str(document.value(layout.mean_where[0])) == layout.mean_where[1]:
-        counted = "mean"
-    hands = FoundHands.concatenate(found).from_flat(asked, counted)
+    hands = FoundHands.concatenate(found)
     del found
+    body = "body_pose" in parts[0]
+    if body and layout.columns and not np.any(np.nan_to_num(hands.hand_pose)):
+        raise Unfit("the fingers of this body never move: it has none")
+    where, what = layout.mean_where
+    counted = "mean" if where and str(document.value(where)) == what else layout.counted
+    hands = replace(hands.from_flat(asked, counted), frame=hands.frame + layout.first_frame)
+    if layout.world:
+        if layout.world in UP_AXES:
+            tell(assumed, f"its world was taken to be {layout.world}-up, without a camera")
+        hands = hands.seen_from(_WORLDS[layout.world], np.zeros(3), asked)
     frames = np.unique(hands.frame)
     posed = mano.followed(hands, frames, asked, assumed)
     posed = tuple(hand for hand in posed if hand.present.any())
     if not posed:
         raise Unfit("there is no hand in any of its frames")
-    if "transl" in layout.keys and hands.nowhere:
-        key = layout.keys["transl"].split()[0]
-        tell(assumed, f"where the hands are is not told ({key}): each stays in its place")
-    if layout.left_assumed and any(hand.side == "left" for hand in posed):
-        tell(assumed, layout.left_assumed)
-    if len(set(hands.person.tolist())) > 1 and "person" in parts[0].fixed:
-        tell(assumed, "persons are told apart by the number in the files' names, which may change places")
+    still = not any(np.ptp(hand.hand_pose[hand.present], axis=0).any() for hand in posed)
+    persons = len(set(hands.person.tolist())) > 1 and "person" in parts[0].fixed
+    place = layout.names.get("transl", [""])[0]
+    for there, phrase in (
+        (
+            body and still and len(frames) > 1,
+            "the fingers never move: this body was captured without its hands",
+        ),
+        (place and hands.nowhere, f"where the hands are is not told ({place}): each stays in its place"),
+        (layout.left_assumed and any(hand.side == "left" for hand in posed), layout.left_assumed),
+        (persons, "persons are told apart by the number in the files' names, which may change places"),
+    ):
+        if there:
+            tell(assumed, phrase)
     size, camera = _camera(layout, parts, asked, assumed, nowhere=hands.nowhere)
-    rates = [rate for part in parts[:1] if (rate := part.numbers("fps", 1)) is not None]
+    told = parts[0].numbers("fps", 1)
     return Recording(
         name,
         (str(document.path.absolute()),),
-        float(rates[0][0, 0]) if rates else asked.rate,
+        rate or asked.rate if told is None else float(told[0, 0]),
         frames,
         posed=posed,
         size=size,
@@ -484,27 +476,28 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
 
 
 def _camera(
-    layout: ManoLayout, parts: Iterable[_Part], asked: ReadOptions, assumed: list[str], *, nowhere: bool
+    layout: ManoLayout, parts: Sequence[_Part], asked: ReadOptions, assumed: list[str], *, nowhere: bool
 ) -> tuple[tuple[int, int] | None, Intrinsics | None]:
     """The pictures' size and the camera, as the parts tell them."""
 
-    def told(what: str, count: int) -> np.ndarray:
-        rows = [rows for part in parts if (rows := part.numbers(what, count)) is not None]
-        return np.concatenate(rows or [np.empty((0, count))])
+    def told(what: str, *shape: int) -> np.ndarray:
+        rows = [rows for part in parts if (rows := part.numbers(what, *shape)) is not None]
+        return np.concatenate(rows or [np.empty((0, *shape))])
 
-    intrinsics, sizes = told("intrinsics", 4), told("size", 2)
-    if layout.camera == "told" and len(intrinsics) and len(sizes):
-        return (int(sizes[0, 0]), int(sizes[0, 1])), Intrinsics(*intrinsics[0].tolist())
-    if layout.camera == "centred" and len(intrinsics):
-        fx, fy, cx, cy = intrinsics[0].tolist()
-        width, height = round(2.0 * cx), round(2.0 * cy)
-        if not 0 < min(width, height) <= max(width, height) < 1 << 24:
+    sizes = [(int(width), int(height)) for width, height in told("size", 2)[:1]]
+    if layout.camera == "intrinsics" and "intrinsics" in parts[0]:
+        matrix = np.shape(parts[0].values["intrinsics"][1])[-2:] == (3, 3)
+        rows = told("intrinsics", 3, 3)[:, [0, 1, 0, 1], [0, 1, 2, 2]] if matrix else told("intrinsics", 4)
+        fx, fy, cx, cy = rows[0].tolist()
+        size = sizes[0] if sizes else (round(2.0 * cx), round(2.0 * cy))
+        if not 0 < min(size) <= max(size) < 1 << 24:
             raise Unfit(f"intrins must be fx, fy, cx, cy in pixels, and has cx {cx:g}, cy {cy:g}")
-        tell(assumed, f"pictures of {width}x{height} pixels, twice the principal point")
-        return (width, height), Intrinsics(fx, fy, cx, cy)
+        if not sizes:
+            tell(assumed, f"pictures of {size[0]}x{size[1]} pixels, twice the principal point")
+        return size, Intrinsics(fx, fy, cx, cy)
     if layout.camera != "focal" or nowhere:
         return None, None
-    size = asked.picture_size or ((int(sizes[0, 0]), int(sizes[0, 1])) if len(sizes) else None)
+    size = asked.picture_size or (sizes[0] if sizes else None)
     if size is None:
         tell(
             assumed,
@@ -520,9 +513,9 @@ def _camera(
     return size, Intrinsics(focal, focal, size[0] / 2.0, size[1] / 2.0)
 
 
-def mano_reader(name: str, title: str, layout: str, *layouts: ManoLayout) -> Reader:
+def mano_reader(name: str, title: str, layout: str, assumed: str, *layouts: ManoLayout) -> Reader:
     """A reader of files in one of the layouts, the more particular ones first; `name`: the reader's own,
-    `title` and `layout` as `Reader` has them."""
+    `title`, `layout` and `assumed` as `Reader` has them."""
 
     def read(document: Document, asked: ReadOptions) -> Recording:
         fits = [each for each in layouts if _recognises(each, document)]
@@ -533,5 +526,6 @@ def mano_reader(name: str, title: str, layout: str, *layouts: ManoLayout) -> Rea
         layout,
         lambda document: any(_recognises(each, document) for each in layouts),
         read,
-        unseen=True,
+        "; ".join(each.met for each in layouts if each.met),
+        assumed,
     )

@@ -23,7 +23,7 @@ from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.take import is_take
 
-DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .npz .npy .bvh .pkl .pth .pt".split(" "))
+DATA_SUFFIXES: Final = frozenset(".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pkl .pth .pt".split(" "))
 """Endings of files that are read as recordings, whatever they are"""
 
 NO_RATE: Final = f"frames per second are not told: {DEFAULT_FPS:g} (--fps tells them)"
@@ -83,7 +83,7 @@ def is_recording(source: MediaInput) -> bool:
 
 def _holds_data(document: Document) -> bool:
     """Whether files of data are in a folder, or lie in folders of it as a reader knows them."""
-    if document.files(*DATA_SUFFIXES):
+    if document.files(*(DATA_SUFFIXES - {".txt"})):  # Notes lie beside clips.
         return True
     return any(reader.recognises(document) for reader in READERS.built_in().values())
 

@@ -14,6 +14,7 @@ from handfit_core.common.errors import InputError
 from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, other_side
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.json_points import several_hands
+from handfit_core.interchange.orders import ORDERS, order_by_bones
 from handfit_core.interchange.recording import LEAST_POINTS, PointsHand, SeenHands, known
 
 UNKNOWN: Final = -1
@@ -35,23 +36,24 @@ class ParsedHands(Batch):
     score: np.ndarray
     """(N,) 0..1"""
     points: np.ndarray
-    """(N, 21, 3), NaN: not told, as z is for points in the plane"""
+    """(N, K, 3) in the file's order, which `in_order` makes MediaPipe's; NaN: not told, as z is for points in
+    the plane"""
     confidence: np.ndarray
-    """(N, 21) 0..1; 0 for points that are missing"""
+    """(N, K) 0..1; 0 for points that are missing"""
     world: np.ndarray
-    """(N, 21, 3) metres about the hand's middle; NaN: not told"""
+    """(N, K, 3) metres about the hand's middle; NaN: not told"""
 
     @classmethod
     def of(cls, row: Any, side: Any, hand: Any, score: Any, told: Any, world: Any = np.nan) -> ParsedHands:
         """The hands of N that have any point. `score`, NaN: the mean of the points' confidence; `told`
-        (N, 21, 3) or, with confidences, (N, 21, 4), NaN: not told. Raises ValueError for points that no hand
+        (N, K, 3) or, with confidences, (N, K, 4), NaN: not told. Raises ValueError for points that no hand
         has."""
         row, side, hand = (np.array(each, dtype=int) for each in (row, side, hand))
-        told = np.array(told, dtype=np.float64)
-        columns = told.shape[-1] if len(row) else 4
-        told = told.reshape(len(row), NUM_KEYPOINTS, columns)
+        told = np.array(told, dtype=np.float64) if len(row) else np.empty((0, NUM_KEYPOINTS, 4))
         points = told[..., :3]
-        sure = told[..., 3] if columns > 3 else np.full(points.shape[:2], np.nan)
+        sure = told[..., 3] if told.shape[-1] > 3 else np.full(points.shape[:2], np.nan)
+        if sure.size and np.nanmax(sure, initial=0.0) > 10.0:
+            sure = sure / 100.0  # percent
         world = np.broadcast_to(np.array(world, dtype=np.float64), points.shape) if len(row) else points
         if np.any(np.abs(points) > LARGEST) or np.any(np.abs(world) > LARGEST):
             raise ValueError(f"a point lies beyond {LARGEST:g}")
@@ -89,6 +91,49 @@ class ParsedPoints:
     halved: bool = False
     """Whether parts of the picture's size are from -1 to 1, rather than from 0"""
     assumed: tuple[str, ...] = ()
+    order: str = ""
+    """Of `ORDERS`, as the file tells; empty: it does not"""
+    guessed: bool = False
+    """Whether which hand is the left one is guessed by its place in a list"""
+
+
+def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[ParsedHands, tuple[str, ...]]:
+    """The hands in MediaPipe's order, and what is said of it. `order`: the one that is asked for, if any;
+    `parts`: whether points in the plane are parts of the picture's size. Raises ValueError if none fits."""
+    hands, said = parsed.hands, ""
+    name, count = order or parsed.order, hands.points.shape[1]
+    if not name:
+        deep = known(hands.world).all(axis=1).any()
+        shapes = hands.world if deep else np.where((hands.confidence > 0.0)[..., None], hands.points, np.nan)
+        if parsed.size is not None and parts:
+            shapes = shapes * [parsed.size[0] / parsed.size[1], 1.0, 1.0]
+        in_space = bool(deep) or parsed.in_space or is_world(hands)
+        name, said = order_by_bones(shapes, in_space=in_space, parts=parts and parsed.size is None)
+    layout = ORDERS[name]
+    if layout.count != count:
+        raise ValueError(f"its hands have {count} points, and the order {name} has {layout.count}")
+    sure = np.nan_to_num(layout.of(hands.confidence[..., None])[..., 0])
+    hands = replace(hands, points=layout.of(hands.points), confidence=sure, world=layout.of(hands.world))
+    return hands, (said,) if said else ()
+
+
+def is_world(hands: ParsedHands) -> bool:
+    """True if what stands for points is in metres about each hand's middle."""
+    points = hands.points[known(hands.points).sum(axis=1) > 15]
+    if not len(points):
+        return False
+    middles, reach = np.abs(np.nanmean(points, axis=1)), np.nanmax(np.abs(points), axis=(1, 2))
+    return bool(np.median(middles[:, :2].max(axis=1)) < 0.05 and np.median(reach) < 0.2)
+
+
+def in_metres(hands: ParsedHands) -> bool:
+    """True if points with a depth are in metres before a camera, rather than parts of a picture, where a
+    depth counts from a point of the hand: whose own is then zero."""
+    points = hands.points[known(hands.points).all(axis=1)]
+    if not len(points) or (np.abs(points[..., 2]) < 1e-5).all(axis=0).any() or is_world(hands):
+        return False
+    reach = np.median(np.ptp(points, axis=1).max(axis=-1))
+    return bool(0.07 < reach < 0.3 and np.median(points[..., 2]) > 0.1)
 
 
 def seen_hands(hands: ParsedHands) -> SeenHands:
@@ -186,8 +231,12 @@ def own_sides(
     swap = share < 0.0 if abs(share) > LEAST_SURE else bool(mirrored)
     if not told.any() or not swap:
         return hands, ()
-    how = "as its fingers bend" if abs(share) > LEAST_SURE else "as multi_handedness does"
-    said = f"left and right are swapped: it names them for mirrored pictures, {how}"
+    how = (
+        "as its fingers bend"
+        if abs(share) > LEAST_SURE
+        else "as multi_handedness names them for mirrored pictures"
+    )
+    said = f"left and right are swapped, {how}"
     return replace(hands, side=np.where(told, 1 - hands.side, hands.side)), (said,)
 
 
@@ -214,10 +263,10 @@ def with_sides(hands: ParsedHands, wanted: str, shapes: np.ndarray) -> tuple[Par
     return replace(hands, side=side), tuple(sorted(said))
 
 
-def check_some(hands: ParsedHands, what: str) -> None:
-    """Raise InputError where no hand has enough points. `what`: the sentence's beginning."""
+def check_some(hands: ParsedHands, what: str, hint: str) -> None:
+    """Raise InputError where no hand has enough points. `what`, `hint`: how the sentence begins and ends."""
     if not np.any(known(hands.in_plane).sum(axis=1) >= LEAST_POINTS):
-        raise InputError(f"{what}, but none of its frames has a hand with at least {LEAST_POINTS} points")
+        raise InputError(f"{what}, none of its frames has a hand with at least {LEAST_POINTS} points{hint}")
 
 
 def without_hidden(hands: ParsedHands, least: float) -> tuple[ParsedHands, tuple[str, ...]]:

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from handfit_core.common.skeleton import FINGERS, KEYPOINT_NAMES, NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.skeleton import FINGERS, NUM_KEYPOINTS, SIDES, Side
 
 _APPLE_CODE: Final = re.compile(r"VNHLK([A-Z]{3,4})")
 _APPLE_THUMB: Final = re.compile(r"thumb_?MP(?![a-zA-Z])", re.IGNORECASE)
 _WORDS: Final = re.compile(r"[a-z]+|[A-Z]+(?![a-z])|[A-Z][a-z]+|\d+")
-_AXES: Final = {"x": "x", "y": "y", "z": "z"} | dict.fromkeys(
+_AXES: Final = {"x": "x", "y": "y", "z": "z", "tx": "x", "ty": "y", "tz": "z"} | dict.fromkeys(
     ("c", "conf", "confidence", "score", "visibility", "v", "likelihood", "presence"), "c"
 )
 _SIDE_WORDS: Final[dict[str, Side]] = {
@@ -20,23 +20,35 @@ _SIDE_WORDS: Final[dict[str, Side]] = {
     **dict.fromkeys(("right", "righthand", "r", "rh"), SIDES[1]),
 }
 _FILLING: Final = frozenset(
-    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px".split()
+    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px device".split()
 )
 
 
-_NAMES: Final = (
-    {name.replace("_", ""): point for point, name in enumerate(KEYPOINT_NAMES)}
-    | {
-        called + between + joint: 1 + 4 * number + place
-        for number, finger in enumerate(FINGERS)
-        for place, joint in enumerate(
-            ("cmc", "mcp", "ip", "tip") if number == 0 else ("mcp", "pip", "dip", "tip")
-        )
-        for called in ((finger, "pinky") if finger == "little" else (finger,))
-        for between in ("", "finger")
-    }
-    | {"thumbmp": 2}
-)  # Apple's
+_THUMB: Final = (
+    "cmc mcp ip tip",
+    "metacarpal proximal distal tip",
+    "knuckle intermediatebase intermediatetip tip",
+    "cmc mp ip tip",
+)
+_FINGER: Final = (
+    "mcp pip dip tip",
+    "proximal intermediate distal tip",
+    "knuckle middle distal tip",
+    "knuckle intermediatebase intermediatetip tip",
+)
+"""Joints as MediaPipe, OpenXR, MRTK, visionOS and (of the thumb) Apple's Vision call them"""
+_NAMES: Final = {"wrist": 0} | {
+    called + joint: 1 + 4 * number + place
+    for number, finger in enumerate(FINGERS)
+    for joints in (*(_FINGER if number else _THUMB), "1 2 3 4")
+    for place, joint in enumerate(joints.split())
+    for called in ((finger, "pinky") if finger == "little" else (finger,))
+}
+XR_NAMES: Final = frozenset(
+    name for name in _NAMES if re.search("proximal|intermediate|knuckle|metacarpal|distal", name)
+)
+"""Those of joints as headsets have them, in metres"""
+_AROUND: Final = re.compile(r"finger|phalanx|joint|xrhand|hand|ext$|^xr|left|right")
 
 
 def plain(name: str) -> str:
@@ -46,12 +58,18 @@ def plain(name: str) -> str:
 
 def point_named(name: str) -> int | None:
     """Which of the 21 points somebody calls so: MediaPipe (INDEX_FINGER_MCP), Apple's Vision (indexMCP,
-    VNHLKIMCP), and this project (index_1); None: none."""
+    VNHLKIMCP), headsets (IndexProximal), and this project (index_1); None: none."""
     if code := _APPLE_CODE.search(name):
         if code[1] == "WRI":
             return 0
         return _NAMES.get(dict(zip("TIMRP", FINGERS, strict=True)).get(code[1][0], "") + code[1][1:].lower())
-    return _NAMES.get(plain(name))
+    return _NAMES.get(short(name))
+
+
+def short(name: str) -> str:
+    """A point's plain name without its side and what stands about it: `XR_HAND_JOINT_INDEX_PROXIMAL_EXT` and
+    `right_hand_index_finger_proximal` are `indexproximal`."""
+    return _AROUND.sub("", plain(name))
 
 
 def is_apple(name: str) -> bool:
@@ -80,6 +98,8 @@ class PointColumn:
     side: Side | None
     hand: int
     """Which hand, where columns number them"""
+    named: bool
+    """Whether its point is named rather than numbered"""
     world: bool
     """Whether it is in metres about the hand's middle, as MediaPipe's world landmarks"""
 
@@ -89,15 +109,17 @@ def point_columns(names: Sequence[str]) -> list[PointColumn]:
 
     Where points are numbered from 1, 21 is among them and 0 is not.
     """
-    found = [parsed for index, name in enumerate(names) if (parsed := _parsed(index, name)) is not None]
-    numbered = {column.point for column, counts in found if counts}
-    first = 1 if NUM_KEYPOINTS in numbered and 0 not in numbered else 0
-    columns = [replace(column, point=column.point - first * counts) for column, counts in found]
+    found = [column for index, name in enumerate(names) if (column := _parsed(index, name)) is not None]
+    counted = {column.point for column in found if not column.named}
+    # Beside numbered points, others that are named, as a wrist's pose, are not the hand's.
+    kept = [column for column in found if not column.named or len(counted) < 6]
+    first = 1 if max(counted, default=0) in (20, 21) and 0 not in counted else 0
+    columns = [column if column.named else replace(column, point=column.point - first) for column in kept]
     return [column for column in columns if 0 <= column.point < NUM_KEYPOINTS]
 
 
-def _parsed(index: int, name: str) -> tuple[PointColumn, bool] | None:
-    """The column, and whether its point is numbered rather than named; None: it is no point's."""
+def _parsed(index: int, name: str) -> PointColumn | None:
+    """The column; None: it is no point's."""
     if len(name) > 100:
         return None
     code = _APPLE_CODE.search(name)
@@ -117,6 +139,6 @@ def _parsed(index: int, name: str) -> tuple[PointColumn, bool] | None:
         return None
     digits = [int(word) for word in rest if word.isdigit() and len(word) <= 4]
     if len(digits) == len(rest) <= 2:
-        return PointColumn(index, digits[-1], axis, side, digits[0] if len(digits) == 2 else 0, world), True
+        return PointColumn(index, digits[-1], axis, side, digits[0] if len(digits) == 2 else 0, False, world)
     point = point_named("".join(rest))
-    return None if point is None else (PointColumn(index, point, axis, side, 0, world), False)
+    return None if point is None else PointColumn(index, point, axis, side, 0, True, world)

@@ -1,6 +1,7 @@
 """Readers of other programs' files, found by name or by what they recognise.
 
-Those of other packages are found by their entry points of the group `handfit.readers` (see `registry`).
+Those of other packages are found by their entry points of the group `handfit.readers` (see `registry`), and
+a user's own as files in the folder `layouts` of `data_dir`.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ class Reader:
     read: Callable[[Document, ReadOptions], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
     for an option without which it cannot be read"""
-    unseen: bool = False
-    """Whether it was written without a file of that program at hand"""
+    met: str = ""
+    """The real file that it was tried with: project and date; empty: it was written by the description"""
+    assumed: str = ""
+    """What is assumed of every such file, for the table of docs/interchange.md"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -47,20 +50,37 @@ READERS: Final = Registry(
         "sam3d-body": f"{_HERE}.sam3d_body:READER",
         "openpose": f"{_HERE}.keypoints:OPENPOSE.reader",
         "mmpose": f"{_HERE}.keypoints:MMPOSE.reader",
+        "coco-wholebody": f"{_HERE}.keypoints:COCO.reader",
+        "alphapose": f"{_HERE}.keypoints:ALPHAPOSE.reader",
+        "interhand": f"{_HERE}.keypoints:INTERHAND.reader",
+        "aria": f"{_HERE}.keypoints:ARIA.reader",
         "hawor": f"{_HERE}.mano:HAWOR",
         "dyn-hamr": f"{_HERE}.mano:DYN_HAMR",
         "smplx": f"{_HERE}.mano:SMPLX",
+        "hot3d": f"{_HERE}.mano:HOT3D",
+        "arctic": f"{_HERE}.mano:ARCTIC",
+        "grab": f"{_HERE}.mano:GRAB",
+        "interhand-mano": f"{_HERE}.mano:INTERHAND",
+        "dexycb": f"{_HERE}.mano:DEXYCB",
+        "ho3d": f"{_HERE}.mano:HO3D",
+        "freihand": f"{_HERE}.mano:FREIHAND",
         "smplx-keywords": f"{_HERE}.mano:SMPLX_KEYWORDS",
         "hamer": f"{_HERE}.mano:HAMER",
         "wilor-mini": f"{_HERE}.mano:WILOR_MINI",
         "points-table": f"{_HERE}.keypoints:POINTS_TABLE.reader",
         "freemocap": f"{_HERE}.keypoints:FREEMOCAP.reader",
         "apple-vision": f"{_HERE}.keypoints:APPLE_VISION.reader",
+        "trc": f"{_HERE}.keypoints:TRC.reader",
+        "xr-points": f"{_HERE}.keypoints:XR_POINTS.reader",
+        "arrays": f"{_HERE}.keypoints:ARRAYS.reader",
         "mediapipe": f"{_HERE}.keypoints:MEDIAPIPE.reader",
     },
+    "layouts",
 )
 """The readers by their names on the command line, the more particular ones first. MediaPipe's comes last: it
 takes whatever has 21 points a hand"""
+_LAST: Final = ("arrays", "mediapipe")
+"""Those that are asked after other packages' readers"""
 
 
 def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:
@@ -68,24 +88,25 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
     name that there is not."""
     if name is not None:
         return name, READERS.get(name)
-    for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] == "mediapipe"):
+    for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] in _LAST):
         with READERS.blamed(known):
             if reader.recognises(document):
                 return known, reader
-    formats = "; ".join(f"{reader.title}: {reader.layout}" for reader in READERS.all().values())
     raise InputError(
-        f"{shown(document.path)}: these are no hands or keypoints of a program that is known "
-        f"({document.found}). Known are {formats}"
+        f"{shown(document.path)}: no hands of a layout that is known are in it: it is {document.found} "
+        "(docs/interchange.md lists what is read; --reader names a layout, where one fits after all)"
     )
 
 
-UNSEEN: Final = "on files made by this project's tests, and on none of that program: look whether it is right"
-"""What is said of readers that are `unseen`"""
+BY_DESCRIPTION: Final = "by its description, and on no file of that program: look whether it is right"
+"""What is said of formats of which no real file was met"""
 
 
-def unseen(recording: Recording) -> bool:
-    """Whether its reader was written without a file of that program at hand."""
-    return recording.format in READERS.built_in() and READERS.get(recording.format).unseen
+def tried_with(recording: Recording) -> str:
+    """What the reader of a recording was tried with; empty for those of other packages."""
+    if recording.format not in READERS.built_in():
+        return ""
+    return READERS.get(recording.format).met or BY_DESCRIPTION
 
 
 def program_of(recording: Recording) -> str:

@@ -98,6 +98,7 @@ class ReadOptions:
     """What a file may not tell, as the options of those names have it."""
 
     reader: str | None = None
+    order: str | None = None
     person: int | None = None
     fps: float | None = None
     picture_size: tuple[int, int] | None = None

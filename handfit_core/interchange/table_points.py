@@ -17,8 +17,11 @@ from handfit_core.interchange.settings import LIMITS
 
 _NAMES: Final = {
     "frame": "frame frameid framenumber frameindex frameidx frameno framenum image file".split(),
-    "time": "timestamp time timestampms timems timestamps times t".split(),
-    "side": "handedness side hand handlabel handside label type handtype chirality which".split(),
+    "time": "timestamp time timestampms timems timestamps times t trackingtimestampus timestampus".split(),
+    "side": (
+        "handedness side hand handlabel handside handhandedness handhandness label type handtype chirality "
+        "which model"
+    ).split(),
     "hand": "handid handindex handidx handnumber handno hand id".split(),
     "point": (
         "landmark landmarkindex landmarkid landmarkname landmarkidx point pointid pointname keypoint "
@@ -26,7 +29,7 @@ _NAMES: Final = {
     ).split(),
     "score": "score handednessscore handscore".split(),
     "confidence": "confidence visibility likelihood conf presence score".split(),
-    "type": ["type"],
+    "type": ["type", "model"],
 }
 """Names of columns by what they hold, plain"""
 _AXES: Final = "xyz"
@@ -46,6 +49,11 @@ class HandTable:
     """A table with what its columns hold."""
 
     def __init__(self, table: Table, path: Path) -> None:
+        if "trajectory" in table.columns:  # FreeMoCap's, of which the filtered ones come after
+            kinds = table.texts("trajectory")
+            first = "3d_xyz" if "3d_xyz" in kinds else kinds[0]
+            rows = [row for row, kind in zip(table.rows, kinds, strict=True) if kind == first]
+            table = Table(table.columns, rows)
         self.table, self.path = table, path
         self._named = {plain(name): name for name in reversed(table.columns)}
         self._count = len(table.rows)
@@ -76,9 +84,15 @@ class HandTable:
         """The hands. `first`: from what frames without numbers count; `ours`: whether it is a table of this
         project, in which everything is named. Raises ValueError for what is no table of hands."""
         columns, frames = columns_of(self.table), self._frames()
+        if columns is None and self.table.is_trc:
+            markers = [name.removesuffix("_x") for name in self.table.columns[2::3]]
+            raise ValueError(
+                f"none of its {len(markers)} markers ({', '.join(markers)[:200]}) is a point of a hand"
+            )
         assumed: tuple[str, ...] = ()
         if columns is not None:
             hands, row_of = self._wide(columns)
+            named = all(column.named for column in columns)
             if frames is None:
                 frames = np.arange(first, first + self._count)
                 assumed = (f"its rows have no frame numbers: they are counted from {first}",)
@@ -89,6 +103,8 @@ class HandTable:
             if len(metres) == 3 and np.isfinite(self.table.numbers(metres)).all(axis=1).any():
                 axes, in_space = metres, True
             hands, row_of = self._pointwise(frames, axes, ours)
+            point = self._column(*_NAMES["point"]) or ""
+            named = ours or not any(_digits(text) for text in self.table.texts(point)[:200])
         numbers, place = np.unique(frames, return_inverse=True)
         named_sides = columns is not None and any(column.side is not None for column in columns)
         return ParsedPoints(
@@ -96,6 +112,7 @@ class HandTable:
             ParsedHands.of(place[row_of], *hands),
             rate_of(frames, self._numbers("time")),
             self._size(),
+            order="mediapipe" if named else "",
             in_space=in_space,
             mirrored=False if named_sides else None,
             assumed=assumed,
@@ -130,6 +147,11 @@ class HandTable:
                 if any(told.values()):
                     codes = {t: UNKNOWN if side is None else SIDES.index(side) for t, side in told.items()}
                     return np.array([codes[text] for text in texts])
+        point = self._column(*_NAMES["point"])
+        if point is not None:
+            told = {text: side_named(text) for text in set(self.table.texts(point))}
+            codes = {t: UNKNOWN if side is None else SIDES.index(side) for t, side in told.items()}
+            return np.array([codes[text] for text in self.table.texts(point)])
         return np.full(self._count, UNKNOWN)
 
     def _counted(self) -> np.ndarray:
@@ -161,7 +183,7 @@ class HandTable:
         """What `ParsedHands.of` takes of a table with a point a row, and one row of each hand."""
         column = self._column(*_NAMES["point"])
         if column is None or len(axes) < 2:
-            raise ValueError("its columns name no points of hands")
+            raise ValueError(f"none of its {len(self.table.columns)} columns is a point of a hand")
         texts = self.table.texts(column)
         places = {text: _place(text) for text in set(texts)}
         if ours and (
@@ -208,9 +230,14 @@ class HandTable:
 _IN_PLANE: Final = ("{}", "{}norm", "normalized{}", "{}px")
 
 
+def _digits(text: str) -> bool:
+    number = text.removesuffix(".0")
+    return number.isascii() and number.isdigit()
+
+
 def _place(text: str) -> int | None:
     """Which point a cell names or counts, from 0 or 1; None: none."""
     number = text.removesuffix(".0")
-    if number.isascii() and number.isdigit():
+    if _digits(text):
         return int(number) if len(number) < 4 and int(number) <= NUM_KEYPOINTS else None
     return point_named(text)

@@ -11,6 +11,7 @@ import json
 import os
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -28,7 +29,7 @@ from handfit_core.common.batch import scatter
 from handfit_core.common.errors import NoHandFoundError, OptionError, TakeError
 from handfit_core.common.files import opened_file, output_path, read_file, shown, why, written_whole
 from handfit_core.common.npz import NotNpz, NpzArchive, names_of
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, can_touch
+from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side, can_touch
 from handfit_core.common.slices import run_to_completion
 from handfit_core.common.values import LARGEST_WHOLE, listed, number, one_of, path, shortly, text, whole
 from handfit_core.detect.keypoints import Detections
@@ -39,6 +40,7 @@ from handfit_core.hand_model.data import HandModel
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.source import SOURCE_KINDS, Source
+from handfit_core.take.found import FoundRows
 from handfit_core.take.views import AGREEMENTS, Cameras, SeenHand, Verdict, View
 
 FORMAT_NAME = "handfit-take"
@@ -73,35 +75,18 @@ class HandTrack(HandMotion):
     """One hand over a take's T frames: its motion, and what was detected.
 
     Float arrays but `placed` and `touches` hold NaN in the frames where neither `detected` nor `filled` is
-    True; what the detector found (`keypoints_2d`, `reprojection_error`, `score`,
-    `keypoints_depth`, `world_landmarks`, `right_side`), and `expected_error`, also where only `filled` is.
+    True; `reprojection_error` and `expected_error` also where only `filled` is.
     """
 
     joints_3d: np.ndarray = array("T", NUM_KEYPOINTS, 3, finite="present")
     """metres, the fitted model's keypoints in MediaPipe's order"""
-    keypoints_2d: np.ndarray = array("T", NUM_KEYPOINTS, 2, finite="detected")
-    """pixels, as detected"""
     reprojection_error: np.ndarray = array("T", finite="detected", most=TAKE_LIMITS.max_error)
-    """pixels: mean distance from the projected joints_3d to keypoints_2d"""
-    detected: np.ndarray = array("T", kind="b")
-    score: np.ndarray = array("T", finite="detected")
-    """The detector's confidence in this hand, 0..1"""
+    """pixels: mean distance from the projected joints_3d to the detected keypoints"""
+    detections: Detections
+    """What the detector found, at most one in a frame: the columns that `FoundRows` has. Depth and world
+    landmarks are NaN in old takes"""
     filled: np.ndarray | None = array("T", kind="b", default=None)
     """Frames of short gaps, bridged from their neighbours; None: there are none"""
-    keypoints_depth: np.ndarray | None = array("T", NUM_KEYPOINTS, finite="detected", default=None)
-    """pixels: depth of keypoints_2d towards the scene, relative to the wrist, as detected; None: not kept"""
-    world_landmarks: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, finite="detected", default=None)
-    """metres about the hand's centre, axes as the camera frame's, as detected; None: not kept"""
-    keypoints_2020: np.ndarray | None = array("T", NUM_KEYPOINTS, 3, default=None)
-    """What the landmark network of December 2020 sees: pixels, and depth as keypoints_depth; NaN where it was
-    not asked; None: nowhere"""
-    right_side: np.ndarray | None = array("T", default=None)
-    """Probability that the detector named the true side; NaN where it was not judged; None: nowhere"""
-    other_side: np.ndarray | None = array("T", kind="b", default=None)
-    """Frames in which the detector named the other side; None: in none"""
-    overlapped: np.ndarray | None = array("T", NUM_KEYPOINTS, kind="b", default=None)
-    """Keypoints that lie where another hand is, or that another program did not find (they are guessed) or
-    doubts, and are believed less; None: none do"""
     placed: np.ndarray | None = array("T", NUM_KEYPOINTS, 2, default=None)
     """pixels: where a person has put points; NaN: not a person's; None: none is"""
     touches: np.ndarray | None = array("T", NUM_KEYPOINTS, default=None)
@@ -126,8 +111,10 @@ class HandTrack(HandMotion):
             check_arrays(self.arm, TakeError, f"the {self.side} arm's ", T=count)
         for seen in filter(None, self.seen_by):
             check_arrays(seen, TakeError, f"the {self.side} hand in a further view: ")
-        judged = self.right_side
-        if judged is not None and np.any((judged < 0.0) | (judged > 1.0)):
+        rows, judged = self.detections.frame, self.detections.right_side
+        if np.any(np.diff(rows) <= 0) or np.any((rows < 0) | (rows >= count)):
+            raise TakeError(f"the {self.side} hand must be detected once in a frame, in their order")
+        if np.any((judged < 0.0) | (judged > 1.0)):
             raise TakeError(f"the {self.side} hand's right_side must lie between 0 and 1")
         if self.touches is not None:
             for row, point in np.argwhere(~np.isnan(self.touches)).tolist():
@@ -144,51 +131,53 @@ class HandTrack(HandMotion):
         present = motion.present
         count = len(present)
         joints = model.keypoints(motion.betas, *(rows[present] for rows in motion.pose))
-        nothing = np.full((count, NUM_KEYPOINTS, 2), np.nan)
         return cls(
             **vars(motion),
             joints_3d=scatter(joints, present, count),
-            keypoints_2d=nothing,
-            reprojection_error=nothing[:, 0, 0],
-            detected=np.zeros(count, dtype=bool),
-            score=nothing[:, 0, 0],
+            reprojection_error=np.full(count, np.nan),
+            detections=Detections.of([[]]),
             filled=present,
         )
 
+    @cached_property
+    def rows(self) -> FoundRows:
+        """`detections` as arrays over the T frames."""
+        return FoundRows.of(self.detections, self.side, len(self.transl))
+
+    @property
+    def detected(self) -> np.ndarray:
+        """(T,) bool"""
+        return self.rows.detected
+
+    @property
+    def keypoints_2d(self) -> np.ndarray:
+        """(T, 21, 2) pixels, as detected; NaN in other frames."""
+        return self.rows.keypoints_2d
+
+    @property
+    def score(self) -> np.ndarray:
+        """(T,) the detector's confidence in this hand, 0..1; NaN where it was not detected."""
+        return self.rows.score
+
     @property
     def added(self) -> bool:
-        """Whether a person laid it into the picture: nothing of it was ever detected."""
-        return self.placed is not None and not self.detected.any()
+        """True if a person laid it into the picture: nothing of it was ever detected."""
+        return self.placed is not None and not len(self.detections)
 
     @property
     def refinable(self) -> bool:
-        """Whether the take holds what fitting again needs."""
-        return self.keypoints_depth is not None and self.world_landmarks is not None
+        """True if the take holds what fitting again needs."""
+        return self.rows.world_landmarks is not None
 
-    def detections(self, rows: np.ndarray | None = None) -> Detections:
-        """What the detector found in the frames `rows` of the T (None: in all), in which their `frame`
-        counts. Without its `spread`, which a take does not hold. Raises TakeError unless `refinable`."""
-        if self.keypoints_depth is None or self.world_landmarks is None:
+    def detections_at(self, rows: np.ndarray) -> Detections:
+        """What the detector found in the frames `rows` (K,) of the T, which count as 0 to K - 1. Raises
+        TakeError unless `refinable`."""
+        if not self.refinable:
             raise TakeError(
                 f"the {self.side} hand's take was made before takes held what the detector found; capture it "
                 "again"
             )
-        rows = np.arange(len(self.detected)) if rows is None else rows
-        frame = np.flatnonzero(np.asarray(self.detected)[rows])
-        found = rows[frame]
-        side = np.full(len(found), SIDES.index(self.side))
-        return Detections(
-            frame=frame,
-            side=side if self.other_side is None else np.where(self.other_side[found], 1 - side, side),
-            score=self.score[found],
-            keypoints=np.concatenate(
-                [self.keypoints_2d[found], self.keypoints_depth[found][..., None]], axis=2
-            ),
-            world=self.world_landmarks[found],
-            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[found],
-            right_side=np.full(len(found), np.nan) if self.right_side is None else self.right_side[found],
-            overlapped=None if self.overlapped is None else self.overlapped[found],
-        )
+        return self.detections.at_frames(rows)
 
     @property
     def present(self) -> np.ndarray:
@@ -338,12 +327,13 @@ class Take:
                 if view.times is not None:
                     arrays[f"cameras/view{v}_times"] = np.asarray(view.times, dtype=np.float64)
         for i, track in enumerate(self.hands):
-            arrays |= kept_arrays(track, f"hand{i}_", floats)
+            arrays |= kept_arrays(track, f"hand{i}_", floats) | kept_arrays(track.rows, f"hand{i}_", floats)
             if track.arm is not None:
                 arrays |= kept_arrays(track.arm, f"arms/hand{i}_", floats)
             for v, seen in enumerate(track.seen_by, start=1):
                 if seen is not None:
-                    arrays |= kept_arrays(seen, f"cameras/view{v}_hand{i}_", floats)
+                    prefix = f"cameras/view{v}_hand{i}_"
+                    arrays |= kept_arrays(seen, prefix, floats) | kept_arrays(seen.rows, prefix, floats)
         np.savez_compressed(stream, **arrays)
 
     @classmethod
@@ -392,12 +382,14 @@ class Take:
             fields["cameras"] = yield from _reading_cameras(archive, views)
             for i, side in enumerate(fields.pop("sides")):
                 arrays = yield from reading_arrays(HandTrack, archive, f"hand{i}_")
+                detections = yield from _reading_found(archive, f"hand{i}_", side)
                 arm, why = None, no_arms.get(str(i))
                 if why == "":
                     of_arm = yield from reading_arrays(ArmMotion, archive, f"arms/hand{i}_")
                     arm = ArmMotion(**of_arm)
-                seen_by = yield from _reading_seen(archive, i, len(views))
-                hands.append(HandTrack(side=side, **arrays, arm=arm, no_arm=why or "", seen_by=seen_by))
+                seen_by = yield from _reading_seen(archive, i, side, len(views))
+                rest = {"arm": arm, "no_arm": why or "", "seen_by": seen_by}
+                hands.append(HandTrack(side=side, detections=detections, **arrays, **rest))
             return cls(frame_numbers=archive.array("frame_numbers", "iu"), hands=tuple(hands), **fields)
         except KeyError as error:
             raise TakeError(
@@ -424,8 +416,15 @@ def _reading_cameras(
     return Cameras(**arrays, views=tuple(further))
 
 
+def _reading_found(archive: NpzArchive, prefix: str, side: Side) -> Generator[None, None, Detections]:
+    arrays = yield from reading_arrays(FoundRows, archive, prefix)
+    rows = FoundRows(**arrays)
+    check_arrays(rows, TakeError, f"the {side} hand's ")
+    return rows.detections(side)
+
+
 def _reading_seen(
-    archive: NpzArchive, hand: int, views: int
+    archive: NpzArchive, hand: int, side: Side, views: int
 ) -> Generator[None, None, tuple[SeenHand | None, ...]]:
     found: list[SeenHand | None] = []
     for v in range(1, 1 + views):
@@ -434,7 +433,8 @@ def _reading_seen(
             found.append(None)
             continue
         arrays = yield from reading_arrays(SeenHand, archive, prefix)
-        found.append(SeenHand(**arrays))
+        detections = yield from _reading_found(archive, prefix, side)
+        found.append(SeenHand(detections=detections, **arrays))
     return tuple(found)
 
 
@@ -471,7 +471,7 @@ def chosen(take: Take, hands: str, frames: FrameRange | None, max_hands: int | N
 def at_rows(hand: HandTrack, rows: np.ndarray) -> HandTrack:
     """A hand over some of its frames, in any order."""
     arm = None if hand.arm is None else replace(hand.arm, **_at_rows(hand.arm, rows))
-    return replace(hand, arm=arm, **_at_rows(hand, rows))
+    return replace(hand, arm=arm, detections=hand.detections.at_frames(rows), **_at_rows(hand, rows))
 
 
 def _at_rows(of: HandTrack | ArmMotion, rows: np.ndarray) -> dict[str, np.ndarray]:

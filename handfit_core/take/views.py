@@ -3,16 +3,18 @@ fits together. Light to import."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from handfit_core.common.arrays import array, array_dataclass
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES, Side
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.keypoints import Detections
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.media.source import Source
+from handfit_core.take.found import FoundRows
 
 Agreement = Literal["good", "doubtful", "failed"]
 AGREEMENTS: Final[tuple[Agreement, ...]] = get_args(Agreement)
@@ -30,36 +32,30 @@ class Verdict:
 
 @array_dataclass
 class SeenHand:
-    """What a further view saw of a hand in its S frames; NaN where it was not detected."""
+    """What a further view saw of a hand in its S frames."""
 
-    keypoints_2d: np.ndarray = array("S", NUM_KEYPOINTS, 2, finite="detected")
-    """pixels of that view"""
-    detected: np.ndarray = array("S", kind="b")
     used: np.ndarray = array("S", kind="b")
-    """Detections that the fit took notice of: others lie outside the first view, or follow another hand"""
-    score: np.ndarray = array("S", finite="detected")
-    keypoints_depth: np.ndarray = array("S", NUM_KEYPOINTS, finite="detected")
-    """pixels, as in the take's own arrays"""
-    world_landmarks: np.ndarray = array("S", NUM_KEYPOINTS, 3, finite="detected")
-    """metres about the hand's centre, axes as that camera's"""
-    keypoints_2020: np.ndarray | None = array("S", NUM_KEYPOINTS, 3, default=None)
-    overlapped: np.ndarray | None = array("S", NUM_KEYPOINTS, kind="b", default=None)
-    """Keypoints that lie where another hand is, as in the take's own arrays"""
+    """Frames whose detection the fit took notice of: others lie outside the first view, or follow another
+    hand"""
+    detections: Detections
+    """What was found in that view, at most one in a frame, of the hand's side"""
 
-    def detections(self, rows: np.ndarray, side: Side) -> Detections:
-        """What the detector found in those of its frames `rows` in which it found the hand, which is of that
-        `side`. They count as frames 0, 1, ..."""
-        rows = rows[self.detected[rows]]
-        points = [self.keypoints_2d[rows], self.keypoints_depth[rows][..., None]]
-        return Detections(
-            frame=np.arange(len(rows)),
-            side=np.full(len(rows), SIDES.index(side)),
-            score=self.score[rows],
-            keypoints=np.concatenate(points, axis=2),
-            world=self.world_landmarks[rows],
-            keypoints_2020=None if self.keypoints_2020 is None else self.keypoints_2020[rows],
-            overlapped=None if self.overlapped is None else self.overlapped[rows],
-        )
+    @cached_property
+    def rows(self) -> FoundRows:
+        """`detections` as arrays over the S frames."""
+        side = SIDES[self.detections.side[0]] if len(self.detections) else SIDES[0]
+        rows = FoundRows.of(self.detections, side, len(self.used))
+        return replace(rows, right_side=None, other_side=None)
+
+    @property
+    def detected(self) -> np.ndarray:
+        """(S,) bool"""
+        return self.rows.detected
+
+    @property
+    def keypoints_2d(self) -> np.ndarray:
+        """(S, 21, 2) pixels of that view; NaN where it was not detected."""
+        return self.rows.keypoints_2d
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,8 @@ from handfit_core.capturing.sources import open_input
 from handfit_core.common.arrays import pack, unpack
 from handfit_core.common.errors import PictureSizeError
 from handfit_core.common.files import written_whole
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.common.skeleton import SIDES
+from handfit_core.detect.keypoints import Detections
 from handfit_core.interchange.opening import RELATIVE
 from handfit_core.media.chessboard import measure_lens
 from handfit_core.media.lenses import checked_name, save_lens
@@ -131,7 +132,7 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
     for people to look at. Raises what `detection.find_in_frame` raises, and OutputError."""
     picture, options = message.get("picture"), CaptureOptions.of_message(message.get("options") or {})
     places = (np.pad(unpack(each).astype(float), [(0, 0), (0, 1)]) for each in message.get("known", ()))
-    known = [HandDetection("right", 1.0, keypoints, np.zeros_like(keypoints)) for keypoints in places]
+    known = [Detections.hand("right", 1.0, keypoints, np.zeros_like(keypoints)) for keypoints in places]
     frame, hands = find_in_frame(_source(message), options, known)
     assert frame.rgb is not None
     if picture is not None:
@@ -142,11 +143,18 @@ def find(message: Mapping[str, Any]) -> dict[str, Any]:
         "height": frame.rgb.shape[0],
         "hands": [
             {
-                "side": hand.given_side or hand.likely_side,
-                "certainty": float(hand.score if hand.certainty is None else hand.certainty),
-                "keypoints": pack(np.asarray(hand.keypoints_2d, dtype=np.float32)),
+                "side": SIDES[given if given >= 0 else likely],
+                "certainty": score if np.isnan(certainty) else certainty,
+                "keypoints": pack(np.asarray(points, dtype=np.float32)),
             }
-            for hand in hands
+            for given, likely, score, certainty, points in zip(
+                *(
+                    each.tolist()
+                    for each in (hands.given_side, hands.likely_side, hands.score, hands.certainty)
+                ),
+                hands.keypoints_2d,
+                strict=True,
+            )
         ],
     }
 

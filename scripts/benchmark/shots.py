@@ -13,6 +13,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import OPEN_HAND
 from handfit_core.media.source import Source
 from handfit_core.take import HandTrack, Take
+from handfit_core.take.found import FoundRows
 
 from .arm import Arm
 from .kinematics import model_of
@@ -95,10 +96,10 @@ class Shot:
                     hand_pose=hand.hand_pose,
                     transl=hand.transl,
                     joints_3d=points,
-                    keypoints_2d=self.camera.project(points),
                     reprojection_error=np.zeros(count),
-                    detected=np.ones(count, dtype=bool),
-                    score=np.ones(count),
+                    detections=FoundRows(
+                        self.camera.project(points), np.ones(count, dtype=bool), np.ones(count)
+                    ).detections(hand.side),
                 )
             )
         return Take(

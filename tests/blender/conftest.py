@@ -29,6 +29,7 @@ from handfit_core.hand_model.forearm import with_wrist  # noqa: E402
 from handfit_core.media.source import Source  # noqa: E402
 from handfit_core.take import HandTrack, Take  # noqa: E402
 from tests.imitation_mano import imitation_model  # noqa: E402
+from tests.takes import found  # noqa: E402
 
 FRAMES = np.array([3, 4, 5, 6, 7, 8, 12, 13, 14, 16, 17, 18])
 """Not consecutive, not from 1"""
@@ -280,10 +281,8 @@ def _track(hand, side: Side, count: int, intrinsics: Intrinsics, rng: np.random.
         hand_pose=hand_pose * nan[:, None],
         transl=transl * nan[:, None],
         joints_3d=posed.keypoints * nan[:, None, None],
-        keypoints_2d=(keypoints + noise) * nan[:, None, None],
         reprojection_error=np.linalg.norm(noise, axis=-1).mean(axis=-1) * nan,
-        detected=detected,
-        score=np.full(count, 0.9) * nan,
+        detections=found(side, keypoints + noise, detected),
     )
     return track, posed
 

@@ -14,6 +14,7 @@ from blender_manient.scene.build import build_take
 from blender_manient.scene.keys import PoseKeys, pose_at, read_pose_keys, remove_pose_keys, write_pose_keys
 from handfit_core.common.errors import OptionError
 from handfit_core.media.source import Source
+from tests.takes import seen_as
 
 from .conftest import built_model, evaluated_vertices, joint_heads, world
 
@@ -60,11 +61,11 @@ def test_the_motion_of_a_file(make_take, tmp_path, model, side):
     outside = pose_at(rig, np.array([3.0]))
     made = make_take(sides=(side,), model=model, seed=9, frame_numbers=np.arange(3, 15))
     gone = np.arange(12) < 5
-    fields = "global_orient hand_pose transl joints_3d keypoints_2d reprojection_error score".split()
+    fields = "global_orient hand_pose transl joints_3d reprojection_error".split()
     track = made.take.hands[0]
     for name in fields:
         getattr(track, name)[gone] = np.nan
-    track = replace(track, detected=track.detected & ~gone)
+    track = seen_as(track, detected=track.detected & ~gone)
     path = replace(made.take, hands=(track,)).save(tmp_path / "motion.npz")
     assert bpy.ops.manient.apply_take(filepath=str(path), mode="ANIMATION") == {"FINISHED"}
     expected = expected_vertices(made.take, track, np.array(armature.manient.betas), mirrored=side == "left")

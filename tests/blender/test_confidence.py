@@ -24,6 +24,7 @@ from blender_manient.scene.keys import pose_at
 from blender_manient.scene.store import hand_of
 from handfit_core.common.skeleton import FINGERS
 from handfit_core.take.fit_quality import EXPECTED
+from tests.takes import seen_as
 
 from .conftest import FRAMES, UNSEEN
 
@@ -44,7 +45,7 @@ def off_at_the_index(take):
     for track in take.hands:
         keypoints = take.intrinsics.project(track.joints_3d)
         keypoints[ROW, INDEX_TIP] += [60.0, 0.0]
-        hands.append(replace(track, keypoints_2d=keypoints))
+        hands.append(seen_as(track, keypoints_2d=keypoints))
     return replace(take, hands=tuple(hands))
 
 

@@ -36,6 +36,7 @@ from handfit_core.take import Take
 from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture
 from tests.drawn import drawn
+from tests.takes import seen_as
 
 from .conftest import READY
 from .looking import select_bones
@@ -277,7 +278,7 @@ def test_hands_without_keypoints_say_why_they_are_not_smoothed(armature, what, s
         hand = replace(hand, take=replace(hand.take, solver="HaMeR"))
     else:
         placed = None if what == "mirrored" else np.full((len(nothing), 21, 2), np.nan)
-        hand = replace(hand, track=replace(hand.track, detected=nothing, placed=placed))
+        hand = replace(hand, track=seen_as(replace(hand.track, placed=placed), detected=nothing))
     assert said in why_not_smoothable(hand)
 
 

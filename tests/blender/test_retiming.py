@@ -25,7 +25,7 @@ from blender_manient.session.refiner import Refiner
 from handfit_core.capturing.retiming import shown_numbers
 from handfit_core.common.errors import OptionError
 from handfit_core.geometry.rotations import quat_multiply, rotvec_to_quat
-from tests.takes import with_arms
+from tests.takes import seen_as, with_arms
 
 from .conftest import movie
 
@@ -46,7 +46,7 @@ def take(make_take, tmp_path):
     second = np.concatenate([track.keypoints_2d + 1.0, track.keypoints_2d[..., :1]], axis=-1)
     second[2] = np.nan  # where the second network was not asked
     detected = {"keypoints_depth": depth, "world_landmarks": track.joints_3d, "keypoints_2020": second}
-    return replace(made, hands=(replace(track, **detected),))
+    return replace(made, hands=(seen_as(track, **detected),))
 
 
 def scene_of(rate: float):
@@ -90,8 +90,8 @@ def test_hand_and_picture_show_the_same_moment(take, rate):
         (row,) = store.rows_at(built.collection, hand.take, np.array([frame]))
         if frame in keys and captured.detected[number - FRAMES[0]]:
             for seen in ("keypoints_2d", "keypoints_2020"):
-                theirs = getattr(captured, seen)[number - FRAMES[0]]
-                np.testing.assert_array_equal(getattr(hand.track, seen)[row], theirs)
+                theirs = getattr(captured.rows, seen)[number - FRAMES[0]]
+                np.testing.assert_array_equal(getattr(hand.track.rows, seen)[row], theirs)
     # Poses are those that the clip's own keys have between them.
     matched = build_take(take, match_scene=True)
     rows, there = moments(keys, rate) - FRAMES[0], captured.present

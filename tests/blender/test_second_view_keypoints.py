@@ -17,7 +17,7 @@ from handfit_core.edit import from_message
 from handfit_core.take import Take
 from handfit_core.take.fit_quality import view_errors
 from tests.drawn import drawn
-from tests.takes import of_two_views
+from tests.takes import of_two_views, seen_as
 
 from .test_retiming import shown_offset
 from .test_two_views import movie, second_of
@@ -106,7 +106,7 @@ def test_the_panel_has_an_error_for_each_view(armature, take):
     assert errors[0] == 0.5
     assert errors[1] < 0.5
     assert f"Error by view: 0.5 px, {errors[1]:.1f} px" in drawn(MANIENT_PT_result).rows
-    seen = replace(take.hands[0].seen_by[0], keypoints_2d=take.hands[0].seen_by[0].keypoints_2d + [3.0, 4.0])
+    seen = seen_as(take.hands[0].seen_by[0], keypoints_2d=take.hands[0].seen_by[0].keypoints_2d + [3.0, 4.0])
     wrong = replace(take.hands[0], seen_by=(seen,))
     assert view_errors(take, wrong)[1] == pytest.approx(5.0, abs=0.5)
     assert np.isnan(view_errors(take, replace(wrong, seen_by=(None,)))[1])

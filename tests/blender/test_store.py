@@ -20,6 +20,7 @@ from handfit_core.common.slices import run_to_completion
 from handfit_core.edit.messages import from_message
 from handfit_core.media.source import Source
 from handfit_core.take import Take
+from tests.takes import seen_as
 
 from .conftest import FRAMES, UNSEEN
 from .looking import chosen
@@ -96,13 +97,13 @@ def test_what_both_networks_saw_comes_back_from_a_file_to_takes_and_to_who_fits_
     second[2] = np.nan  # where the second network was not asked
     seen = {"keypoints_depth": 0.0 * second[..., 2], "world_landmarks": track.joints_3d}
     seen["keypoints_depth"][2] = 0.0
-    (hand,) = build_take(replace(made, hands=(replace(track, **seen, keypoints_2020=second),))).hands
+    (hand,) = build_take(replace(made, hands=(seen_as(track, **seen, keypoints_2020=second),))).hands
     name = hand.armature.name
     saved_and_opened(tmp_path)
     armature = bpy.data.objects[name]
     found = store.hand_of(armature)
     for take in (found.take, retaken([found]), Take.from_bytes(retaken([found]).to_bytes())):
-        np.testing.assert_allclose(take.hands[0].keypoints_2020, second, atol=1e-3)
+        np.testing.assert_allclose(take.hands[0].rows.keypoints_2020, second, atol=1e-3)
     refiner = Refiner(armature)
     rows = [0, 2, UNSEEN]
     asked = from_message(refiner.request(rows, [{}] * 3, refiner.start_poses(rows))()["hand"])

@@ -107,3 +107,20 @@ def test_a_trackers_points(tmp_path):
     said = run(tmp_path, "info", tmp_path / "a.json").stdout
     assert "format   glove" in said
     assert f"points in space: {hand.side} hand in {len(frames)} frames" in said
+
+
+def test_a_trackers_points_in_the_users_folder(tmp_path, monkeypatch):
+    install("A tracker's points", tmp_path)
+    folder = tmp_path / "data" / "layouts"
+    folder.mkdir(parents=True)
+    (tmp_path / "my_tracker.py").rename(folder / "studio_glove.py")
+    shutil.rmtree(tmp_path / "my_tracker-1.0.dist-info")
+    (folder / "broken.py").write_text("1 / 0")
+    monkeypatch.setenv("HANDFIT_DATA", str(tmp_path / "data"))
+    (hand,) = Take.load(ROOT / "samples" / "rendered_hand" / "truth.take.npz").hands
+    joints = (100.0 * hand.joints_3d[0]).tolist()
+    frames = [{"hands": [{"glove_id": 7, "side": hand.side, "joints": joints}]}]
+    (tmp_path / "a.json").write_text(json.dumps({"frames": frames}))
+    done = run(tmp_path, "info", tmp_path / "a.json", "--reader", "studio-glove")
+    assert f"points in space: {hand.side} hand in 1 frames" in done.stdout
+    assert "broken" in run(tmp_path, "info", tmp_path / "a.json").stderr

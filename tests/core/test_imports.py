@@ -191,7 +191,7 @@ take = capture("samples/rendered_hand/hand.%04d.jpg", frames=FrameRange(1, 6))
 hand, = take.hands
 pins = np.full((len(hand.detected), 21, 2), np.nan)
 pins[2, 8] = hand.keypoints_2d[2, 8] + 10.0
-rest = take.intrinsics, hand.detections(), pins, np.zeros(16, dtype=bool)
+rest = take.intrinsics, hand.detections, pins, np.zeros(16, dtype=bool)
 corrected = RefineHand(hand.side, hand.betas, *hand.pose, *rest)
 warm_up()
 for found in (refit_each(corrected), refit_range(corrected)):

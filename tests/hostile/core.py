@@ -86,9 +86,9 @@ def _mano() -> str:
 
 def recording(path: str, mano: bool = False, good: bool = False) -> None:
     """Read what another program has found, and make a take of its first frames, with a model of MANO's format
-    or with the open hand. A `good` file is not refused."""
+    or with the open hand. A `good` file, which may need the model, is not refused."""
     try:
-        _recorded(path, mano)
+        _recorded(path, mano or good)
     except errors.HandfitError as error:
         assert not good, f"refused: {error}"
         raise

@@ -16,7 +16,7 @@ from handfit_core.take import Take
 from tests.hostile.engine import Case
 from tests.hostile.mutations import mutants
 from tests.hostile.npz import header_lies, lies, some
-from tests.takes import take_of, track_of
+from tests.takes import seen_as, take_of, track_of
 
 FILE = "a.take.npz"
 FRAMES = 6
@@ -36,7 +36,7 @@ def good_take(**fields: Any) -> Take:
     for side in SIDES:
         hand = track_of(side, turned, pose, transl, camera, doubtful=np.arange(FRAMES) == 2)
         world = hand.joints_3d - hand.joints_3d[:, :1]
-        hand = replace(hand, keypoints_depth=np.zeros((FRAMES, 21)), world_landmarks=world)
+        hand = seen_as(hand, keypoints_depth=np.zeros((FRAMES, 21)), world_landmarks=world)
         touches = np.full((FRAMES, 21), np.nan)
         touches[2, 8] = 4.0
         hands.append(replace(hand, expected_error=np.full((FRAMES, 5), 0.01), touches=touches))

@@ -21,13 +21,12 @@ from handfit_core.capturing.options import CaptureOptions
 from handfit_core.common.errors import OptionError
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, SIDES, Side
 from handfit_core.common.values import Unfit, listed, number
-from handfit_core.detect.clips import TrackedHand, redetect
 from handfit_core.detect.correction.corrected import with_side_judged
 from handfit_core.detect.crops import Crop
-from handfit_core.detect.keypoints import Detections, HandDetection
-from handfit_core.detect.matching import overlaps
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.networks import NETWORK, Networks, Palms
 from handfit_core.detect.search import Search, tiles
+from handfit_core.detect.tracker import HandTracker, TrackedHand
 from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.observation import Observation
 from handfit_core.geometry.camera import Intrinsics
@@ -244,66 +243,46 @@ def _way(first: np.ndarray, last: np.ndarray) -> np.ndarray:
     return rotmat_to_rotvec(np.swapaxes(first, -1, -2) @ last)
 
 
-@dataclass(eq=False)
-class _Track:
-    """A hand that the detector follows, and the votes for its side."""
-
-    tracked: TrackedHand
-    votes: np.ndarray = field(default_factory=lambda: np.zeros(2))
-
-
-class LiveDetector:
+class LiveDetector(HandTracker):
     """The clip's detector for frames that come one by one, of which none is kept. A single hand is seen by
     both landmark networks, or, once it `hurries`, by the faster one, as two hands are."""
 
     def __init__(self, networks: Networks, threshold: float, most: int) -> None:
         """`most`: hands to follow."""
-        self._networks, self._threshold, self._most = networks, threshold, most
+        super().__init__(networks, threshold, most)
         self._search = Search(networks, threshold, plain=True)
         self._wait = 0
         self.hurries = False
-        self.tracks: list[_Track] = []
 
-    def find(self, rgb: np.ndarray) -> list[_Track]:
+    def find(self, rgb: np.ndarray) -> list[TrackedHand]:
         """The hands in the next picture (H, W, 3) uint8 RGB."""
-        before, self.tracks = self.tracks, []
-        self._networks.quality = "draft" if self.hurries or len(before) > 1 else "standard"
+        self._networks.quality = "draft" if self.hurries or len(self.tracked) > 1 else "standard"
         palms = None
-        if len(before) < self._most:
+        if not self.full:
             self._wait -= 1
             if self._wait < 0:
                 palms = self._palms(rgb)
-                self._wait = LIVE.search_interval if before else LIVE.empty_search_interval
-        hands = self._networks.map(lambda networks, t: redetect(networks, rgb, t.tracked), before)
-        for track, hand in zip(before, hands, strict=True):
-            others = [other.tracked.last for other in self.tracks]
-            if hand is not None and _inside(hand, rgb) >= LIVE.kept_inside and not overlaps(hand, others):
-                track.tracked.update(hand)
-                self.tracks.append(track)
-        if len(self.tracks) < len(before) and palms is None:
+                self._wait = LIVE.search_interval if self.tracked else LIVE.empty_search_interval
+        lost = self.follow(rgb, lambda hand: _inside(hand, rgb) >= LIVE.kept_inside)
+        if lost and palms is None:
             palms, self._wait = self._palms(rgb), LIVE.search_interval
         if palms is not None:
-            self._begin(rgb, palms.result())
-        for track in self.tracks:
-            track.tracked.last = self._networks.with_keypoints_2020(rgb, track.tracked.last)
-        return self.tracks
+            margin = LIVE.edge * max(rgb.shape[:2])
+            new = self._search.detect_new(rgb, palms.result(), self.hands)
+            self.begin(hand for hand in new if _inside(hand, rgb, margin) >= 1.0)
+        for tracked in self.tracked:
+            tracked.last = self._networks.with_keypoints_2020(rgb, tracked.last)
+        return self.tracked
 
     def _palms(self, rgb: np.ndarray) -> Future[Palms]:
         """Look for palms in the whole picture, beside whatever else is done."""
         height, width = rgb.shape[:2]
         return self._networks.submit(partial(self._search.detect_palms, rgb, list(tiles(width, height, 1))))
 
-    def _begin(self, rgb: np.ndarray, palms: Palms) -> None:
-        """Begin to follow the hands of these palms that are well inside the picture."""
-        height, width = rgb.shape[:2]
-        for hand in self._search.detect_new(rgb, palms, [track.tracked.last for track in self.tracks]):
-            if len(self.tracks) < self._most and _inside(hand, rgb, LIVE.edge * max(width, height)) >= 1.0:
-                self.tracks.append(_Track(TrackedHand.of(hand, self._threshold)))
 
-
-def _inside(hand: HandDetection, rgb: np.ndarray, margin: float = 0.0) -> float:
+def _inside(hand: Detections, rgb: np.ndarray, margin: float = 0.0) -> float:
     """Share of a hand's keypoints that lie in the picture, `margin` pixels away from its edges."""
-    points, size = hand.keypoints_2d, np.array(rgb.shape[1::-1])
+    points, size = hand.keypoints_2d[0], np.array(rgb.shape[1::-1])
     return float(((points >= margin) & (points <= size - margin)).all(axis=1).mean())
 
 
@@ -484,7 +463,7 @@ class HandFollower:
             self._calibrating_since = seconds
         calibrating = self._calibrating_since is not None
         tracks = self._detector.find(rgb)
-        rows = with_side_judged(Detections.of([[track.tracked.last for track in tracks]])) if tracks else None
+        rows = with_side_judged(self._detector.hands) if tracks else None
         seen = {} if rows is None else self._sided(tracks, rows)
         for side, hand in self._hands.items():
             if rows is not None and side in seen:
@@ -504,7 +483,7 @@ class HandFollower:
         return LivePose(frame.number, seconds, hands, rgb, self._intrinsics)
 
     @staticmethod
-    def _sided(tracks: list[_Track], rows: Detections) -> dict[Side, int]:
+    def _sided(tracks: list[TrackedHand], rows: Detections) -> dict[Side, int]:
         """Which row is the hand of each side. Where two are voted to be of one, the less sure is the
         other's."""
         for track, votes in zip(tracks, rows.side_votes, strict=True):

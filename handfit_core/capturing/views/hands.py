@@ -44,7 +44,7 @@ class ViewedHand(SeenOverTime):
     ) -> ViewedHand:
         """A hand of a take whose frames lie at `times` (T,) seconds."""
         rows = np.flatnonzero(np.asarray(hand.detected) & np.isfinite(hand.transl).all(axis=1))
-        found = hand.detections(rows)
+        found = hand.detections_at(rows)
         betas = np.broadcast_to(hand.betas, (len(rows), len(hand.betas)))
         state = fitter.chain.state(
             betas, hand.global_orient[rows], hand.hand_pose[rows], hand.transl[rows], np.ones(len(rows))

@@ -9,7 +9,7 @@ import numpy as np
 
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.views.pairing import PairingAttempt, attempt_pairing
-from handfit_core.capturing.views.readings import Clip, readings
+from handfit_core.capturing.views.readings import ViewTake, readings
 from handfit_core.capturing.views.rig_file import Rig
 from handfit_core.capturing.views.two_view_fit import fitted_to_both
 from handfit_core.capturing.views.verdict import Evidence, degrees_apart, verdict_of
@@ -20,8 +20,8 @@ from handfit_core.take.views import Verdict
 
 
 def joined(
-    first: Clip,
-    second: Clip,
+    first: ViewTake,
+    second: ViewTake,
     options: CaptureOptions,
     rig: Rig | None = None,
     on_step: Callable[[], None] = lambda: None,
@@ -56,7 +56,7 @@ def joined(
     return fitted_to_both(best, first, options, verdict, on_step)
 
 
-def _verdict(attempt: PairingAttempt, first: Clip, options: CaptureOptions) -> Verdict:
+def _verdict(attempt: PairingAttempt, first: ViewTake, options: CaptureOptions) -> Verdict:
     found = attempt.found
     return verdict_of(
         Evidence(
@@ -74,7 +74,7 @@ def _verdict(attempt: PairingAttempt, first: Clip, options: CaptureOptions) -> V
     )
 
 
-def _likelier_take(first: Clip, second: Clip, why: str) -> Take:
+def _likelier_take(first: ViewTake, second: ViewTake, why: str) -> Take:
     """The take of the view whose hands are likelier right, of one that is not much shorter than the first,
     with a verdict that says why it is alone."""
     takes = first.take, second.take

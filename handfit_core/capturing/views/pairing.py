@@ -11,7 +11,7 @@ import numpy as np
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.views.cameras import Adjusted, CameraPriors, HandPair, adjust
 from handfit_core.capturing.views.hands import ViewedHand
-from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.readings import ViewTake
 from handfit_core.capturing.views.rig_file import Rig
 from handfit_core.capturing.views.sync import OffsetScore, offset_scores
 from handfit_core.capturing.views.verdict import rotation_between
@@ -35,7 +35,7 @@ HAND_LENGTHS: Final = (0.06, 0.28)
 class PairingAttempt:
     """One way to pair the hands of two views, and the cameras found with it."""
 
-    second: Clip
+    second: ViewTake
     mirrored: bool
     hands: list[tuple[int, int]]
     """Indices in both takes, of each pair"""
@@ -123,8 +123,8 @@ class PairingAttempt:
 
 
 def attempt_pairing(
-    first: Clip,
-    second: Clip,
+    first: ViewTake,
+    second: ViewTake,
     options: CaptureOptions,
     rig: Rig | None,
     on_step: Callable[[], None],
@@ -169,7 +169,7 @@ def attempt_pairing(
     return _drop_mismatches(PairingAttempt(second, mirrored, hands, pairs, priors, adjusted, score))
 
 
-def _viewed(fitter: FastFitter, clip: Clip, hand: int) -> ViewedHand:
+def _viewed(fitter: FastFitter, clip: ViewTake, hand: int) -> ViewedHand:
     take = clip.take
     return ViewedHand.of(fitter, take.hands[hand], clip.times, take.fps, take.intrinsics)
 
@@ -180,7 +180,7 @@ def _surest(take: Take, side: Side) -> int | None:
     return max(of_side, key=lambda i: float(np.nansum(take.hands[i].score)), default=None)
 
 
-def _priors(first: Clip, second: Clip, options: CaptureOptions, rig: Rig | None) -> CameraPriors:
+def _priors(first: ViewTake, second: ViewTake, options: CaptureOptions, rig: Rig | None) -> CameraPriors:
     offset_sigma = None if options.offset is None else VIEWS.told_offset_sigma
     if rig is not None:
         focal = tuple(lens.intrinsics.fx for lens in rig.lenses)

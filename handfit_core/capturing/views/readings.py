@@ -18,7 +18,7 @@ from handfit_core.take.fit_quality import error_is_known
 
 
 @dataclass(frozen=True, eq=False)
-class Clip:
+class ViewTake:
     """One view: its take, and whether the file or a person has told the focal length."""
 
     take: Take
@@ -31,7 +31,7 @@ class Clip:
         return (numbers - numbers[0]) / self.take.fps
 
 
-def readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tuple[Clip, bool]]:
+def readings(first: ViewTake, second: ViewTake, options: CaptureOptions) -> Iterator[tuple[ViewTake, bool]]:
     """The second view as it is, and turned back where it may be mirrored."""
     sides = [{hand.side for hand in clip.take.hands} for clip in (first, second)]
     if sides[0] & sides[1]:
@@ -41,17 +41,17 @@ def readings(first: Clip, second: Clip, options: CaptureOptions) -> Iterator[tup
         yield turned, True
     if len(second.take.hands) == 1 and not sides[0] & sides[1]:
         side = first.take.hands[0].side
-        yield _refitted(second, options, lambda hand: (side, hand.detections())), False
+        yield _refitted(second, options, lambda hand: (side, hand.detections)), False
 
 
-def _turned_back(clip: Clip, options: CaptureOptions) -> Clip:
+def _turned_back(clip: ViewTake, options: CaptureOptions) -> ViewTake:
     """The view mirrored, with hands of the other sides."""
     take = clip.take
     camera = replace(take.intrinsics, cx=take.width - take.intrinsics.cx)
     mirror = np.array([-1.0, 1.0, 1.0])
 
     def mirrored(hand: HandTrack) -> tuple[Side, Detections]:
-        found = hand.detections()
+        found = hand.detections
         there = np.array([take.width, 0.0, 0.0])
         older = found.keypoints_2020
         return SIDES[1 - SIDES.index(hand.side)], replace(
@@ -66,8 +66,8 @@ def _turned_back(clip: Clip, options: CaptureOptions) -> Clip:
 
 
 def _refitted(
-    clip: Clip, options: CaptureOptions, read: Callable[[HandTrack], tuple[Side, Detections]]
-) -> Clip:
+    clip: ViewTake, options: CaptureOptions, read: Callable[[HandTrack], tuple[Side, Detections]]
+) -> ViewTake:
     """The view with its hands fitted anew, to what `read` makes of their detections."""
     take, hands = clip.take, []
     for hand in take.hands:

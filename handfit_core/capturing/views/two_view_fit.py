@@ -11,7 +11,8 @@ from handfit_core.capturing.fitting import hand_track
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.retiming import sampled
 from handfit_core.capturing.views.pairing import PairingAttempt
-from handfit_core.capturing.views.readings import Clip, track_of
+from handfit_core.capturing.views.readings import ViewTake, track_of
+from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.keypoints import Detections
 from handfit_core.fit.fast import Guess, fit_observed, fitter_of
 from handfit_core.fit.settings import VIEWS
@@ -26,7 +27,7 @@ from handfit_core.take.views import Cameras, SeenHand, Verdict, View
 
 def fitted_to_both(
     attempt: PairingAttempt,
-    first: Clip,
+    first: ViewTake,
     options: CaptureOptions,
     verdict: Verdict,
     on_step: Callable[[], None],
@@ -65,8 +66,7 @@ def fitted_to_both(
 
 
 def _kept(hand: HandTrack, rows: np.ndarray) -> Detections:
-    found = hand.detections()
-    return found.select(np.isin(found.frame, rows))
+    return hand.detections.select(np.isin(hand.detections.frame, rows))
 
 
 def _fit_alone(hand: HandTrack, take: Take, camera: Intrinsics, options: CaptureOptions) -> HandTrack:
@@ -75,7 +75,7 @@ def _fit_alone(hand: HandTrack, take: Take, camera: Intrinsics, options: Capture
         return replace(hand, seen_by=(None,))
     model = load_model(options.model, hand.side)
     fitter = fitter_of(model, options.hand_length)
-    track = track_of(take, hand, hand.side, hand.detections())
+    track = track_of(take, hand, hand.side, hand.detections)
     fit = fit_observed(options.smoothing, fitter, track, fitter.observe(track.detections, camera))
     return replace(hand_track(model, track, fit, camera), seen_by=(None,))
 
@@ -98,7 +98,9 @@ def _fit(
     return fit, second.rows[near * min(first.fps, second.fps) < 1.0 - 1e-6]
 
 
-def _filled(fit: HandMotion, first: Clip, at: int, attempt: PairingAttempt) -> tuple[HandMotion, np.ndarray]:
+def _filled(
+    fit: HandMotion, first: ViewTake, at: int, attempt: PairingAttempt
+) -> tuple[HandMotion, np.ndarray]:
     """The motion with the second view's hand, turned into the first camera's frame, where the first view has
     none, and the second view's rows (K,) that gave it. Next to frames that both views have, it is turned and
     moved by what lies between them, and so on up to the next such frames."""
@@ -145,15 +147,6 @@ def _filled(fit: HandMotion, first: Clip, at: int, attempt: PairingAttempt) -> t
 
 
 def _seen(hand: HandTrack, used: np.ndarray) -> SeenHand:
-    assert hand.keypoints_depth is not None
-    assert hand.world_landmarks is not None
-    return SeenHand(
-        hand.keypoints_2d,
-        np.asarray(hand.detected),
-        np.isin(np.arange(len(hand.detected)), used),
-        hand.score,
-        hand.keypoints_depth,
-        hand.world_landmarks,
-        hand.keypoints_2020,
-        hand.overlapped,
-    )
+    found = hand.detections
+    named = replace(found, side=np.full(len(found), SIDES.index(hand.side)), right_side=None)
+    return SeenHand(np.isin(np.arange(len(hand.detected)), used), named)

@@ -20,7 +20,7 @@ BATCH: Final = 512
 
 
 @dataclass(frozen=True)
-class Second:
+class SecondNetworkWeights:
     """Weights of the landmark network of December 2020: of its depth, and of where both networks differ."""
 
     depth: float = 0.4
@@ -40,11 +40,11 @@ class Second:
     """Share of the difference of both depths that is added to the depth's expected error"""
 
 
-SECOND: Final = Second()
+SECOND_NETWORK: Final = SecondNetworkWeights()
 
 
 @dataclass(frozen=True)
-class Trust:
+class BlendWeights:
     """Weights by which the detector's landmarks and the correction network's are blended."""
 
     plane: float = 0.3
@@ -68,24 +68,24 @@ class Trust:
     time, and takes fingers of the other for that one's. Guessed points have it, too"""
 
 
-TRUST: Final = Trust()
+BLEND: Final = BlendWeights()
 
 
-def landmarked(hands: Detections, side: Side, trust: Trust = TRUST) -> Landmarked:
+def landmarked(hands: Detections, side: Side, blend: BlendWeights = BLEND) -> Landmarked:
     """Corrected landmarks of N hands, all taken for ones of that side. The network does not run for those
     whose `corrected` is of that side. Points that are `overlapped` have larger expected errors."""
     sides = np.full(len(hands), SIDES.index(side))
-    if hands.corrected is None or trust != TRUST:
-        table, _ = corrected(hands, sides, trust)
+    if hands.corrected is None or blend != BLEND:
+        table, _ = corrected(hands, sides, blend)
     else:
         table, missing = hands.corrected, np.flatnonzero(hands.corrected_side != sides)
         if len(missing):
             table = table.copy()
-            table[missing], _ = corrected(hands.select(missing), sides[missing], trust)
+            table[missing], _ = corrected(hands.select(missing), sides[missing], blend)
     landmarks = Landmarked.of_table(table)
     if hands.overlapped is None:
         return landmarks
-    factor = np.where(hands.overlapped, trust.overlapped, 1.0)
+    factor = np.where(hands.overlapped, blend.overlapped, 1.0)
     return replace(
         landmarks,
         pixel_sigma=landmarks.pixel_sigma * factor[..., None],
@@ -96,25 +96,29 @@ def landmarked(hands: Detections, side: Side, trust: Trust = TRUST) -> Landmarke
 def with_side_judged(hands: Detections) -> Detections:
     """Hands with `right_side` and `corrected` filled in."""
     table, probability = corrected(hands, hands.side)
-    odds = TRUST.detector_odds * probability / np.maximum(1.0 - probability, 1e-9)
+    odds = BLEND.detector_odds * probability / np.maximum(1.0 - probability, 1e-9)
     return replace(hands, right_side=odds / (1.0 + odds), corrected_side=hands.side, corrected=table)
 
 
-def corrected(hands: Detections, sides: np.ndarray, trust: Trust = TRUST) -> tuple[np.ndarray, np.ndarray]:
+def corrected(
+    hands: Detections, sides: np.ndarray, blend: BlendWeights = BLEND
+) -> tuple[np.ndarray, np.ndarray]:
     """Corrected landmarks of N hands taken for ones of those sides, (N,) indices in `SIDES`: a
     `Landmarked.table` (N, 21, 6), and the probability (N,) that they are of these sides."""
     table, probability = np.empty((len(hands), NUM_KEYPOINTS, 6)), np.empty(len(hands))
     for part in slices(len(hands), BATCH):
-        found, probability[part] = _correct_batch(hands.select(part), sides[part], trust)
+        found, probability[part] = _correct_batch(hands.select(part), sides[part], blend)
         table[part] = found.table
     return table, probability
 
 
-def _correct_batch(hands: Detections, sides: np.ndarray, trust: Trust) -> tuple[Landmarked, np.ndarray]:
+def _correct_batch(
+    hands: Detections, sides: np.ndarray, blend: BlendWeights
+) -> tuple[Landmarked, np.ndarray]:
     seen = canonical(hands, sides)
     correction = landmark_network()(seen)
-    blend = np.array([trust.plane, trust.plane, trust.depth])
-    canonical_points = seen.fused + blend * (correction.points - seen.fused)
+    share = np.array([blend.plane, blend.plane, blend.depth])
+    canonical_points = seen.fused + share * (correction.points - seen.fused)
     canonical_points[..., 2] -= canonical_points[..., 2].mean(axis=1, keepdims=True)
     doubted, depths_apart = np.ones(len(hands)), np.zeros((len(hands), NUM_KEYPOINTS))
     asked = hands.asked_2020
@@ -123,23 +127,25 @@ def _correct_batch(hands: Detections, sides: np.ndarray, trust: Trust) -> tuple[
         other[..., 2] -= other[..., 2].mean(axis=1, keepdims=True)
         apart = disagreement(canonical_points, other)
         weight = np.empty(other.shape[:2])
-        weight[:] = (SECOND.depth * np.clip(SECOND.agree / apart, SECOND.least, 1.0))[:, None]
+        weight[:] = (SECOND_NETWORK.depth * np.clip(SECOND_NETWORK.agree / apart, SECOND_NETWORK.least, 1.0))[
+            :, None
+        ]
         crossing = Crossing.of(canonical_points[..., :2])
         deeper = crossing.deeper(canonical_points[..., 2]) * crossing.deeper(other[..., 2])
         disputed = np.any(crossing.crossed & (deeper < 0.0), axis=1, keepdims=True)
-        weight[:, _THUMB] = np.where(disputed, SECOND.thumb, weight[:, _THUMB])
+        weight[:, _THUMB] = np.where(disputed, SECOND_NETWORK.thumb, weight[:, _THUMB])
         difference = other[asked, :, 2] - canonical_points[asked, :, 2]
         canonical_points[asked, :, 2] += weight[asked] * difference
-        depths_apart[asked] = SECOND.depth_doubted * np.abs(difference)
-        doubted[asked] = np.clip(apart / SECOND.doubted, 1.0, SECOND.most_doubted)[asked]
+        depths_apart[asked] = SECOND_NETWORK.depth_doubted * np.abs(difference)
+        doubted[asked] = np.clip(apart / SECOND_NETWORK.doubted, 1.0, SECOND_NETWORK.most_doubted)[asked]
     points = seen.to_picture(canonical_points)
     # The least expected error is in pixels, or landmarks in one place would be surer than anything
-    sigma = np.maximum(np.maximum(correction.sigma, trust.floor) * seen.size[:, None, None], 0.1)
-    sigma[:, [5, 9, 13, 17]] *= trust.knuckles
-    plane = trust.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
+    sigma = np.maximum(np.maximum(correction.sigma, blend.floor) * seen.size[:, None, None], 0.1)
+    sigma[:, [5, 9, 13, 17]] *= blend.knuckles
+    plane = blend.plane_sigma * sigma[..., :2].mean(axis=-1, keepdims=True).repeat(2, axis=-1)
     plane *= doubted[:, None, None]
     depth = points[..., 2] - points[..., 2].mean(axis=1, keepdims=True)
-    depth_sigma = np.hypot(trust.depth_sigma * sigma[..., 2], depths_apart * seen.size[:, None])
+    depth_sigma = np.hypot(blend.depth_sigma * sigma[..., 2], depths_apart * seen.size[:, None])
     return Landmarked(points[..., :2], plane, depth, depth_sigma), correction.right_side
 
 

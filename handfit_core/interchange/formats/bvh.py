@@ -345,5 +345,12 @@ def _degrees(rotmat: np.ndarray) -> np.ndarray:
     return np.degrees(np.unwrap(np.stack([z, x, y], axis=-1), axis=0))
 
 
-READER = Reader("BVH", "a .bvh with finger bones", _recognises, _read)
+READER = Reader(
+    "BVH",
+    "a .bvh with finger bones, of any names",
+    _recognises,
+    _read,
+    met="Blender's exporter (2026-11)",
+    assumed="the unit, by the hands' size; up, by the body",
+)
 WRITER = Writer("BVH", (".bvh",), _write)

@@ -223,5 +223,9 @@ def _frames_of(places: np.ndarray, quats: np.ndarray) -> tuple[np.ndarray, bool]
 
 
 READER = Reader(
-    "OpenXR and WebXR", "JSON of frames with 25 or 26 joints a hand", _recognises, _read, unseen=True
+    "OpenXR and WebXR",
+    "JSON of frames with 25 or 26 joints a hand, with orientations",
+    _recognises,
+    _read,
+    assumed="the mean hand's shape",
 )

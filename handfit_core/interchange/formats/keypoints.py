@@ -17,8 +17,8 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.interchange.document import Document, Table
 from handfit_core.interchange.json_points import JsonFrames, hands_in, keyed, objects_in, some_contents
 from handfit_core.interchange.point_hands import ParsedHands, ParsedPoints
-from handfit_core.interchange.point_names import is_apple
-from handfit_core.interchange.point_reader import PointLayout, is_hand_table
+from handfit_core.interchange.point_names import XR_NAMES, is_apple, short
+from handfit_core.interchange.point_reader import PointLayout, arrays_of, is_hand_table
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.table_points import columns_of
 
@@ -29,7 +29,7 @@ def _from_minus_one(frames: JsonFrames) -> bool:
     """Whether what is told of anybody lies between -1 and 1 (--keypoint_scale 4), where a missing point is at
     (-1, -1), with the others at (0, 0)."""
     contents = (content for content in frames.contents if isinstance(content, Mapping))
-    people = [keyed(human) for content in contents for human in content["people"]]
+    people = [keyed(human) for content in contents for human in content.get("people", ())]
     lists = [value for human in people for key, value in human.items() if "keypoints" in key and value]
     if not lists:
         return False
@@ -43,32 +43,156 @@ def _from_minus_one(frames: JsonFrames) -> bool:
 OPENPOSE: Final = PointLayout(
     "openpose",
     "OpenPose",
-    "JSON files with people and hand_left_keypoints_2d, one a frame",
+    "JSON with people, a file a frame, with hands or whole bodies",
     "https://github.com/CMU-Perceptual-Computing-Lab/openpose/blob/master/doc/02_output.md",
-    marks=("people",),
+    marks=("people", "bodies version"),
     columns="xyc",
-    people="people",
+    people="people bodies",
+    order="mediapipe",
     persons="told",
+    met="OpenPose 1.2, in MocapNET (2026-11)",
+    assumes="no hands below 0.2 in the mean",
     least=0.2,  # --hand_render_threshold: OpenPose does not draw less sure hands
     halved=_from_minus_one,
-    hint=" (written with --hand)",
-    unseen=True,
+    hint="; OpenPose writes hands with --hand",
 )
 
 MMPOSE: Final = PointLayout(
     "mmpose",
     "MMPose",
-    "JSON of its inferencer or demos, with instances of 133 whole-body or 21 hand keypoints",
+    "JSON of its inferencer or demos, of whole bodies or hands",
     "https://github.com/open-mmlab/mmpose/blob/main/mmpose/structures/utils.py",
     marks=("keypoints keypoint_scores", "instance_info", "instances frame_id"),
     columns="xy",
     people="instances",
-    # COCO-WholeBody, Halpe, and hands alone
-    parts={133: {"left": 91, "right": 112}, 136: {"left": 94, "right": 115}, NUM_KEYPOINTS: {None: 0}},
     persons="told",
+    assumes="no hands below 0.3 in the mean",
     least=0.3,  # --kpt-thr: the demos draw no less sure point
-    unseen=True,
+    hint="; a whole-body or a hand model writes some",
 )
+
+
+COCO: Final = PointLayout(
+    "coco-wholebody",
+    "COCO-WholeBody",
+    "annotations with lefthand_kpts",
+    "https://github.com/jin-s13/COCO-WholeBody/blob/master/data_format.md",
+    marks=("lefthand_kpts righthand_kpts",),
+    columns="xyc",
+    grouped=True,
+    people="annotations",
+    order="mediapipe",
+    persons="told",
+    assumes="frames are the pictures' ids",
+)
+
+ALPHAPOSE: Final = PointLayout(
+    "alphapose",
+    "AlphaPose",
+    "a list of image_id and keypoints, of Halpe or COCO-WholeBody",
+    "https://github.com/MVIG-SJTU/AlphaPose/blob/master/docs/output.md",
+    marks=("image_id keypoints score",),
+    columns="xyc",
+    grouped=True,
+    people="annotations",
+    order="mediapipe",
+    persons="told",
+    assumes="frames, by pictures' names",
+    least=0.2,
+    hint="; a Halpe or COCO-WholeBody model writes some",
+)
+
+
+def _interhand(frame: Any) -> Any:
+    """Its frame's points, the right hand's before the left hand's, where they are valid."""
+    points = [
+        p if v else None for p, v in zip(frame["world_coord"], np.ravel(frame["joint_valid"]), strict=True)
+    ]
+    return [{"side": s, "points": points[i : i + 21]} for s, i in (("right", 0), ("left", 21))]
+
+
+INTERHAND: Final = PointLayout(
+    "interhand",
+    "InterHand2.6M",
+    "a capture's world_coord and joint_valid",
+    "https://mks0601.github.io/InterHand2.6M",
+    marks=("world_coord joint_valid",),
+    columns="xyz",
+    hands=_interhand,
+    order="interhand",
+    persons="one",
+    units={"millimetres": 1e-3},
+    up="camera",
+    assumed=("its world's axes are taken for the camera's: x right, y down, z away",),
+    assumes="the world's axes are the camera's",
+)
+
+ARIA: Final = PointLayout(
+    "aria",
+    "Aria",
+    "the glasses' hand_tracking_results.csv",
+    "https://facebookresearch.github.io/projectaria_tools/docs/data_formats/mps/hand_tracking",
+    table=lambda table: {"tracking_timestamp_us", "tx_left_landmark_0_device"} <= set(table.columns),
+    order="aria",
+    persons="one",
+    units={"metres": 1.0},
+    up="aria",
+    assumed=("its glasses are taken for the camera",),
+    on_joints=True,
+    met="projectaria_tools' mps_sample (2026-11)",
+    assumes="the glasses are the camera",
+)
+
+XR_POINTS: Final = PointLayout(
+    "xr-points",
+    "A headset's joints",
+    "places of joints by OpenXR's, MRTK's or visionOS' names",
+    "https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html",
+    table=lambda table: is_hand_table(table) and _names_xr(table.columns),
+    recognises=lambda document: any(map(_names_xr_hand, map(objects_in, some_contents(document)))),
+    columns="xyz",
+    order="mediapipe",
+    persons="one",
+    units={"metres": 1.0, "centimetres": 1e-2, "millimetres": 1e-3},
+    on_joints=True,
+    mirrored=True,
+    sigma=0.003,
+    met="HoloLens 2, by bluewolf2735 (2026-11)",
+    assumed=("y is up, and z leads towards who looks",),
+    assumes="y up; z, by how fingers bend",
+)
+
+TRC: Final = PointLayout(
+    "trc",
+    "OpenSim's markers",
+    "a .trc whose markers are points of hands",
+    "https://simtk-confluence.stanford.edu/display/OpenSim/Marker+(.trc)+Files",
+    table=lambda table: table.is_trc,
+    persons="one",
+    units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
+    assumed=("y is up, as in OpenSim",),
+    assumes="y up; the unit, by the palm",
+)
+
+ARRAYS: Final = PointLayout(
+    "arrays",
+    "Points in an array",
+    "a .npy, .npz or table of numbers: frames by points by x, y (z)",
+    "docs/interchange.md",
+    recognises=lambda document: bool(arrays_of(document)),
+    units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
+    up="camera",
+    assumes="the camera's axes; the unit, by the palm",
+)
+
+
+def _names_xr(names: Iterable[str]) -> bool:
+    """True if most joints are called as headsets call them."""
+    return sum(short(name).removesuffix("x") in XR_NAMES for name in names) >= 8
+
+
+def _names_xr_hand(objects: Iterable[Mapping[str, Any]]) -> bool:
+    return any(_names_xr(islice(each, 100)) for each in objects)
 
 
 def _names_apples(rows: Iterable[Iterable[str]]) -> bool:
@@ -79,13 +203,14 @@ def _names_apples(rows: Iterable[Iterable[str]]) -> bool:
 APPLE_VISION: Final = PointLayout(
     "apple-vision",
     "Apple Vision",
-    "JSON or CSV with points by its names, such as VNHLKITIP or indexTip",
+    "JSON or CSV with its names (VNHLKITIP, indexTip)",
     "https://developer.apple.com/documentation/vision/vnhumanhandposeobservation",
     table=lambda table: is_hand_table(table) and _names_apples((table.columns, *table.rows[:50])),
     recognises=lambda document: any(map(_names_apples, map(objects_in, some_contents(document)))),
     columns="xy xyc xyzc",
+    order="mediapipe",
+    assumes="parts of the picture from below, or pixels",
     from_below=True,
-    unseen=True,
 )
 
 
@@ -109,10 +234,13 @@ def _first_hand(frame: Any) -> bool:
 MEDIAPIPE: Final = PointLayout(
     "mediapipe",
     "MediaPipe",
-    "JSON or CSV with 21 landmarks a hand, whoever has written it",
+    "JSON or CSV with 21 landmarks a hand, of anybody",
     "https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker",
     table=is_hand_table,
     recognises=_has_hand,
+    grouped=True,
+    met="MediaPipe (2026-11)",
+    assumes="the order, by the bones; the sides, by the fingers",
 )
 
 
@@ -159,7 +287,7 @@ def _of_arrays(document: Document) -> ParsedPoints | None:
 
 def _in_space(table: Table) -> bool:
     """Whether columns name both points and sides, and hold lengths rather than parts of a picture."""
-    columns = columns_of(table)
+    columns = None if table.is_trc else columns_of(table)
     if columns is None or any(column.side is None or column.world for column in columns):
         return False
     wrist = {
@@ -177,16 +305,19 @@ def _in_space(table: Table) -> bool:
 FREEMOCAP: Final = PointLayout(
     "freemocap",
     "FreeMoCap",
-    "output_data with *left_hand_3d_xyz.npy, one such file, or a table of trajectories",
+    "output_data, its arrays or its tables, of versions 1 and 2",
     "https://github.com/freemocap/freemocap/tree/main/freemocap/system/paths_and_filenames",
-    table=_in_space,
-    recognises=lambda document: bool(_arrays(document)),
+    table=lambda table: {"keypoint", "trajectory"} <= set(table.columns) or _in_space(table),
+    recognises=lambda document: (
+        bool(_arrays(document)) or (document.npy is not None and document.npy.shape[1:] == (553, 3))
+    ),
     read=_of_arrays,
+    order="mediapipe",
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
     first=0,
+    assumes="Z up, Y away from who looks; the unit, by the palm",
     assumed=("Z is up, and Y leads away from who looks",),
-    unseen=True,
 )
 
 
@@ -231,11 +362,14 @@ LEAP: Final = PointLayout(
     marks=("hands pointables", "digits"),
     columns="xyz",
     hands=_leap_hands,
+    order="mediapipe",
     persons="one",
     units={"millimetres": 1e-3},
     up="y",
     on_joints=True,
     sigma=0.003,
+    met="leapjs' frames (2026-11)",
+    assumes="the device lies on a table",
     assumed=("the device lies on a table and looks up: y is up",),
 )
 
@@ -269,7 +403,7 @@ def _own_points(document: Document) -> ParsedPoints:
             points[..., 3] = np.nan_to_num(np.array(hand["confidence"], dtype=np.float64))
     each, row = (index.ravel() for index in np.indices(told.shape[:2]))
     side = np.array([SIDES.index(side) for side, _ in hands], dtype=int)[each]
-    found = ParsedHands.of(row, side, each, np.full(len(row), np.nan), told)
+    found = ParsedHands.of(row, side, each, np.full(len(row), np.nan), told.reshape(-1, NUM_KEYPOINTS, 4))
     fps = number("fps", header["fps"], 1e-3, 1e6) if "fps" in header else 0.0
     return ParsedPoints(numbers, found, fps, size, camera, in_space)
 
@@ -277,13 +411,15 @@ def _own_points(document: Document) -> ParsedPoints:
 POINTS: Final = PointLayout(
     "points",
     "Points",
-    "the JSON of docs/interchange.md",
+    "our JSON",
     "docs/interchange.md",
     recognises=lambda document: (
         isinstance(document.json, dict) and document.json.get("format") == "handfit-points"
     ),
     read=_own_points,
+    order="mediapipe",
     persons="one",
+    met="ours",
     on_joints=True,
     sigma=None,
     ours=True,
@@ -292,13 +428,15 @@ POINTS: Final = PointLayout(
 POINTS_TABLE: Final = PointLayout(
     "points-table",
     "Points as a table",
-    "the CSV of docs/interchange.md",
+    "our CSV",
     "docs/interchange.md",
     table=lambda table: any(
         {"frame", "side", "point", *axes.split()} <= set(table.columns)
         for axes in ("x_px y_px", "x_m y_m z_m")
     ),
+    order="mediapipe",
     persons="one",
+    met="ours",
     on_joints=True,
     sigma=None,
     ours=True,

@@ -15,8 +15,11 @@ from handfit_core.interchange.skeletons import UP_AXES
 from handfit_core.interchange.writers import Writer
 from handfit_core.take import Take
 
-_HANDS: Final[dict[Side, slice]] = {"left": slice(75, 120), "right": slice(120, 165)}
-_WRISTS: Final[dict[Side, slice]] = {"left": slice(60, 63), "right": slice(63, 66)}
+_COLUMNS: Final[dict[Side, tuple[slice, slice]]] = {
+    "left": (slice(60, 63), slice(75, 120)),
+    "right": (slice(63, 66), slice(120, 165)),
+}
+"""Of a wrist and of its fingers among a body's poses"""
 
 
 def _write_smplx(take: Take, path: Path) -> None:
@@ -26,9 +29,9 @@ def _write_smplx(take: Take, path: Path) -> None:
     poses = np.zeros((len(frames.numbers), 165))
     present = np.zeros((len(poses), 2), dtype=bool)
     for side, hand in frames.hands.items():
-        poses[:, _HANDS[side]] = hand.hand_pose
-        turned = UP_AXES["y"] @ rotvec_to_rotmat(hand.global_orient)
-        poses[:, _WRISTS[side]] = rotmat_to_rotvec(turned)
+        wrist, fingers = _COLUMNS[side]
+        poses[:, wrist] = rotmat_to_rotvec(UP_AXES["y"] @ rotvec_to_rotmat(hand.global_orient))
+        poses[:, fingers] = hand.hand_pose
         present[:, SIDES.index(side)] = frames.present[side]
     _written(
         path,

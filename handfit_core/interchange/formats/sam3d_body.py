@@ -9,7 +9,6 @@ them is `pred_keypoints_2d`, so that the two tell what camera it is.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -41,46 +40,40 @@ hand in size and pose; single hands differ from them by 0.4 to 1.1 mm. The other
 
 
 def _recognises(document: Document) -> bool:
-    files = document.files(".npz")[:1] or [document.path]
-    return _is_one(Document(files[0]) if document.is_folder else document)
-
-
-def _is_one(document: Document) -> bool:
-    return {"pred_keypoints_3d", "pred_cam_t", "mhr_model_params"} <= set(document.names)
+    file = Document(document.files(".npz")[0]) if document.files(".npz") else document
+    return {"pred_keypoints_3d", "pred_cam_t", "mhr_model_params"} <= set(file.names)
 
 
 def _read(document: Document, asked: ReadOptions) -> Recording:
-    path = shown(document.path)
-    files = document.files(".npz") or [document.path]
+    path, files = shown(document.path), document.files(".npz") or [document.path]
     found: dict[tuple[int, int], Path] = {}
     for row, file in enumerate(files):
-        other = found.setdefault(_person_and_frame(file, row, len(files)), file)
-        if other is not file:
+        if (other := found.setdefault(_person_and_frame(file, row, len(files)), file)) is not file:
             raise InputError(
                 f"{path}: {shown(other.name)} and {shown(file.name)} are of one frame and person; name the "
                 "files FRAME_personNUMBER.npz"
             )
     people = sorted({person for person, _ in found})
-    if asked.person is not None:
-        if asked.person > len(people):
-            raise OptionError(f"{path}: there is no person {asked.person}; there are {len(people)}")
-        people = people[asked.person - 1 : asked.person]
-    numbers = np.array(sorted({frame for person, frame in found if person in people}))
+    if asked.person is not None and asked.person > len(people):
+        raise OptionError(f"{path}: there is no person {asked.person}; there are {len(people)}")
+    people = people if asked.person is None else people[asked.person - 1 : asked.person]
+    found = {of: file for of, file in found.items() if of[0] in people}
+    numbers = np.array(sorted({frame for _, frame in found}))
     LIMITS.check(document.path, len(numbers), 2 * len(people))
     points = np.full((len(people), len(numbers), 2, NUM_KEYPOINTS, 3), np.nan)
-    cameras: list[np.ndarray | None] = []
-    for (person, frame), file in found.items():
-        if person in people:
-            body, camera = _body(Document(file))
-            cameras.append(camera)
-            row = np.searchsorted(numbers, frame)
-            points[people.index(person), row] = [body[_FIRST[side] + _OURS] for side in SIDES]
-    camera, size = _shared(cameras)
-    said = "the camera is not told: the hands are put before one of their own"
-    if size is not None:
+    cameras = np.full((len(found), 3), np.nan)
+    for row, ((person, frame), file) in enumerate(found.items()):
+        body, cameras[row] = _body(Document(file))
+        hands = [body[_FIRST[side] + _OURS] for side in SIDES]
+        points[people.index(person), np.searchsorted(numbers, frame)] = hands
+    said, size, camera = "the camera is not told: the hands are put before one of their own", None, None
+    focal, x, y = np.median(cameras, axis=0).tolist()
+    # All files tell one and the same camera
+    if focal > 0.0 and np.abs(cameras - [focal, x, y]).max() < 0.01 * focal:
+        size, camera = (max(1, round(2.0 * x)), max(1, round(2.0 * y))), Intrinsics(focal, focal, x, y)
         said = f"its pictures have {size[0]}x{size[1]} pixels, about the middle of its camera"
+    # 2 mm: how far MHR's joints lie off ours once a hand is laid over them
     hands = [
-        # Metres that MHR's joints lie off ours once a hand is laid over them
         PointsHand(side, points[person, :, which], landmarks=MHR_LANDMARKS, sigma=0.002)
         for person in range(len(people))
         for which, side in enumerate(SIDES)
@@ -95,20 +88,19 @@ def _person_and_frame(file: Path, row: int, count: int) -> tuple[int, int]:
     """What a file is of, by its name: `0007_person1`, `img_subj01`, `0007`. The only number of a name that
     tells the person leaves the frame at 1; names without numbers go by their order."""
     found = _PERSON.search(file.stem)
-    person = int(found[1]) if found else 0
-    rest = file.stem[: found.start()] + file.stem[found.end() :] if found else file.stem
-    last: Sequence[str] = re.findall(r"\d+(?!d)", rest)  # no 3d
+    person, rest = (int(found[1]), file.stem.replace(found[0], "", 1)) if found else (0, file.stem)
+    last = re.findall(r"\d+(?!d)", rest)  # no 3d
     frame = int(last[-1]) if last else 1 if found or count == 1 else row + 1
     if max(frame, person) >= 1 << 31:
         raise InputError(f"{shown(file)}: the number in this name is too large for a frame's")
     return person, frame
 
 
-def _body(document: Document) -> tuple[np.ndarray, np.ndarray | None]:
+def _body(document: Document) -> tuple[np.ndarray, np.ndarray]:
     """(70, 3) metres in the camera frame, and (3,) focal length and principal point, pixels, of the camera
-    that sees them where the file says; None where it does not."""
+    that sees them; NaN where the file does not say."""
     path = shown(document.path)
-    if document.npz is None or not _is_one(document):
+    if document.npz is None or not _recognises(document):
         raise InputError(
             f"{path}: expected a result of SAM 3D Body, with pred_keypoints_3d, pred_cam_t and "
             f"mhr_model_params; this is {document.found}"
@@ -124,7 +116,7 @@ def _body(document: Document) -> tuple[np.ndarray, np.ndarray | None]:
             raise InputError(f"{path}: {name} holds numbers that are none, or too large")
     body = told["pred_keypoints_3d"].reshape(70, 3) + told["pred_cam_t"].reshape(3)
     if "pred_keypoints_2d" not in told:
-        return body, None
+        return body, np.full(3, np.nan)
     if not (body[:, 2] > 0.0).all():
         raise InputError(
             f"{path}: pred_keypoints_3d + pred_cam_t lie behind the camera, expected metres with z forward"
@@ -142,16 +134,11 @@ def _body(document: Document) -> tuple[np.ndarray, np.ndarray | None]:
     return body, np.asarray(camera)
 
 
-def _shared(cameras: list[np.ndarray | None]) -> tuple[Intrinsics | None, tuple[int, int] | None]:
-    """The camera of all files, and the size of its picture about its middle; None where they do not tell one
-    and the same."""
-    told = np.array([camera for camera in cameras if camera is not None])
-    if len(told) < len(cameras):
-        return None, None
-    focal, x, y = np.median(told, axis=0).tolist()
-    if focal <= 0.0 or np.abs(told - [focal, x, y]).max() >= 0.01 * focal:
-        return None, None
-    return Intrinsics(focal, focal, x, y), (max(1, round(2.0 * x)), max(1, round(2.0 * y)))
-
-
-READER = Reader("SAM 3D Body", "an .npz a person, or a folder of them", _recognises, _read)
+READER = Reader(
+    "SAM 3D Body",
+    "an .npz a person, or a folder of them",
+    _recognises,
+    _read,
+    "four results (2026-11)",
+    "the picture's size, by its camera's centre",
+)

@@ -48,6 +48,7 @@ GIVEN: dict[str, tuple[Any, str, Any]] = {
     "max_megapixels": (300, "300", 300.0),
     "keypoints": ("k.json", "k.json", "k.json"),
     "reader": ("openpose", "openpose", "openpose"),
+    "order": ("interhand", "interhand", "interhand"),
     "person": (2, "2", 2),
     "fps": (30, "30", 30.0),
     "picture_size": ([1920, 1080], "1920x1080", (1920, 1080)),

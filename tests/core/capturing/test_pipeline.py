@@ -30,7 +30,7 @@ from handfit_core.common.errors import (
 from handfit_core.common.registry import Registry
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.detector import DETECTORS, Backend, Detector
-from handfit_core.detect.keypoints import HandDetection, Track
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.solvers import SOLVERS, Solver, TrackSolver, get_solver
 from handfit_core.geometry.lens import Lens
 from handfit_core.geometry.similarity import align
@@ -42,6 +42,7 @@ from handfit_core.media.opening import open_media
 from handfit_core.tasks import report
 from tests.conftest import ROOT
 from tests.core.fit.detections import track_of
+from tests.takes import seen_as
 
 SAMPLE = ROOT / "samples" / "rendered_hand"
 PATTERN, PHOTO = str(SAMPLE / "hand.%04d.jpg"), SAMPLE / "hand.0001.jpg"
@@ -99,7 +100,7 @@ def test_a_take_is_consistent(take):
     np.testing.assert_allclose(hand.reprojection_error, errors)
     assert np.all(hand.score > 0.5)
     assert hand_summaries(take)[0]["mean_reprojection_error_px"] == pytest.approx(errors.mean())
-    nowhere = replace(hand, detected=np.zeros(6, dtype=bool))
+    nowhere = seen_as(hand, detected=np.zeros(6, dtype=bool))
     assert hand_summaries(replace(take, hands=(nowhere,)))[0]["mean_reprojection_error_px"] is None
 
 
@@ -172,7 +173,7 @@ def test_a_take_keeps_what_the_solver_was_given(two_right_hands, monkeypatch):
     take = capture(two_right_hands, hands="both")
     assert [hand.side for hand in take.hands] == ["right", "left"]
     for hand, track in zip(take.hands, given, strict=True):
-        detected, kept = track.detections, hand.detections()
+        detected, kept = track.detections, hand.detections
         assert kept.side == detected.side == [SIDES.index("right")]
         assert (kept.score, kept.right_side) == (detected.score, detected.right_side)
         np.testing.assert_array_equal(kept.keypoints, detected.keypoints)
@@ -216,7 +217,7 @@ def test_frames_per_second_that_are_used(numbers, rate):
 def test_filled_frames_have_a_pose_but_nothing_seen():
     truth = Take.load(SAMPLE / "truth.take.npz").hands[0]
     keypoints = np.concatenate([truth.keypoints_2d[0], np.zeros((21, 1))], axis=1)
-    found = HandDetection("right", 0.9, keypoints, np.zeros((21, 3)))
+    found = Detections.hand("right", 0.9, keypoints, np.zeros((21, 3)))
     rows = [np.array(a[:3]) for a in (truth.global_orient, truth.hand_pose, truth.transl)]
     for row in rows:
         row[2] = np.nan
@@ -230,10 +231,9 @@ def test_filled_frames_have_a_pose_but_nothing_seen():
         assert np.isfinite(seen_only[0]).all()
         assert np.isnan(seen_only[1:]).all()
     assert track.doubtful is None  # nobody looked
-    assert track.keypoints_depth is not None
-    assert track.right_side is not None
-    assert np.isnan(track.keypoints_depth[1:]).all()
-    assert np.isnan(track.right_side).all()  # nobody judged
+    assert track.refinable
+    assert track.detections.frame.tolist() == [0]
+    assert np.isnan(track.detections.right_side).all()  # nobody judged
 
 
 @pytest.mark.parametrize("detector", ["direct", "mediapipe", "other"])
@@ -295,7 +295,7 @@ def test_what_cannot_be_captured(options, error, said, tmp_path, monkeypatch):
         capture(PHOTO, **options)
 
 
-SEEN = HandDetection(
+SEEN = Detections.hand(
     "right",
     0.9,
     np.random.default_rng(0).uniform(100, 200, (21, 3)),
@@ -320,8 +320,8 @@ def finding(monkeypatch: pytest.MonkeyPatch, find: Callable[[float], object]) ->
 
 
 def test_hands_without_numbers_are_left_out_and_their_stretch_is_kept(monkeypatch, caplog):
-    lost = replace(SEEN, world=np.full((21, 3), np.nan))
-    finding(monkeypatch, lambda time: (lost if 0.05 < time < 0.2 else SEEN,))
+    lost = replace(SEEN, world=np.full((1, 21, 3), np.nan))
+    finding(monkeypatch, lambda time: lost if 0.05 < time < 0.2 else SEEN)
     (hand,) = capture(PATTERN, frames="1-8", detector="toy").hands
     np.testing.assert_array_equal(hand.detected, [True] * 2 + [False] * 3 + [True] * 3)
     assert hand.present.all()
@@ -333,7 +333,7 @@ def test_hands_without_numbers_are_left_out_and_their_stretch_is_kept(monkeypatc
     ("find", "said"),
     [
         (lambda _: 1 / 0, "ZeroDivisionError: division by zero"),
-        (lambda _: (replace(SEEN, world=np.zeros((20, 3))),), "ValueError"),
+        (lambda _: replace(SEEN, world=np.zeros((1, 20, 3))), "ValueError"),
     ],
 )
 def test_what_fails_in_a_detector_of_others_names_it(monkeypatch, find, said):

@@ -22,6 +22,7 @@ from handfit_core.geometry.rotations import rotvec_to_rotmat
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.take import HandTrack, Take
+from tests.takes import found
 
 RATE = 0.3
 """radians per source frame"""
@@ -43,10 +44,8 @@ def clip(numbers, absent=(), fps=30.0) -> Take:
         hand_pose=pose * nan[:, None],
         transl=np.stack([0.01 * numbers, 0 * numbers, 0 * numbers + 0.5], axis=-1) * nan[:, None],
         joints_3d=np.ones((count, 21, 3)) * nan[:, None, None],
-        keypoints_2d=places * nan[:, None, None],
         reprojection_error=numbers * nan,
-        detected=there,
-        score=0.9 * nan,
+        detections=found("right", places, there),
     )
     camera = Intrinsics(100.0, 100.0, 32.0, 24.0)
     source = Source("video", ("clip.mp4",))

@@ -42,8 +42,7 @@ def networks():
 
 def hands_in(path):
     """Keypoints (N, 21, 2) of a photo's hands, the surest first."""
-    hands = find_in_frame(str(path), CaptureOptions())[1]
-    return np.stack([hand.keypoints_2d for hand in hands])
+    return find_in_frame(str(path), CaptureOptions())[1].keypoints_2d
 
 
 def on_canvas(rgb, x, y, width=900, height=900):

@@ -10,7 +10,7 @@ import pytest
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.body import NUM_BODY_POINTS, WRISTS, BodyTrack
 from handfit_core.detect.body_sides import with_body_sides
-from handfit_core.detect.keypoints import Detections, HandDetection, Track
+from handfit_core.detect.keypoints import Detections, Track
 
 COUNT, SIZE = 40, 60.0
 PLACES = {"left": np.array([400.0, 300.0]), "right": np.array([200.0, 300.0])}
@@ -25,7 +25,7 @@ def track(named: Side, at: Side | Sequence[Side], **fields):
         side = at if isinstance(at, str) else at[frame]
         points = POINTS - POINTS[0] + [*PLACES[side], 0.0]
         seen = named if isinstance(at, str) else side
-        frames.append([HandDetection(seen, 0.95, points, 0.001 * points, **fields)])
+        frames.append([Detections.hand(seen, 0.95, points, 0.001 * points, **fields)])
     return Track(named, Detections.of(frames), COUNT)
 
 
@@ -58,7 +58,9 @@ LEFT, WRONG = track("left", "left"), track("left", "right")
         pytest.param([WRONG], [body(score=0.5)], "auto", ["left"], id="hardly a person"),
         pytest.param([WRONG], [body(misplaced=50.0)], "auto", ["left"], id="wrist elsewhere"),
         pytest.param([WRONG], [body()], "left", ["left"], id="asked for"),
-        pytest.param([track("left", "right", given_side="left")], [body()], "auto", ["left"], id="given"),
+        pytest.param(
+            [track("left", "right", given_side=SIDES.index("left"))], [body()], "auto", ["left"], id="given"
+        ),
         pytest.param(
             [track("right", "right"), WRONG], [body()], "auto", ["right", "left"], id="one wrist for two"
         ),

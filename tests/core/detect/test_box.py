@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection
-from handfit_core.detect.networks import Palms, Prediction
+from handfit_core.detect.keypoints import Detections
+from handfit_core.detect.networks import Palms
 from handfit_core.detect.search import Candidate, Search
 from tests.core.detect.test_matching import hand
 
 KNOWN = hand(0)
-OTHER = replace(hand(30), keypoints=hand(30).keypoints[::-1])
+OTHER = replace(hand(30), keypoints=hand(30).keypoints[:, ::-1])
 BOX = [-10.0, -10.0, 130.0, 120.0]
 
 
@@ -26,11 +26,15 @@ def searching() -> Search:
 def found(monkeypatch):
     """Searches the box with these predictions, each from as many crops as it says."""
 
-    def search(*seen: tuple[HandDetection, float, int]) -> HandDetection | None:
-        predictions = [Prediction(presence, one) for one, presence, count in seen for _ in range(count)]
+    def search(*seen: tuple[Detections, float, int]) -> Detections | None:
+        predictions = [
+            replace(one, certainty=np.array([presence]))
+            for one, presence, count in seen
+            for _ in range(count)
+        ]
         monkeypatch.setattr(Search, "_predict_rotated", lambda *_: iter(predictions))
         monkeypatch.setattr(
-            Search, "_augment", lambda _self, _rgb, first, score: Candidate(first.hand, first.presence, score)
+            Search, "_augment", lambda _self, _rgb, first, score: Candidate(first, first.certainty[0], score)
         )
         return searching().detect_in_box(np.zeros((2, 2, 3), np.uint8), BOX, [KNOWN])
 
@@ -65,8 +69,8 @@ def test_nothing_is_there(found):
 
 
 def palms(score: float, x: float, side: float) -> Palms:
-    middle = KNOWN.keypoints_2d.mean(axis=0) + [x, 0.0]
-    return Palms(np.array([score]), middle[None], np.array([side]), np.zeros((1, 7, 2)))
+    middle = KNOWN.centroid + [x, 0.0]
+    return Palms(np.array([score]), middle, np.array([side]), np.zeros((1, 7, 2)))
 
 
 @pytest.mark.parametrize(

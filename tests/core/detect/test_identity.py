@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import SIDES, Side, other_side
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.tracks import link_tracks
 
 SIZE = 60.0
@@ -29,7 +29,7 @@ class Scene:
     faces: float = 0.0
     """share of frames in which something is taken for a hand"""
 
-    def found(self, seed: int) -> tuple[list[list[HandDetection]], dict[int, int]]:
+    def found(self, seed: int) -> tuple[list[list[Detections]], dict[int, int]]:
         """Detections of each frame, in any order, and whose they are, by the `id` of their keypoints."""
         rng, count = np.random.default_rng(seed), len(self.sides)
         t = np.arange(int(self.fps * self.seconds)) / self.fps
@@ -48,11 +48,11 @@ class Scene:
                 points = shape + [*ways[i, row], 0.0] + rng.normal(0, 0.02 * SIZE, (21, 3))
                 sure = np.clip(1.0 - (side == "left") * self.unsure + rng.normal(0, 0.05), 0.0, 1.0)
                 named = side if rng.random() < 0.95 else other_side(side)
-                there.append(HandDetection(named, 0.9, points, points / 1000, right_side=sure))
+                there.append(Detections.hand(named, 0.9, points, points / 1000, right_side=sure))
                 whose[points.tobytes()] = i
             if rng.random() < self.faces:
                 points = right[::-1] + [*rng.uniform(220, 420, 2), 0.0]
-                there.append(HandDetection(SIDES[row % 2], 0.5, points, points / 1000, right_side=0.6))
+                there.append(Detections.hand(SIDES[row % 2], 0.5, points, points / 1000, right_side=0.6))
                 whose[points.tobytes()] = -1
             frames.append([there[i] for i in rng.permutation(len(there))])
         return frames, whose
@@ -88,9 +88,10 @@ def test_given_sides_are_kept():
     """The hands meet and seem to pass; the given sides say that they parted again."""
     shape = np.random.default_rng(3).uniform(-30, 30, (21, 3))
 
-    def hand(x: float, given: Side | None = None) -> HandDetection:
+    def hand(x: float, given: Side | None = None) -> Detections:
         points = shape + [x, 300.0, 0.0]
-        return HandDetection("right", 0.9, points, points / 1000, right_side=0.5, given_side=given)
+        side = None if given is None else SIDES.index(given)
+        return Detections.hand("right", 0.9, points, points / 1000, right_side=0.5, given_side=side)
 
     frames = [[hand(100.0 + 20.0 * t), hand(500.0 - 20.0 * t)] for t in range(21)]
     frames[2] = [hand(140.0, "left"), hand(460.0)]

@@ -5,14 +5,14 @@ import pytest
 
 from handfit_core.common.arrays import check_arrays
 from handfit_core.common.skeleton import SIDES, Side, other_side
-from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
+from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, Track
 
 POINTS = np.arange(63.0).reshape(21, 3)
 TABLE = np.arange(126.0).reshape(21, 6)
 
 
-def detection(side: Side, right_side: float | None = None, score: float = 0.8) -> HandDetection:
-    return HandDetection(side, score, POINTS, POINTS / 1000, right_side=right_side)
+def detection(side: Side, right_side: float | None = None, score: float = 0.8) -> Detections:
+    return Detections.hand(side, score, POINTS, POINTS / 1000, right_side=right_side)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -28,17 +28,18 @@ def detection(side: Side, right_side: float | None = None, score: float = 0.8) -
     ],
 )
 def test_the_likelier_side(side, probability, score, named):
-    d = detection(side, probability, score)
-    hands = Detections.of([[d]])
-    assert d.side == side  # what the detector said stays
-    assert d.likely_side == SIDES[hands.likely_side[0]] == (side if named >= 0.5 else other_side(side))
+    hands = detection(side, probability, score)
+    assert SIDES[hands.side[0]] == side  # what the detector said stays
+    assert SIDES[hands.likely_side[0]] == (side if named >= 0.5 else other_side(side))
     votes = dict(zip(SIDES, hands.side_votes[0], strict=True))
     assert votes == pytest.approx({side: score * named, other_side(side): score * (1.0 - named)})
 
 
 def test_columns_of_frames():
     """Small columns that nobody filled say so, large ones are absent."""
-    shown = HandDetection("right", 0.7, POINTS + 1.0, POINTS, POINTS, shown=True, corrected=("left", TABLE))
+    shown = Detections.hand(
+        "right", 0.7, POINTS + 1.0, POINTS, keypoints_2020=POINTS, corrected_side=0, corrected=TABLE
+    ).shown_by_person(None)
     hands = Detections.of([[detection("left")], [], [shown, detection("right", 0.3)]])
     check_arrays(hands)
     assert hands.frame.tolist() == [0, 2, 2]
@@ -52,7 +53,8 @@ def test_columns_of_frames():
     np.testing.assert_array_equal(hands.corrected[1], TABLE)
     assert hands.spread is hands.overlapped is None
     assert [rows.tolist() for rows in hands.rows_by_frame] == [[0], [1, 2]]
-    np.testing.assert_array_equal(hands.extent, [d.extent for d in (detection("left"), shown, shown)])
+    np.testing.assert_array_equal(hands.extent, [60.0] * 3)
+    assert [hand.score.tolist() for hand in hands] == [[0.8], [0.7], [0.8]]
     none = Detections.of([[], []])
     check_arrays(none)
     assert (len(none), none.rows_by_frame) == (0, [])

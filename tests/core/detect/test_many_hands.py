@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.detect.networks import Networks
 from handfit_core.detect.search import Search
 from handfit_core.media.pictures import read_picture
@@ -22,14 +22,15 @@ MIN_PX = 24
 """pixels; of smaller ones nobody could tell the fingers"""
 
 
-def listed(hand: HandDetection, hands: list[dict]) -> dict | None:
+def listed(hand: Detections, hands: list[dict]) -> dict | None:
     """The hand that a detection is of: about as large, with its middle in the box."""
-    points = hand.keypoints_2d
     for candidate in hands:
         x, y, width, height = candidate["box"]
         longer = max(width, height)
-        off = np.abs(points.mean(axis=0) - [x + width / 2, y + height / 2])
-        if (off < np.array([width, height]) / 2 + 0.15 * longer).all() and 0.4 < hand.extent / longer < 2.6:
+        off = np.abs(hand.centroid[0] - [x + width / 2, y + height / 2])
+        if (off < np.array([width, height]) / 2 + 0.15 * longer).all() and 0.4 < hand.extent[
+            0
+        ] / longer < 2.6:
             return candidate
     return None
 

@@ -7,32 +7,32 @@ import pytest
 
 from handfit_core.common.errors import NoHandFoundError
 from handfit_core.common.skeleton import HandChoice, Side, other_side
-from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, HandDetection, Track
+from handfit_core.detect.keypoints import SURE_SIDE_SCORE, Detections, Track
 from handfit_core.detect.matching import distance
 from handfit_core.detect.tracks import LINKING, link_and_count, without_duplicates
 
 SHAPE = np.random.default_rng(5).uniform(-50, 50, (21, 3))
 
 
-def hand(x: float, side: Side = "right", score: float = 0.9, y: float = 300.0) -> HandDetection:
-    return HandDetection(side, score, SHAPE + [x, y, 0.0], SHAPE / 1000)
+def hand(x: float, side: Side = "right", score: float = 0.9, y: float = 300.0) -> Detections:
+    return Detections.hand(side, score, SHAPE + [x, y, 0.0], SHAPE / 1000)
 
 
 def unsure_hand(
     x: float, side: Side = "right", right_side: float = 1.0, score: float = 0.85, y: float = 300.0
-) -> HandDetection:
+) -> Detections:
     """A hand with a score below `SURE_SIDE_SCORE`, so that the network judges its side."""
-    return replace(hand(x, side, score, y), right_side=right_side)
+    return replace(hand(x, side, score, y), right_side=np.array([right_side]))
 
 
 def count_tracks(
-    frames: Sequence[Sequence[HandDetection]], hands: HandChoice = "auto", **options: Any
+    frames: Sequence[Sequence[Detections]], hands: HandChoice = "auto", **options: Any
 ) -> tuple[tuple[Track, ...], int]:
     return link_and_count(Detections.of(frames), len(frames), hands, **options)
 
 
 def link_tracks(
-    frames: Sequence[Sequence[HandDetection]], hands: HandChoice = "auto", **options: Any
+    frames: Sequence[Sequence[Detections]], hands: HandChoice = "auto", **options: Any
 ) -> tuple[Track, ...]:
     return count_tracks(frames, hands, **options)[0]
 
@@ -44,21 +44,21 @@ def places(track: Track) -> list[float | None]:
     return [None if np.isnan(each) else round(float(each), 6) for each in x]
 
 
-def crossing(left: Callable[[int], HandDetection], right: Callable[[int], HandDetection]) -> list:
+def crossing(left: Callable[[int], Detections], right: Callable[[int], Detections]) -> list:
     """21 frames of two hands, listed in another order in every second one."""
     return [[left(t), right(t)][:: 1 if t % 2 else -1] for t in range(21)]
 
 
-def part(x: float) -> HandDetection:
+def part(x: float) -> Detections:
     """Fingers that are taken for a small hand."""
-    return HandDetection("left", 0.7, 0.4 * SHAPE + [x, 300.0, 0.0], SHAPE / 1000)
+    return Detections.hand("left", 0.7, 0.4 * SHAPE + [x, 300.0, 0.0], SHAPE / 1000)
 
 
 TEN = [100 + t for t in range(10)]
 TO_RIGHT, TO_LEFT = [100 + 20 * t for t in range(21)], [500 - 20 * t for t in range(21)]
 CROSSED = {"left": TO_RIGHT, "right": TO_LEFT}
 
-LINKED: dict[str, tuple[list[list[HandDetection]], dict[Side, list]]] = {
+LINKED: dict[str, tuple[list[list[Detections]], dict[Side, list]]] = {
     "crossing": (
         crossing(lambda t: hand(TO_RIGHT[t], "left"), lambda t: hand(TO_LEFT[t], y=340)),
         CROSSED,
@@ -143,13 +143,13 @@ def test_two_hands_of_one_side():
 
 
 def test_tangled_hands_that_a_person_has_shown_are_two():
-    near = hand(100), hand(100 + 0.3 * hand(0).extent)
+    near = hand(100), hand(100 + 0.3 * float(hand(0).extent[0]))
     assert len(link_tracks([near])) == 1
-    assert len(link_tracks([[replace(one, shown=True) for one in near]])) == 2
+    assert len(link_tracks([[one.shown_by_person(None) for one in near]])) == 2
 
 
 def test_a_side_that_a_person_has_given_is_believed():
-    told = replace(hand(120, "left", 0.1), shown=True, given_side="right")
+    told = hand(120, "left", 0.1).shown_by_person("right")
     frames = [[hand(100 + 10 * t, "left"), hand(600, "left")] if t != 2 else [told] for t in range(5)]
     assert [t.side for t in link_tracks(frames)] == ["right", "left"]
     assert [t.side for t in link_tracks(frames, "both")] == ["right", "left"]
@@ -236,7 +236,7 @@ def test_hands_that_touch_are_left_and_right(unsure, score, apart, sides):
     assert {t.side for t in link_tracks(given)} == {"right"}
 
 
-def crowd(count: int, spread: float, seed: int = 0) -> list[HandDetection]:
+def crowd(count: int, spread: float, seed: int = 0) -> list[Detections]:
     """Hands of all sizes somewhere in a picture, every tenth of them found twice."""
     rng, found = np.random.default_rng(seed), []
     for _ in range(count):
@@ -244,20 +244,20 @@ def crowd(count: int, spread: float, seed: int = 0) -> list[HandDetection]:
         points[:, :2] = rng.uniform(0.0, spread, 2) + rng.uniform(20.0, 90.0) * rng.random((21, 2))
         side: Side = "left" if rng.random() < 0.5 else "right"
         for again in range(1 + (rng.random() < 0.1)):
-            found.append(HandDetection(side, rng.random(), points + 5.0 * again, np.zeros((21, 3))))
+            found.append(Detections.hand(side, rng.random(), points + 5.0 * again, np.zeros((21, 3))))
     return found
 
 
 def test_a_crowds_duplicates_are_those_of_pairs():
     found = crowd(150, 600.0)
-    kept: list[HandDetection] = []
+    kept: list[Detections] = []
     for each in sorted(found, key=lambda hand: hand.score, reverse=True):
         if all(distance(each, other) > LINKING.duplicate_distance for other in kept):
             kept.append(each)
     assert len(kept) < len(found)
     hands = Detections.of([found])
     (best,) = without_duplicates(hands)
-    np.testing.assert_array_equal(hands.keypoints[best], [each.keypoints for each in kept])
+    np.testing.assert_array_equal(hands.keypoints[best], [each.keypoints[0] for each in kept])
 
 
 def test_a_crowd_is_followed():

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from handfit_core.common.skeleton import Side
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.edit import RefineHand
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
 from handfit_core.hand_model.motion import POSE_ARRAYS, HandMotion
@@ -37,14 +37,14 @@ def true_hands(side: Side, count: int, seed: int = 0) -> HandMotion:
     return HandMotion(side, betas[0], *pose)
 
 
-def captured(side: Side, detections: Sequence[HandDetection]) -> HandMotion:
+def captured(side: Side, detections: Sequence[Detections]) -> HandMotion:
     """Each frame by itself, with the mean of their shapes."""
     betas, *pose = fit_frames(side, detections).pose
     return HandMotion(side, betas.mean(axis=0), *pose)
 
 
 def to_refine(
-    motion: HandMotion, detections: Sequence[HandDetection | None], pins: Any = None, **fields: Any
+    motion: HandMotion, detections: Sequence[Detections | None], pins: Any = None, **fields: Any
 ) -> RefineHand:
     given = {"locked": locked(), "fps": FPS, **fields}
     given["pins"] = np.full((len(detections), 21, 2), np.nan) if pins is None else pins

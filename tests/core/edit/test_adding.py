@@ -190,7 +190,7 @@ def test_a_take_gets_one_more_hand(side: Side, tmp_path: Path) -> None:
     path = with_added(take, model_of(side), 1, wrist, knuckle).save(tmp_path / "t.npz")
     kept, hand = Take.load(path).hands
     assert (kept.placed, kept.added, hand.added, hand.refinable) == (None, False, True, True)
-    assert (hand.side, len(hand.detections())) == (side, 0)
+    assert (hand.side, len(hand.detections)) == (side, 0)
     np.testing.assert_array_equal(hand.present, [False, True, False])
     np.testing.assert_array_equal(hand.placed[1, [WRIST, KNUCKLE]], [wrist, knuckle])
     assert np.isfinite(hand.placed).sum() == 4

@@ -62,7 +62,7 @@ def test_messages_come_back() -> None:
 
 def test_optional_fields_have_defaults() -> None:
     message = to_message(photo())
-    optional = ("model", "fps", "smoothing", "holes", "agrees", "added", "touches")
+    optional = ("model", "fps", "smoothing", "holes", "other_side", "added", "touches")
     hand = from_message({name: value for name, value in message.items() if name not in optional})
     assert (hand.model, hand.fps, hand.smoothing, hand.holes) == ("open-hand", 25.0, 1.0, ())
     assert (hand.added, hand.touches) == (False, None)
@@ -122,7 +122,7 @@ def test_points_that_cannot_touch(one: int, other: int) -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("side", None), ("keypoints", None), ("world", pack(np.zeros((3, 21, 3)))), ("added", 1)],
+    [("side", None), ("keypoints_2d", None), ("world_landmarks", pack(np.zeros((3, 21, 3)))), ("added", 1)],
 )
 def test_bad_messages_are_named(field: str, value: Any) -> None:
     message = to_message(photo()) | {field: value}

@@ -91,7 +91,7 @@ def test_a_wrong_fingertip_is_mended(side: Side) -> None:
     for row, tip in enumerate(rng.choice(TIP_KEYPOINTS, 12)):
         angle = rng.uniform(0, 2 * np.pi)
         pins[row, tip] = shown(true)[row, tip]
-        detections[row].keypoints[tip, :2] += 40.0 * np.array([np.cos(angle), np.sin(angle)])
+        detections[row].keypoints[0, tip, :2] += 40.0 * np.array([np.cos(angle), np.sin(angle)])
     hand = to_refine(captured(side, detections), detections, pins)
     found = refit_each(hand)
     assert missed(hand, found).max() < 2.0
@@ -236,7 +236,7 @@ def clip() -> tuple[HandMotion, RefineHand]:
     )
     detections = detections_of("right", rows_of(true), noise=1.5)
     for detection in detections[5:16]:
-        detection.keypoints[TIP, :2] += (25.0, 17.0)
+        detection.keypoints[0, TIP, :2] += (25.0, 17.0)
     start = replace(captured("right", detections), betas=true.betas)
     return true, to_refine(start, detections)
 

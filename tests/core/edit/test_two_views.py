@@ -41,7 +41,7 @@ def hand_of(rows: np.ndarray | None = None) -> RefineHand:
         hand.betas,
         *(each[rows] for each in hand.pose),
         intrinsics=take().intrinsics,
-        detections=hand.detections(rows),
+        detections=hand.detections_at(rows),
         pins=np.full((len(rows), 21, 2), np.nan),
         locked=locked(),
         fps=take().fps,

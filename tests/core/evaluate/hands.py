@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from handfit_core.common.skeleton import Side
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.evaluate.detections import UnitDetections
 from handfit_core.evaluate.labels import Entry, HandLabel, Labels
 from handfit_core.geometry.camera import Intrinsics
@@ -29,13 +29,13 @@ def joints(side: Side = "right", at: tuple[float, float, float] = (0.1, 0.08, 0.
     return model.keypoints(None, rotmat_to_rotvec(facing), model.hands_mean, np.array(at) - wrist)
 
 
-def seen(points: np.ndarray, side: Side = "right", camera: Intrinsics = CAMERA) -> HandDetection:
+def seen(points: np.ndarray, side: Side = "right", camera: Intrinsics = CAMERA) -> Detections:
     """What a detector without any error makes of (21, 3) points in metres."""
     depth = points[:, 2] - points[0, 2]
     pixels = np.concatenate(
         [camera.project(points), (depth * camera.fx / points[:, 2].mean())[:, None]], axis=1
     )
-    return HandDetection(side, 0.9, pixels, points - points.mean(axis=0))
+    return Detections.hand(side, 0.9, pixels, points - points.mean(axis=0))
 
 
 def label(points: np.ndarray, side: Side | None = "right", camera: Intrinsics = CAMERA) -> HandLabel:
@@ -57,6 +57,6 @@ def entry(
     return Entry(name, Path(f"{name}.png"), lambda: Labels(tuple(hands), camera), clip, time)
 
 
-def found(*frames: tuple[HandDetection, ...]) -> UnitDetections:
+def found(*frames: tuple[Detections, ...]) -> UnitDetections:
     """What was detected in a unit's pictures."""
     return UnitDetections(Detections.of(frames), np.tile([WIDTH, HEIGHT], (len(frames), 1)))

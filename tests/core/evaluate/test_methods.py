@@ -27,12 +27,12 @@ def test_groups_open_in_place_and_nothing_is_run_twice() -> None:
 def test_raw_landmarks_in_metres_have_the_world_landmarks_size_and_stand_where_the_hand_is() -> None:
     points = joints()
     detection = seen(points)
-    placed = in_metres(detection.keypoints, detection.world, CAMERA)
+    placed = in_metres(detection.keypoints[0], detection.world[0], CAMERA)
     assert np.linalg.norm(placed.mean(axis=0) - points.mean(axis=0)) < 0.01
     # Only perspective is left.
     assert np.linalg.norm(placed - points, axis=1).max() < 0.02
     # A similarity transform apart from the detection itself, so PA errors are the detector's own.
-    moved = align(detection.keypoints, placed, with_scale=True).apply(detection.keypoints)
+    moved = align(detection.keypoints[0], placed, with_scale=True).apply(detection.keypoints[0])
     np.testing.assert_allclose(moved, placed, atol=1e-9)
 
 
@@ -59,6 +59,6 @@ def test_a_fitted_hand_keeps_the_parameters_that_give_its_surface() -> None:
 def test_the_papers_protocol_takes_the_papers_own_picture_points() -> None:
     model, detection = load_model(None, "right"), seen(joints())
     result = get_method("paper-b", "paper")(model, track_of("right", [detection]), CAMERA)
-    fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints)
+    fit = PaperFitter(model, EXPERIMENTS["paper-b"]).fit(detection.keypoints[0])
     fitted = model.keypoints(fit.betas, fit.global_orient, fit.hand_pose, np.zeros(3))
     np.testing.assert_allclose(result.picture_points[0], fit.in_picture(fitted))

@@ -36,7 +36,7 @@ def test_a_detection_of_nothing_labelled_is_an_extra_hand() -> None:
 
 def test_a_wrong_side_shows_in_handedness_alone() -> None:
     made = strict_rows([entry("a", label(TRUTH, "right"))], found((seen(TRUTH, "left"),)))
-    result = TrackResult.of_points(TRUTH[None], seen(TRUTH).keypoints[None])
+    result = TrackResult.of_points(TRUTH[None], seen(TRUTH).keypoints)
     summary = summarise(score("m", result, made, "strict"), "strict")
     assert summary["handedness"] == 0.0
     assert summary["detection_rate"] == 100.0

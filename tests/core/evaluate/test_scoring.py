@@ -151,7 +151,7 @@ def scored(
     entries = [entry(f"{i}", label(one, camera=camera), camera=camera) for i, one in enumerate(labels)]
     detections = [found((seen(points, camera=camera),))] * len(entries)
     if picture_points is None:
-        picture_points = seen(points, camera=camera).keypoints
+        picture_points = seen(points, camera=camera).keypoints[0]
     return of_all(rows(entries, detections, protocol), points, picture_points, protocol)
 
 
@@ -188,7 +188,7 @@ def test_misses_vanish_in_the_paper_and_are_wrong_in_strict() -> None:
     summaries = {}
     for protocol in PROTOCOLS:
         made = rows(entries, detections, protocol)
-        scores = of_all(made, truth, seen(truth).keypoints, protocol)
+        scores = of_all(made, truth, seen(truth).keypoints[0], protocol)
         summaries[protocol] = summarise(scores, protocol)
         assert summaries[protocol]["detection_rate"] == 25.0
         dropped = [p.where for p in made.problems if p.kind == "no hand detected: dropped as in the paper"]
@@ -215,7 +215,7 @@ def test_a_pixel_of_depth_is_a_millimetre_in_the_paper_and_what_it_is_in_strict(
 def test_true_depth_and_camera_hide_a_wrong_size_in_the_paper_only() -> None:
     truth = joints()
     twice_as_far_and_large = 2.0 * truth
-    picture = seen(truth).keypoints
+    picture = seen(truth).keypoints[0]
     np.testing.assert_allclose(CAMERA.project(twice_as_far_and_large), picture[:, :2])
     alike = [
         summarise(scored([truth], points, "paper", picture_points=picture), "paper")["epe"]

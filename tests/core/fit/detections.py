@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
-from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, Side, other_side
-from handfit_core.detect.keypoints import Detections, HandDetection, Track
+from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, Side
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit import doubt
 from handfit_core.fit.fast import fitter_of
 from handfit_core.fit.solution import Solution
@@ -97,7 +98,7 @@ def landmarks_of(
 
 def seen(
     points: np.ndarray, side: Side, camera: Intrinsics = CAMERA, noise: float = 0.0, seed: int = 0
-) -> HandDetection:
+) -> Detections:
     """A detection of landmarks (21, 3): exact pixels; depth from the wrist and metres about the middle as if
     the camera looked at the hand, whose picture is all that a detector is given. `noise` in pixels."""
     rng = np.random.default_rng(seed)
@@ -105,7 +106,7 @@ def seen(
     along = points @ turn_to_ray(camera, pixels.mean(axis=0))
     per_pixel = along[:, 2].mean() / camera.fx
     keypoints = np.concatenate([pixels, (along[:, 2:] - along[0, 2]) / per_pixel], axis=1)
-    return HandDetection(
+    return Detections.hand(
         side,
         0.97,
         keypoints + noise * rng.normal(size=(21, 3)),
@@ -113,28 +114,28 @@ def seen(
     )
 
 
-def detections_of(side: Side, pose: Pose, noise: float = 0.0) -> list[HandDetection]:
+def detections_of(side: Side, pose: Pose, noise: float = 0.0) -> list[Detections]:
     """Each of N hands as `seen`."""
     points = landmarks_of(side, *pose)
     return [seen(one, side, noise=noise, seed=seed) for seed, one in enumerate(points)]
 
 
-def columns(hands: Sequence[HandDetection | None]) -> Detections:
+def columns(hands: Sequence[Detections | None]) -> Detections:
     """One hand's detections in T frames; None where there is none."""
     return Detections.of([[] if hand is None else [hand] for hand in hands])
 
 
-def track_of(side: Side, hands: Sequence[HandDetection | None], fps: float = 25.0) -> Track:
+def track_of(side: Side, hands: Sequence[Detections | None], fps: float = 25.0) -> Track:
     """One hand's detections in T frames as a track."""
     return Track(side, columns(hands), len(hands), fps)
 
 
-def mirror_image(detection: HandDetection, camera: Intrinsics = CAMERA) -> HandDetection:
+def mirror_image(detection: Detections, camera: Intrinsics = CAMERA) -> Detections:
     """What is seen when the picture is mirrored about the principal point."""
     keypoints, world = detection.keypoints.copy(), detection.world.copy()
-    keypoints[:, 0] = 2 * camera.cx - keypoints[:, 0]
-    world[:, 0] *= -1
-    return HandDetection(other_side(detection.side), detection.score, keypoints, world)
+    keypoints[..., 0] = 2 * camera.cx - keypoints[..., 0]
+    world[..., 0] *= -1
+    return replace(detection, side=1 - detection.side, keypoints=keypoints, world=world)
 
 
 def ends_of_range(side: Side) -> tuple[np.ndarray, np.ndarray]:
@@ -163,7 +164,7 @@ class FrameFits(NamedTuple):
         return doubt.doubtful(self.expected_error)
 
 
-def fit_frames(side: Side, hands: Sequence[HandDetection], hand_length: float | None = None) -> FrameFits:
+def fit_frames(side: Side, hands: Sequence[Detections], hand_length: float | None = None) -> FrameFits:
     fitter, detections = fitter_of(model_of(side), hand_length), columns(hands)
     seen, solution = fitter.solve_pictures(fitter.observe(detections, CAMERA))
     evidence = doubt.evidence(seen, fitter.chain.points(solution.state), doubt.side_logits(detections, side))

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from handfit_core.common.skeleton import Side
-from handfit_core.fit.observation import Kept, Observation
+from handfit_core.fit.observation import Observation, PoseAnchor
 from handfit_core.fit.problem import Problem, SharedShape
 from handfit_core.fit.settings import TERMS
 from handfit_core.fit.terms import Limits, PosePrior, Shape, Term, coupling, depth, reprojection
@@ -94,9 +94,9 @@ def observe(points: np.ndarray, *, noise: float = 0.0, sigma: float = 4.0, seed:
     )
 
 
-def kept_near(state: State, limits_sigma: float = np.nan) -> Kept:
+def kept_near(state: State, limits_sigma: float = np.nan) -> PoseAnchor:
     """To stay near those poses, each finger as firmly as another, the little one not at all."""
     sigma = np.tile([0.1, 0.2, 0.5, 1.0, np.inf], (len(state), 1))
-    return Kept(
+    return PoseAnchor(
         state.wrist, np.full(len(state), 0.02), state.angles, sigma, np.full(len(state), limits_sigma)
     )

@@ -27,6 +27,7 @@ from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.take import HandTrack
 from tests.core.fit.differences import by_each, close, random, unit
 from tests.persons import CAMERA, FPS, body_of, person
+from tests.takes import seen_as as seen_hand
 
 PERSON = person()
 
@@ -36,7 +37,8 @@ def without(hand: HandTrack, rows: slice) -> HandTrack:
     gone = np.zeros(len(hand.detected), dtype=bool)
     gone[rows] = True
     joints = np.where(gone[:, None, None], np.nan, hand.joints_3d)
-    return replace(hand.posed_at(~gone), joints_3d=joints, detected=hand.detected & ~gone)
+    hand = seen_hand(hand, detected=hand.detected & ~gone)
+    return replace(hand.posed_at(~gone), joints_3d=joints)
 
 
 def at(arm: ArmMotion | None) -> np.ndarray:
@@ -181,7 +183,7 @@ def test_an_arm_without_a_body_ends(jump, cut, last):
     """Soon after it is lost, and at once at a cut: where one was seen, or the hand jumps."""
     lost = np.arange(60) >= 30
     hand = PERSON.hands[0]
-    moved = replace(hand, keypoints_2d=hand.keypoints_2d + np.where(lost, jump, 0.0)[:, None, None])
+    moved = seen_hand(hand, keypoints_2d=hand.keypoints_2d + np.where(lost, jump, 0.0)[:, None, None])
     body = replace(PERSON.body, present=~lost, cut=cut & (np.arange(60) == 30))
     arm = arms_of([moved], [body], CAMERA, FPS)[0].arm
     assert arm is not None

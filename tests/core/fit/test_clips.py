@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from handfit_core.fit import clips
 from handfit_core.fit.clips import smooth_clip
 from handfit_core.fit.observation import Observation
-from handfit_core.fit.problem import Held, MotionPrior, Problem
+from handfit_core.fit.problem import FixedJoints, MotionPrior, Problem
 from handfit_core.geometry.rotations import euler_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model.chain import State
 from tests.core.fit.differences import close, random
@@ -185,7 +185,7 @@ def test_held_variables(monkeypatch: pytest.MonkeyPatch, window: int) -> None:
     joints = np.zeros((COUNT, 16), dtype=bool)
     joints[:, [1, 2, 15]] = True
     joints[10:20, 0] = True
-    problem = problem_for(seen, motion=replace(MOTION, overlap=16), held=Held(joints, start))
+    problem = problem_for(seen, motion=replace(MOTION, overlap=16), held=FixedJoints(joints, start))
     found = smooth_clip(problem, start)
     close(found.betas, start.betas)
     close(problem.held.put(found).angles, found.angles, atol=1e-9, rtol=0)

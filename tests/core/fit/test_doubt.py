@@ -9,7 +9,7 @@ import pytest
 
 from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.correction.corrected import with_side_judged
-from handfit_core.detect.keypoints import HandDetection, Track
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit import doubt
 from handfit_core.fit.doubt import DOUBT
 from handfit_core.fit.fast import fit_track, fitter_of
@@ -18,11 +18,11 @@ from tests.core.fit.detections import CAMERA, columns, detections_of, fit_frames
 COUNT = 16
 
 
-def seen(noise: float = 0.0, side: Side = "right", count: int = COUNT) -> list[HandDetection]:
+def seen(noise: float = 0.0, side: Side = "right", count: int = COUNT) -> list[Detections]:
     return detections_of(side, poses(count, side=side), noise)
 
 
-def expected_of(detections: list[HandDetection], side: Side = "right") -> np.ndarray:
+def expected_of(detections: list[Detections], side: Side = "right") -> np.ndarray:
     return fit_frames(side, detections).expected_error
 
 
@@ -35,7 +35,7 @@ def test_error_grows_with_noise() -> None:
 def test_displaced_finger_has_larger_error() -> None:
     spoilt = seen()
     for detection in spoilt:
-        detection.keypoints[6:9, :2] += 40.0  # the index finger, of hands some 150 pixels large
+        detection.keypoints[0, 6:9, :2] += 40.0  # the index finger, of hands some 150 pixels large
     grown = (expected_of(spoilt) / expected_of(seen())).mean(axis=0)
     assert np.all(grown > 1.0)
     assert grown.argmax() == 1
@@ -44,7 +44,7 @@ def test_displaced_finger_has_larger_error() -> None:
 @pytest.mark.parametrize("side", SIDES)
 def test_unsure_side_raises_error(side: Side) -> None:
     (one,) = seen(side=side, count=1)
-    errors = [expected_of([replace(one, right_side=p)], side).mean() for p in (0.999, 0.9, 0.6)]
+    errors = [expected_of([replace(one, right_side=np.array([p]))], side).mean() for p in (0.999, 0.9, 0.6)]
     assert np.all(np.diff(errors) > 0.0)
 
 
@@ -52,7 +52,7 @@ def test_degenerate_hands_have_errors() -> None:
     """All in one point, far away, behind the camera, at the camera, and nowhere."""
     fitter = fitter_of(model_of("right"))
     (one,) = seen(count=1)
-    flat = replace(one, keypoints=np.full((21, 3), 50.0), world=np.zeros((21, 3)))
+    flat = replace(one, keypoints=np.full((1, 21, 3), 50.0), world=np.zeros((1, 21, 3)))
     observed = fitter.observe(columns([flat]), CAMERA)
     start = fitter.chain.points(fitter.start(fitter.observe(columns([one]), CAMERA)))
     for factor in (1.0, 1e6, -1.0, 0.0, np.nan, np.inf):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import PARENTS, SIDES, Side
-from handfit_core.detect.keypoints import HandDetection, Track
+from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit import fast
 from handfit_core.fit.fast import fit_track
 from handfit_core.fit.settings import MOTION
@@ -69,11 +69,11 @@ def test_left_mirrors_right() -> None:
     np.testing.assert_allclose(theirs.expected_error, ours.expected_error, rtol=1e-2)
 
 
-def garbage(side: Side, count: int) -> list[HandDetection]:
+def garbage(side: Side, count: int) -> list[Detections]:
     """Landmarks of nothing."""
     rng = np.random.default_rng(0)
     hands = ((rng.uniform(100, 400, (21, 3)), rng.normal(size=(21, 3)) * 0.05) for _ in range(count))
-    return [HandDetection(side, 0.5, *hand) for hand in hands]
+    return [Detections.hand(side, 0.5, *hand) for hand in hands]
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -81,10 +81,10 @@ def test_angles_stay_within_limits(side: Side) -> None:
     """Also of the other hand, with fingers mixed up, and of no hand at all."""
     rng = np.random.default_rng(0)
     noisy = [detections_of(side, poses(16, 4, side), noise) for noise in (0.0, 5.0, 15.0, 40.0)]
-    others = [replace(mirror_image(hand), side=side) for hand in noisy[0]]
+    others = [replace(mirror_image(hand), side=hand.side) for hand in noisy[0]]
     orders = [rng.permutation(21) for _ in noisy[0]]
     mixed = [
-        replace(hand, keypoints=hand.keypoints[order], world=hand.world[order])
+        replace(hand, keypoints=hand.keypoints[:, order], world=hand.world[:, order])
         for hand, order in zip(noisy[0], orders, strict=True)
     ]
     fits = fit_frames(side, [*chain(*noisy), *others, *mixed, *garbage(side, 30)])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.detect.keypoints import HandDetection, Track
+from handfit_core.detect.keypoints import Track
 from handfit_core.fit.fast import fit_track
 from handfit_core.fit.stationary import wrist_distance_factors
 from handfit_core.hand_model.chain import State
@@ -43,8 +43,8 @@ def detected(seed: int, depth: np.ndarray, closing: np.ndarray, error: float = 0
     detections = []
     for t in range(COUNT):
         one = seen(points[t], "right", noise=0.6, seed=1000 * seed + t)
-        keypoints = one.keypoints[0] + size[t] * (one.keypoints - one.keypoints[0])
-        detections.append(HandDetection(one.side, one.score, keypoints, one.world))
+        wrist = one.keypoints[:, :1]
+        detections.append(replace(one, keypoints=wrist + size[t] * (one.keypoints - wrist)))
     return track_of("right", detections, FPS)
 
 

@@ -48,6 +48,14 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     sides = point_files.named("xyz", *(f"left_hand_{name.lower()}" for name in point_files.NAMES))
     for name, header in (("i.csv", point_files.wide()), ("j.csv", sides)):
         saved(name, "mediapipe", _line(header, point_files.landmarks("left", 0)))
+    saved("k.json", "coco-wholebody", point_files.annotations())
+    saved("l.json", "alphapose", point_files.alphapose(136))
+    saved("m.json", "interhand", point_files.interhand())
+    saved("n.json", "xr-points", [point_files.headset(0)])
+    found["aria"] = [point_files.aria(folder / "aria.csv")]
+    found["trc"] = [point_files.trc(folder / "a.trc")]
+    np.save(folder / "a.npy", told().points["left"])
+    found["arrays"] = [folder / "a.npy"]
     return found
 
 

@@ -13,7 +13,7 @@ from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import quat_to_rotmat, rotvec_to_rotmat
 from handfit_core.hand_model.poses import ready_poses
 from handfit_core.take import HandTrack, Take
-from tests.takes import take_of, track_of
+from tests.takes import seen_as, take_of, track_of
 
 CAMERA = Intrinsics.assumed(320, 240)
 POSES = ("Flat", "Fist", "Pinch")
@@ -30,13 +30,13 @@ def clip(sides: Sequence[Side] = SIDES, **fields) -> Take:
         pose = np.concatenate([ready, rng.normal(scale=0.4, size=(2, 45))])
         seen = np.arange(len(NUMBERS)) != (UNSEEN if side == "left" else -1)
         given = rng.normal(size=(5, 3)), pose, np.tile([0.0, 0.0, 0.6], (5, 1))
-        track = track_of(side, *given, CAMERA, detected=seen)
+        track = track_of(side, *given, CAMERA)
         known = {
             name: np.where(seen.reshape(-1, *[1] * (np.ndim(values) - 1)), values, np.nan)
-            for name in ("global_orient", "hand_pose", "transl", "joints_3d", "keypoints_2d")
+            for name in ("global_orient", "hand_pose", "transl", "joints_3d")
             for values in [getattr(track, name)]
         }
-        tracks.append(replace(track, **known))
+        tracks.append(seen_as(replace(track, **known), detected=seen))
     return take_of(tracks, CAMERA, 320, 240, **{"frame_numbers": NUMBERS, "fps": 20.0} | fields)
 
 

@@ -11,10 +11,19 @@ from typing import Any
 import numpy as np
 
 from handfit_core.common.skeleton import SIDES, Side
-from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
+from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_quat, rotvec_to_rotmat
 from handfit_core.hand_model.axes import MIRROR_X
 from handfit_core.interchange.skeletons import UP_AXES
-from tests.core.interchange.known_hands import FRAMES, HANDS, TURN, matrices, wrist_of
+from tests.core.interchange.known_hands import (
+    FRAMES,
+    HANDS,
+    TURN,
+    coefficients_of,
+    matrices,
+    mean_of,
+    wrist_of,
+)
+from tests.imitation_mano import imitation_arrays
 
 FOCAL = 5000.0 / 256.0 * 1280.0
 NUMBERS = range(1, FRAMES + 1)
@@ -27,6 +36,8 @@ def written(path: Path, content: Any) -> Path:
         np.savez(path, **{name: value for name, value in content.items() if value is not None})
     elif path.suffix == ".json":
         path.write_text(json.dumps(content, default=lambda array: array.tolist()), encoding="utf-8")
+    elif path.suffix == ".jsonl":
+        path.write_text(content)
     elif path.suffix == ".npy":
         np.save(path, content, allow_pickle=True)
     else:
@@ -91,6 +102,20 @@ def mini(frame: int) -> list[dict[str, Any]]:
         }
         for side, hand in HANDS.items()
     ]
+
+
+def frames_with_hands() -> dict[str, Any]:
+    """As people write WiLoR-mini's hands into JSON of their own, here without any in the first frame."""
+    frames = []
+    for n in NUMBERS:
+        hands = []
+        for hand in mini(n - 1):
+            found = hand["wilor_preds"]
+            camera = {name: found[name] for name in ("pred_cam_t_full", "scaled_focal_length")}
+            turns = {name: found[name] for name in ("global_orient", "hand_pose", "betas")}
+            hands.append({"is_right": hand["is_right"], "mano": turns, "camera": camera})
+        frames.append({"frame": n, "image_size": [1280, 720], "hands": hands})
+    return {"fps": 25.0, "frames": [{"frame": 0, "hands": []}, *frames]}
 
 
 # HaWoR
@@ -223,6 +248,94 @@ def keywords(rows: slice, turn: np.ndarray) -> dict[str, np.ndarray]:
     return {**start, **poses, "jaw_pose": still, "transl": still, "betas": np.ones((1, 10))}
 
 
+# Data sets, whose worlds are turned back to the camera's frame
+
+
+def at_home(side: Side, world: np.ndarray, own: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A known hand's turn, pose and place in a world, whose axes `world` turns to the camera's: with the open
+    hand, or, relative to the mean, with `own_mano`'s model."""
+    hand, wrist = HANDS[side], wrist_of(side)
+    if own:
+        arrays = imitation_arrays(side)
+        wrist = (arrays["J_regressor"] @ arrays["v_template"])[0]
+    turned = rotmat_to_rotvec(world.T @ rotvec_to_rotmat(hand.global_orient))
+    return turned, hand.hand_pose - own * mean_of(side), (hand.transl + wrist) @ world - wrist
+
+
+def hot3d() -> str:
+    """Lines; every second one is another camera's, a moment later."""
+    lines = []
+    hands = {str(SIDES.index(side)): (side, *at_home(side, UP_AXES["y"], True)) for side in SIDES}
+    for frame in range(FRAMES):
+        row = {
+            key: {
+                "pose": coefficients_of(pose[None, frame], side)[0].tolist(),
+                "wrist_xform": {
+                    "q_wxyz": rotvec_to_quat(turned[frame]).tolist(),
+                    "t_xyz": place[frame].tolist(),
+                },
+                "betas": [0.0] * 10,
+            }
+            for key, (side, turned, pose, place) in hands.items()
+        }
+        time = 56752108188860 + round(frame * 1e9 / 30.0)
+        lines += [json.dumps({"timestamp_ns": time + later, "hand_poses": row}) for later in (0, 90813)]
+    return "\n".join(lines)
+
+
+def data_sets() -> dict[str, tuple[str, dict[str, Any]]]:
+    arctic, grab, interhand, frames = {}, {"framerate": 120.0}, {}, {}
+    for side in SIDES:
+        names = ("rot", "pose", "trans", "shape")
+        arctic[side] = dict(
+            zip(names, (*at_home(side, UP_AXES["z"], True), np.zeros((FRAMES, 10))), strict=True)
+        )
+        turned, pose, place = at_home(side, UP_AXES["z"], False)
+        params = {"global_orient": turned, "hand_pose": pose[:, :24], "fullpose": pose, "transl": place}
+        grab[f"{side[0]}hand"] = {"params": params, "vtemp": "tools/subject_meshes/female/s1_rhand.ply"}
+        turned, pose, place = at_home(side, np.eye(3), True)
+        for n, row in zip(NUMBERS, np.concatenate([turned, pose], axis=1), strict=True):
+            one = {"pose": row, "shape": np.zeros(10), "trans": place[n - 1]}
+            frames.setdefault(str(16000 + n), {"left": None, "right": None})[side] = one
+    interhand["0"] = frames
+    turned, pose, place = at_home("right", np.eye(3), True)
+    rows = np.concatenate([turned, coefficients_of(pose, "right"), place], axis=1)
+    dexycb = {
+        f"labels_{n:06}.npz": {"pose_m": row[None], "seg": np.zeros(3)}
+        for n, row in zip(NUMBERS, rows, strict=True)
+    }
+    photos = np.concatenate([turned, pose, np.zeros((FRAMES, 13))], axis=1)[:, None]
+    turned, pose, place = at_home("right", np.diag([1.0, -1.0, -1.0]), False)
+    camera = np.array([[614.6, 0.0, 320.0], [0.0, 614.1, 240.0], [0.0, 0.0, 1.0]])
+    ho3d = {
+        f"meta/{n:04}.pkl": {
+            "camMat": camera,
+            "handPose": row[:48],
+            "handTrans": row[48:],
+            "handBeta": np.ones(10),
+        }
+        for n, row in zip(NUMBERS, np.concatenate([turned, pose, place], axis=1), strict=True)
+    }
+    motion = np.concatenate(
+        [body(UP_AXES["y"]), *[h.hand_pose for h in HANDS.values()], np.zeros((FRAMES, 166))], axis=1
+    )
+    valid = {f"{side}_hand_valid": np.ones(FRAMES, dtype=bool) for side in SIDES}
+    return {
+        "HOT3D": ("hot3d", {"a.jsonl": hot3d()}),
+        "ARCTIC's hands": ("arctic", {"a.mano.npy": arctic}),
+        "GRAB": ("grab", {"a.npz": grab}),
+        "InterHand2.6M": ("interhand-mano", {"a_MANO.json": interhand}),
+        "DexYCB": ("dexycb", dexycb),
+        "HO-3D": ("ho3d", ho3d),
+        "FreiHAND": ("freihand", {"training_mano.json": photos.tolist()}),
+        "Motion-X": ("smplx", {"a.npy": motion}),
+        "GVHMR with HaMeR's hands": (
+            "smplx-keywords",
+            {"a.npz": keywords(slice(None), UP_AXES["y"]) | valid},
+        ),
+    }
+
+
 def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
     """The reader of each layout, and the files that have `HANDS` so."""
     pictures, minis = {n: network(n - 1) for n in NUMBERS}, {n: mini(n - 1) for n in NUMBERS}
@@ -237,6 +350,8 @@ def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
         "WiLoR-mini, JSON": ("wilor-mini", {"a.json": [*minis.values()]}),
         "WiLoR-mini, pickle": ("wilor-mini", {"a.pkl": [*minis.values()]}),
         "WiLoR-mini, a file a picture": ("wilor-mini", {f"{n:03}.json": v for n, v in minis.items()}),
+        "WiLoR-mini, frames with hands": ("wilor-mini", {"a.json": frames_with_hands()}),
+        "WiLoR-mini, lists, at first empty": ("wilor-mini", {"a.json": [[], *minis.values()]}),
         "HaWoR, a clip": ("hawor", hawor()),
         "HaWoR, its world": ("hawor", {"world_space_res.npz": hawor_world()}),
         "HaWoR, its world as pred_": ("hawor", {"world_space_res.npz": hawor_world("pred_")}),
@@ -246,4 +361,5 @@ def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
         "AMASS, SMPL-X": ("smplx", {"a.npz": amass(55, UP_AXES["z"])}),
         "AMASS, in parts": ("smplx", {"a.npz": in_parts()}),
         "ARCTIC": ("smplx-keywords", {"a.smplx.npy": keywords(slice(None), UP_AXES["z"])}),
+        **data_sets(),
     }

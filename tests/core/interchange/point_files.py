@@ -212,6 +212,96 @@ def leapc() -> list[dict[str, Any]]:
     return frames
 
 
+def interhand() -> dict[str, Any]:
+    """A capture: tips first, the right hand's 21 points before the left hand's; x right, y down."""
+    order = [*(4 * finger + joint for finger in range(5) for joint in (4, 3, 2, 1)), 0]
+    frames = {}
+    for row in range(FRAMES):
+        points = [1000.0 * TOLD.points[side][row][order] for side in ("right", "left")]
+        valid = [[1.0]] * 42
+        frames[str(row)] = {"world_coord": np.concatenate(points).tolist(), "joint_valid": valid}
+    return {"0": frames}
+
+
+ARIA = [4, 8, 12, 16, 20, 0, 2, 3, 5, 6, 7, 9, 10, 11, 13, 14, 15, 17, 18, 19]
+
+
+def aria(path: Path) -> Path:
+    """The glasses' table: x down, y left; the last landmark is the palm's middle. No right hand in row 2."""
+    header = ["tracking_timestamp_us"]
+    for side in SIDES:
+        header += [f"{side}_tracking_confidence"]
+        header += [f"t{axis}_{side}_landmark_{i}_device" for i in range(21) for axis in "xyz"]
+    header += [f"t{axis}_{side}_device_wrist" for side in SIDES for axis in "xyz"]
+    rows = []
+    for row in range(FRAMES):
+        cells: list[float] = [1_000_000 + 100_000 * row]
+        for side in SIDES:
+            x, y, z = np.moveaxis(TOLD.points[side][row], -1, 0)
+            there = np.stack([y, -x, z], axis=-1)
+            seen = side == "left" or row != 2
+            cells += [0.99 if seen else -1.0]
+            cells += (
+                (seen * np.concatenate([there[ARIA], there.mean(axis=0, keepdims=True)])).ravel().tolist()
+            )
+        rows.append([*cells, *[0.5] * 6])
+    return table(path, header, rows)
+
+
+def headset(frame: int) -> dict[str, Any]:
+    """Metres, y up, by MRTK's names."""
+    fingers = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+    thumb, finger = ("Metacarpal", "Proximal", "Distal", "Tip"), ("Knuckle", "Middle", "Distal", "Tip")
+    names = ["Wrist", *(f + j for f in fingers for j in (thumb if f == "Thumb" else finger))]
+    places = {side: TOLD.points[side][frame] * [1.0, -1.0, -1.0] for side in SIDES}
+    return {
+        "Frame": frame,
+        **{side.capitalize(): dict(zip(names, places[side].tolist(), strict=True)) for side in SIDES},
+    }
+
+
+def trc(path: Path, *markers: str) -> Path:
+    """OpenSim's markers, millimetres, y up."""
+    markers = markers or tuple(f"{side[0].upper()}_{name}" for side in SIDES for name in NAMES)
+    places = np.concatenate([TOLD.points[side] * [1000.0, -1000.0, -1000.0] for side in SIDES], axis=1)
+    axes = [f"{axis}{i + 1}" for i in range(len(markers)) for axis in "XYZ"]
+    lines = [
+        ["PathFileType", "4", "(X/Y/Z)", path.name],
+        ["DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units"],
+        ["50", "50", str(FRAMES), str(len(markers)), "mm"],
+        ["Frame#", "Time", *(cell for name in markers for cell in (name, "", ""))],
+        ["", "", *axes],
+    ]
+    rows = places[:, : len(markers)].reshape(FRAMES, -1).tolist()
+    lines += [[str(i), f"{i / 50:.3f}", *map(str, row)] for i, row in enumerate(rows)]
+    path.write_text("\n".join("\t".join(line) for line in lines), encoding="utf-8")
+    return path
+
+
+def annotations() -> dict[str, Any]:
+    """COCO-WholeBody's, of one person in each picture."""
+    people = [
+        {"image_id": 100 + row, "category_id": 1, "keypoints": [0.0] * 51}
+        | {f"{side}hand_kpts": triples(TOLD.pixels[side][row], 2.0) for side in SIDES}
+        for row in range(FRAMES)
+    ]
+    return {"images": [{"id": 100, "width": WIDTH, "height": HEIGHT}], "annotations": people}
+
+
+def alphapose(*models: int) -> list[dict[str, Any]]:
+    """A list of persons, of whole bodies of so many points."""
+    return [
+        {
+            "image_id": f"{row}.jpg",
+            "category_id": 1,
+            "keypoints": triples(np.array(instance(row, count)["keypoints"])),
+            "score": 2.9,
+        }
+        for row in range(FRAMES)
+        for count in models
+    ]
+
+
 # Files
 
 

@@ -52,29 +52,39 @@ SAID = {
     "wilor-mini": ("left ones already",),
     "hawor": (),
     "dyn-hamr": (),
-    "smplx": ("taken to be z-up", "where the wrists are is not known"),
-    "smplx-keywords": ("taken to be z-up",),
+    "smplx": ("-up, as the body stands so", "where the wrists are is not known"),
+    "smplx-keywords": ("-up, as the body stands so",),
+    "hot3d": ("taken to be y-up",),
+    "interhand-mano": ("the camera's axes",),
+    "dexycb": ("taken for a right hand",),
+    "freihand": ("one hand's frames",),
 }
+
+
+OF_MEAN = {"hot3d", "arctic", "interhand-mano", "dexycb", "freihand"}
+ONE_HAND = {"dexycb", "ho3d", "freihand"}
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_hands_come_back(tmp_path: Path, layout: str) -> None:
     reader, contents = LAYOUTS[layout]
     path = laid_out(tmp_path / "clip", contents)
+    own = {"model": str(own_mano(tmp_path / "mano"))} if reader in OF_MEAN else {}
     gone = [3] if layout == "HaWoR, a clip" else [6] if "world" in layout else []
     for given in filter(Path.exists, (path, path / "cam_space")):
         assert is_recording(given)
-        recording = read(given, picture_size=(1280, 720))
+        recording = read(given, picture_size=(1280, 720), **own)
         assert recording.format == reader
-        assert recording.frame_numbers.tolist() == list(NUMBERS)
-        for side in SIDES:
-            assert_same_hand(hand_of(recording, side), HANDS[side], placed="smplx" not in reader)
-        assert np.flatnonzero(~hand_of(recording, "left").present).tolist() == gone
-        assert hand_of(recording, "right").present.all()
-    for words in SAID[reader]:
+        assert np.diff(recording.frame_numbers).tolist() == [1] * (FRAMES - 1)
+        for side in SIDES[1:] if reader in ONE_HAND else SIDES:
+            placed = "smplx" not in reader and reader != "freihand"
+            assert_same_hand(hand_of(recording, side), HANDS[side], placed=placed)
+            gone_now = gone if side == "left" else []
+            assert np.flatnonzero(~hand_of(recording, side).present).tolist() == gone_now
+    for words in SAID.get(reader, ()):
         assert says(recording, words), words
     assert says(recording, "count from 1") == (gone == [3])
-    assert says(recording, "its world was taken to have the camera's") == (gone == [6])
+    assert says(recording, "its world was taken to have the camera's axes, as in HaWoR") == (gone == [6])
     if reader in ("hamer", "wilor-mini"):
         assert vars(recording.intrinsics) == pytest.approx({"fx": FOCAL, "fy": FOCAL, "cx": 640, "cy": 360})
 
@@ -179,6 +189,21 @@ def test_rows_of_one_side_and_points_beside_hands(tmp_path: Path) -> None:
     folder = laid_out(tmp_path, LAYOUTS["HaMeR, a file a hand"][1])
     np.save(folder / "000001_0_3dkeypoints.npy", np.zeros((1, 21, 3)))
     assert read(folder).frame_numbers.tolist() == list(NUMBERS)
+
+
+def test_frames_that_are_told_and_hands_that_are_none(tmp_path: Path) -> None:
+    """A frame's number, size and rate stand around its hands; zeros are no hand; captures are not mixed."""
+    told = read(written(tmp_path / "a.json", files.frames_with_hands()))
+    assert (told.frame_numbers.tolist(), told.size, told.fps) == (list(NUMBERS), (1280, 720), 25.0)
+    model = str(own_mano(tmp_path / "mano"))
+    labels = dict(LAYOUTS["DexYCB"][1])
+    labels["labels_000003.npz"] = {"pose_m": np.zeros((1, 51))}
+    (left,) = read(laid_out(tmp_path / "dexycb", labels), model=model, hands="left").posed
+    assert left.side == "left"
+    assert np.flatnonzero(~left.present).tolist() == [2]
+    (frames,) = LAYOUTS["InterHand2.6M"][1]["a_MANO.json"].values()
+    with pytest.raises(InputError, match=r"several clips \(0/\.\. and 1/\.\."):
+        read(written(tmp_path / "b.json", {"0": frames, "1": frames}), model=model)
 
 
 # Persons
@@ -465,19 +490,13 @@ def hawor(path: Path, **changes: Any) -> Path:
     return laid_out(path.parent, files.hawor(**changes))
 
 
-def far(path: Path) -> Path:
-    laid_out(path.parent, {"cam_space/1/0_999999999.json": files.hawor()["cam_space/0/0_2.json"]})
-    return path.parent
-
-
 WRONG: list[tuple[Callable[..., Path], dict[str, Any], str]] = [
     (hamer, {"right": np.ones(FRAMES - 1)}, "rows where 6 are expected"),
     (hamer, {"global_orient": 2.0 * HANDS["right"].matrices[:, :1]}, "no rotations"),
     (hamer, {"hand_pose": np.degrees(HANDS["right"].hand_pose)}, "degrees"),
     (hamer, {"pred_cam_t_full": np.full((FRAMES, 3), 1e12)}, "beyond"),
     (hawor, {"init_trans": [[[0.0, 0.0, 1.0]]]}, "init_trans has 1 rows where 3 are expected"),
-    (hawor, {"init_root_orient": None}, "no hands or keypoints of a program that is known"),
-    (far, {}, "1000000000 frames, and at most 100000 are read"),
+    (hawor, {"init_root_orient": None}, "no hands of a layout that is known"),
     (dyn, {"is_right": np.ones(FRAMES)}, "is_right must have the shape BxT"),
     (dyn, {"intrins": np.array([1.0, 1.0, -5.0, 2.0])}, "intrins must be"),
     (amass, {"poses": np.zeros((FRAMES, 72))}, "without hands it has fewer"),

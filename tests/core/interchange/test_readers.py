@@ -9,8 +9,29 @@ import pytest
 from handfit_core.common.errors import InputError
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
+from handfit_core.interchange.writers import WRITERS
+from tests.conftest import ROOT
 from tests.core.interchange.every_format import keypoint_files, other_files
 from tests.core.interchange.known_hands import read
+
+
+def formats_table() -> list[str]:
+    """The lines of docs/interchange.md's table."""
+    rows = ["| format | read | write | what is assumed | tried with |", "|---|---|---|---|---|"]
+    readers, writers = READERS.built_in(), WRITERS.built_in()
+    for name in [*readers, *(name for name in writers if name not in {"take", *readers})]:
+        reader, writer = readers.get(name), writers.get(name)
+        told = (reader.title, reader.assumed, reader.met or "by description") if reader else ("", "", "")
+        title, assumed, met = told if reader or not writer else (writer.title, "", "")
+        written = f"`{writer.endings[0]}`" if writer else ""
+        rows.append(f"| {title} | {f'`{name}`' if reader else ''} | {written} | {assumed} | {met} |")
+    return rows
+
+
+def test_the_pages_table_is_the_codes() -> None:
+    page = (ROOT / "docs" / "interchange.md").read_text(encoding="utf-8")
+    assert [line for line in page.splitlines() if line.startswith("|")] == formats_table()
+    assert len(page.replace("|", " ").split()) <= 1500
 
 
 @pytest.fixture(scope="module")
@@ -27,28 +48,40 @@ def test_every_file_is_recognised_by_its_reader(files: dict[str, list[Path]], tm
 
 
 def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]) -> None:
-    """MediaPipe's takes whatever names 21 points, and is asked when all others have said no."""
-    *others, last = READERS.all()
-    assert last == "mediapipe"
+    """Those of arrays and of MediaPipe take whatever has 21 points, and are asked when all others said no."""
+    *others, arrays, last = READERS.all()
+    assert (arrays, last) == ("arrays", "mediapipe")
     for kind, paths in files.items():
         for path in paths:
             takers = [name for name in others if READERS.get(name).recognises(Document(path))]
-            assert takers == ([] if kind == "mediapipe" else [kind]), path.name
+            assert takers == [kind] * (kind not in (arrays, last)), path.name
 
 
 @pytest.mark.parametrize(
-    ("name", "content"),
+    ("name", "content", "found"),
     [
-        *(("a.csv", text) for text in (b"", b"[]", b"a,b\n1,2\n", b"\0\1\2")),
-        ("a.json", b'{"landmarks": ["x"]}'),
-        ("a.npz", b"PK\3\4"),
-        ("a.pkl", b"\x80\x02cposix\nsystem\n."),
+        ("a.csv", b"", "an empty file"),
+        ("a.csv", b"[]", "JSON with a list of 0"),
+        ("a.csv", b"a,b\n1,2\n", "a table with the columns a, b"),
+        ("a.csv", b"\0\1\2", "a text, and no table"),
+        ("a.txt", b"%PDF", "a text, .* it begins with '%PDF'"),
+        ("a.json", b'{"landmarks": ["x"]}', "JSON with landmarks"),
+        ("a.json", b'{"landmarks": [\n1,', "damaged JSON: it breaks off, or has .* in line 2"),
+        ("a.json", b'{"a": 1}\n{"a": 2}\n', "lines of JSON with a"),
+        ("a.jsonl", b'{"a": 1}\n{"a" 2}\n{"a": 1}\n', "lines of JSON, of which line 2 is damaged"),
+        ("a.jsonl", b'{"hand_poses": {"0": {"joint_angles": [0.1]}}}\n', "UmeTrack's joints .HOT3D"),
+        ("a.npz", b"PK\3\4", "a zip archive, or a damaged .npz"),
+        ("a.pkl", b"\x80\x02cposix\nsystem\n.", "a pickle that .* can run programs"),
+        ("a.npz", b"\x89HDF\r\n", "HDF5"),
+        ("a.json", b'{"root_orient": [0], "pose_body": [0]}', "a body of SMPL without hands"),
     ],
 )
-def test_a_file_of_no_known_format_is_described(tmp_path: Path, name: str, content: bytes) -> None:
+def test_a_file_of_no_known_format_is_described(
+    tmp_path: Path, name: str, content: bytes, found: str
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(
-        InputError, match=r"no hands or keypoints of a program that is known \(.*Points"
+        InputError, match=f"no hands of a layout that is known are in it: it is .*{found}"
     ) as said:
         read(tmp_path / name)
     assert "\n" not in str(said.value)

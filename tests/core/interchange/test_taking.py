@@ -12,7 +12,7 @@ import pytest
 from handfit_core.capturing.fitting import hand_track
 from handfit_core.common.arrays import check_arrays
 from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_JOINTS, SIDES, Side
-from handfit_core.detect.correction.corrected import TRUST, landmarked
+from handfit_core.detect.correction.corrected import BLEND, landmarked
 from handfit_core.detect.keypoints import Track
 from handfit_core.edit.hand import RefineHand
 from handfit_core.edit.refit import refit_range
@@ -197,7 +197,7 @@ def test_missing_points_are_guessed_and_believed_less() -> None:
     np.testing.assert_array_equal(found.overlapped, gone)
     plain = landmarked(replace(found, overlapped=None), "right")
     doubted = landmarked(found, "right").pixel_sigma[gone]
-    assert np.allclose(doubted, TRUST.overlapped * plain.pixel_sigma[gone])
+    assert np.allclose(doubted, BLEND.overlapped * plain.pixel_sigma[gone])
 
 
 def test_points_that_the_program_doubts_are_believed_less() -> None:
@@ -244,10 +244,10 @@ def test_a_take_of_such_keypoints_is_refitted_as_it_was_fitted() -> None:
     model = model_of("right")
     track = Track("right", found.hands, 30, 30.0)
     kept = hand_track(model, track, get_solver("fast")(model, track, DETECTOR, lambda: None), DETECTOR)
-    assert kept.overlapped is not None
-    assert np.array_equal(kept.overlapped, np.isnan(points[..., 0]))
+    assert kept.rows.overlapped is not None
+    assert np.array_equal(kept.rows.overlapped, np.isnan(points[..., 0]))
     nothing = np.full((30, 21, 2), np.nan), np.zeros(NUM_JOINTS, dtype=bool), OPEN_HAND
-    hand = RefineHand("right", kept.betas, *kept.pose, DETECTOR, kept.detections(), *nothing)
+    hand = RefineHand("right", kept.betas, *kept.pose, DETECTOR, kept.detections, *nothing)
     again = refit_range(hand)
     apart = np.linalg.norm(model.keypoints(again.betas, *again.pose) - kept.joints_3d, axis=-1)
     assert apart.mean() < 0.002

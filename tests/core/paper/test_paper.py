@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handfit_core.common.skeleton import PALM_KEYPOINTS, SIDES, Side
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.fit.solvers import get_solver
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.geometry.rotations import rotvec_to_rotmat
@@ -108,7 +108,7 @@ def test_track_is_placed_before_the_camera(side: Side) -> None:
     # A long lens: the method takes the hand's own perspective for none.
     camera = Intrinsics(2000.0, 2000.0, 320.0, 240.0)
     betas = 0.5 * RNG.normal(size=10)
-    detections: list[HandDetection | None] = []
+    detections: list[Detections | None] = []
     truth = []
     for t in range(4):
         orient = np.array([0.2 * t, 1.2, -0.3])
@@ -118,7 +118,7 @@ def test_track_is_placed_before_the_camera(side: Side) -> None:
         pixels = camera.project(points)
         depth = (points[:, 2] - points[0, 2]) * camera.fx / points[:, 2].mean()
         detections.append(
-            HandDetection(side, 0.9, np.column_stack([pixels, depth]), points - points.mean(axis=0))
+            Detections.hand(side, 0.9, np.column_stack([pixels, depth]), points - points.mean(axis=0))
         )
     detections.insert(2, None)
     track = track_of(side, detections)

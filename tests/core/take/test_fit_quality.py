@@ -19,6 +19,7 @@ from handfit_core.take.fit_quality import (
     relative_errors,
 )
 from tests.conftest import ROOT
+from tests.takes import seen_as
 
 TAKE = Take.load(ROOT / "samples" / "rendered_hand" / "truth.take.npz")
 TRACK = TAKE.hands[0]
@@ -31,11 +32,12 @@ def test_a_share_of_the_hands_length_in_the_picture():
     joints = np.full((COUNT, 21, 3), [0.0, 0.0, 0.5])
     joints[:, 9:13, 1] = -0.05 * np.arange(1, 5)
     seen = np.arange(COUNT) < 3
-    track = replace(TRACK, joints_3d=joints, reprojection_error=np.where(seen, 7.0, np.nan), detected=seen)
+    track = replace(TRACK, joints_3d=joints, reprojection_error=np.where(seen, 7.0, np.nan))
+    track = seen_as(track, detected=seen)
     expected = np.where(seen, 7.0 / (TAKE.intrinsics.fx * 0.2 / 0.5), np.nan)
     np.testing.assert_allclose(relative_errors(track, TAKE.intrinsics), expected)
     assert mean_relative_error(track, TAKE.intrinsics) == pytest.approx(expected[0])
-    assert mean_relative_error(replace(track, detected=~seen & seen), TAKE.intrinsics) is None
+    assert mean_relative_error(seen_as(track, detected=~seen & seen), TAKE.intrinsics) is None
 
 
 def test_expected_errors():

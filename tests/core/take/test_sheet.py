@@ -14,7 +14,7 @@ from handfit_core.media.pictures import read_picture
 from handfit_core.media.source import Source
 from handfit_core.take import Take
 from handfit_core.take.sheet import write_sheet
-from tests.takes import take_of, track_of
+from tests.takes import seen_as, take_of, track_of
 
 WIDTH, HEIGHT, COUNT = 320, 240, 12
 CAMERA = Intrinsics(320.0, 320.0, 160.0, 120.0)
@@ -128,7 +128,7 @@ def test_frames_without_a_hand_are_not_shown(tmp_path):
     take = take_with()
     (hand,) = take.hands
     detected = np.arange(COUNT) >= 8
-    take = replace(take, hands=(replace(hand, detected=detected),))
+    take = replace(take, hands=(seen_as(hand, detected=detected),))
     assert write_sheet(take, tmp_path / "a.jpg", frames=2) == [9, 12]
     assert write_sheet(replace(take, hands=()), tmp_path / "b.jpg", frames=2) == [1, 12]
     assert not any(is_hand(cell).any() for cell in cells_of(tmp_path / "b.jpg"))

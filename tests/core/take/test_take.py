@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handfit_core.common.arrays import arrays_of, check_arrays
+from handfit_core.common.arrays import arrays_of, check_arrays, declared
 from handfit_core.common.errors import OutputError, TakeError
 from handfit_core.common.skeleton import SIDES
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model.arm import ArmMotion
 from handfit_core.media.source import Source
 from handfit_core.take import FORMAT_VERSION, TAKE_LIMITS, HandTrack, Take, at_rows, is_take
+from handfit_core.take.found import FoundRows
 
 FRAMES = 4
 DETECTED = np.array([True, True, False, True])
@@ -26,20 +27,22 @@ SHAPES = {
     "hand_pose": (FRAMES, 45),
     "transl": (FRAMES, 3),
     "joints_3d": (FRAMES, 21, 3),
-    "keypoints_2d": (FRAMES, 21, 2),
     "reprojection_error": (FRAMES,),
-    "score": (FRAMES,),
 }
+FOUND = {"keypoints_2d": (FRAMES, 21, 2), "score": (FRAMES,)}
 OF_MODEL = ("global_orient", "hand_pose", "transl", "joints_3d")
 
 
 def track(side: Any = "right", seed: int = 0, **changes: Any) -> HandTrack:
     rng = np.random.default_rng(seed)
-    arrays: dict[str, Any] = {name: rng.normal(size=shape) for name, shape in SHAPES.items()}
+    arrays: dict[str, Any] = {name: rng.normal(size=shape) for name, shape in (SHAPES | FOUND).items()}
     for name, array in arrays.items():
         if name != "betas":
             array[~DETECTED] = np.nan
-    return HandTrack(side=side, detected=DETECTED, **(arrays | changes))
+    found = {name: changes.pop(name) for name in declared(FoundRows) if name in changes}
+    found = {"detected": DETECTED} | {name: arrays.pop(name) for name in FOUND} | found
+    detections = FoundRows(**found).detections("left" if side == "left" else "right")
+    return HandTrack(side=side, detections=detections, **(arrays | changes))
 
 
 def full(**changes: Any) -> HandTrack:
@@ -122,13 +125,15 @@ def test_round_trip(compact, tmp_path):
             assert getattr(loaded, field.name) == getattr(original, field.name), field.name
     np.testing.assert_array_equal(loaded.frame_numbers, original.frame_numbers)
     assert [h.side for h in loaded.hands] == ["right", "left"]
-    for found, expected in zip(loaded.hands, original.hands, strict=True):
+    pairs = [*zip(loaded.hands, original.hands, strict=True)]
+    for found, expected in [*pairs, *((found.rows, expected.rows) for found, expected in pairs)]:
         arrays = arrays_of(expected)
         assert arrays_of(found).keys() == arrays.keys()
         for name, array in arrays.items():
             assert getattr(found, name).dtype == array.dtype, name
             kept = array.astype(np.float32) if compact and array.dtype == np.float64 else array
             np.testing.assert_array_equal(getattr(found, name), kept, err_msg=name)  # also NaN
+    for found, _ in pairs:
         np.testing.assert_array_equal(found.present, DETECTED | (found.filled is not None))
     with np.load(path, allow_pickle=False) as archive:
         header = json.loads(str(archive["header"]))
@@ -167,7 +172,6 @@ def test_arms_come_back():
             {"hands": (full(transl=track().transl),)},
             "the right hand's transl is not finite where the hand is present",
         ),
-        ({"hands": (full(keypoints_depth=np.full((FRAMES, 21), np.nan)),)}, "keypoints_depth is not finite"),
         (
             {"hands": (with_arm(present=DETECTED),)},
             "the right arm's shoulder is not finite where the hand is present",
@@ -183,18 +187,18 @@ def test_what_blender_could_not_build_is_refused(changes, words):
 def test_detections():
     hand = full()
     assert hand.refinable
-    hands = hand.detections()
+    hands = hand.detections
     check_arrays(hands)
     np.testing.assert_array_equal(hands.frame, np.flatnonzero(DETECTED))
     np.testing.assert_array_equal(hands.overlapped[1], np.arange(21) > 5)
     np.testing.assert_array_equal(hands.keypoints_2d, hand.keypoints_2d[DETECTED])
-    np.testing.assert_array_equal(hands.keypoints[..., 2], hand.keypoints_depth[DETECTED])
-    np.testing.assert_array_equal(hands.world, hand.world_landmarks[DETECTED])
+    np.testing.assert_array_equal(hands.keypoints[..., 2], hand.rows.keypoints_depth[DETECTED])
+    np.testing.assert_array_equal(hands.world, hand.rows.world_landmarks[DETECTED])
     np.testing.assert_array_equal(hands.score, hand.score[DETECTED])
     np.testing.assert_array_equal(hands.right_side, [0.9, 0.3, np.nan])
     assert [SIDES[side] for side in hands.side] == ["right", "left", "right"]
     assert SIDES[hands.likely_side[1]] == "right"
-    some = hand.detections(np.array([3, 2, 1]))
+    some = hand.detections_at(np.array([3, 2, 1]))
     assert some.frame.tolist() == [0, 2]
     np.testing.assert_array_equal(some.keypoints, hands.keypoints[[2, 1]])
 
@@ -209,8 +213,8 @@ def test_older_takes(tmp_path):
     np.testing.assert_array_equal(hand.present, hand.detected)
     assert not hand.refinable
     with pytest.raises(TakeError, match="capture it again"):
-        hand.detections()
-    plain = dataclasses.replace(full(), right_side=None, other_side=None).detections()
+        hand.detections_at(np.arange(FRAMES))
+    plain = full(right_side=None, other_side=None).detections
     assert [SIDES[side] for side in plain.side] == ["right"] * 3
     assert np.isnan(plain.right_side).all()
 
@@ -253,11 +257,13 @@ def camera(**changes: Any) -> dict[str, Any]:
         ({"arms": ["0"]}, "arms must be an object"),
         ({"arms": {"0": ""}}, "it lacks 'arms/hand0_shoulder"),
         ({"hand0_detected": np.ones(FRAMES)}, "holds float64 as hand0_detected"),
+        ({"hand0_keypoints_depth": np.full((FRAMES, 21), np.nan)}, "keypoints_depth is not finite where"),
     ],
     ids=lambda value: str(value)[:60],
 )
 def test_everything_in_a_file_is_of_its_kind(tmp_path, changes, said):
-    assert said in message_of(edited(take().save(tmp_path / "t.npz"), **changes))
+    both = take(hands=(full(), track("left", 1)))
+    assert said in message_of(edited(both.save(tmp_path / "t.npz"), **changes))
 
 
 def test_other_files_are_not_takes(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 
 from handfit_core import Intrinsics, Take
 from handfit_core.common.errors import Cancelled, HandfitError, OptionError, ProtocolError
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from handfit_core.edit import RefineHand, to_message
 from handfit_core.edit.messages import answer, from_message
 from handfit_core.fit.solvers import never
@@ -32,7 +32,9 @@ def hand() -> RefineHand:
         intrinsics=truth.intrinsics,
         detections=columns(
             [
-                HandDetection("right", 0.9, np.concatenate([track.keypoints_2d[i], flat], axis=1), points[i])
+                Detections.hand(
+                    "right", 0.9, np.concatenate([track.keypoints_2d[i], flat], axis=1), points[i]
+                )
                 for i in range(COUNT)
             ]
         ),

@@ -9,7 +9,7 @@ import numpy as np
 from handfit_core.capturing.fitting import hand_track
 from handfit_core.capturing.views.cameras import HandPair
 from handfit_core.capturing.views.hands import ViewedHand
-from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.readings import ViewTake
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Landmarked
 from handfit_core.fit.fast import fitter_of
@@ -88,10 +88,10 @@ def take_of(state: State, name: str, side: Side = "right") -> Take:
     )
 
 
-def takes(seed: int = 0, other: int | None = None) -> tuple[Clip, Clip]:
+def takes(seed: int = 0, other: int | None = None) -> tuple[ViewTake, ViewTake]:
     times = np.arange(FRAMES) / FPS
     second = from_second(moving(times + OFFSET, seed=seed if other is None else other))
     return (
-        Clip(take_of(moving(times, seed=seed), "/a.mp4"), lens_known=True),
-        Clip(take_of(second, "/b.mp4"), lens_known=True),
+        ViewTake(take_of(moving(times, seed=seed), "/a.mp4"), lens_known=True),
+        ViewTake(take_of(second, "/b.mp4"), lens_known=True),
     )

@@ -15,7 +15,7 @@ from handfit_core.capturing.fitting import hand_track
 from handfit_core.capturing.options import CaptureOptions
 from handfit_core.capturing.pipeline import Progress, capture
 from handfit_core.capturing.views.joining import joined
-from handfit_core.capturing.views.readings import Clip
+from handfit_core.capturing.views.readings import ViewTake
 from handfit_core.capturing.views.verdict import rotation_between
 from handfit_core.common.errors import HandfitError
 from handfit_core.geometry.rotations import rotmat_to_rotvec, rotvec_to_rotmat
@@ -35,16 +35,17 @@ from tests.core.capturing.views.filmed import (
     take_of,
     takes,
 )
+from tests.takes import seen_as
 
 PAIR = "two_cameras/apart75"
 
 
-def rows(clip: Clip, least: int, most: int) -> Clip:
+def rows(clip: ViewTake, least: int, most: int) -> ViewTake:
     """Its frames with these numbers."""
     return replace(clip, take=chosen(clip.take, "both", FrameRange.parse(f"{least}-{most}"), None))
 
 
-def bumped(degrees: float) -> tuple[Clip, Clip]:
+def bumped(degrees: float) -> tuple[ViewTake, ViewTake]:
     """The second camera turns in mid-shot."""
     first, second = takes()
     times = np.arange(FRAMES) / FPS + OFFSET
@@ -145,7 +146,7 @@ def test_frames_of_a_rate_that_varies():
         frame_numbers=1 + kept,
         hands=tuple(at_rows(hand, kept) for hand in second.take.hands),
     )
-    take = joined(first, Clip(fewer, lens_known=True), CaptureOptions())
+    take = joined(first, ViewTake(fewer, lens_known=True), CaptureOptions())
     assert take.verdict is not None
     assert take.verdict.agreement != "failed", take.verdict.text
     assert take.cameras is not None
@@ -167,7 +168,7 @@ def test_frames_that_the_second_view_alone_has():
         for name, value in vars(hand).items()
         if isinstance(value, np.ndarray) and value.shape[:1] == (FRAMES,)
     }
-    gap = replace(first, take=replace(first.take, hands=(replace(hand, **seen),)))
+    gap = replace(first, take=replace(first.take, hands=(seen_as(replace(hand, **seen), detected=~lost),)))
     whole, take = (joined(each, second, CaptureOptions()).hands[0] for each in (first, gap))
     np.testing.assert_array_equal(take.filled, lost)
     away = np.linalg.norm(take.joints_3d[lost] - whole.joints_3d[lost], axis=2)

@@ -1,11 +1,13 @@
 """Detections in the canonical frame: the same hand looks the same, wherever and however it is seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from handfit_core.common.skeleton import SIDES, Side, other_side
+from handfit_core.common.skeleton import SIDES, Side
 from handfit_core.detect.correction.canonical import FEATURES, Canonical, canonical
-from handfit_core.detect.keypoints import Detections, HandDetection
+from handfit_core.detect.keypoints import Detections
 from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 RIGHT: Side = "right"
@@ -18,15 +20,15 @@ def canonical_right(detections: Detections) -> Canonical:
 
 
 def changed(
-    d: HandDetection, angle: float, scale: float, shift: tuple[float, float], mirror: bool
-) -> HandDetection:
+    d: Detections, angle: float, scale: float, shift: tuple[float, float], mirror: bool
+) -> Detections:
     """The detection of the picture turned, scaled, moved and perhaps mirrored."""
     turn = np.eye(3)
     turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
     flip = np.diag([-1.0 if mirror else 1.0, 1.0, 1.0])
     keypoints = d.keypoints @ (turn @ flip).T * scale + [*shift, 0.0]
-    side = other_side(d.side) if mirror else d.side
-    return HandDetection(side, d.score, keypoints, d.world @ (turn @ flip).T)
+    side = 1 - d.side if mirror else d.side
+    return replace(d, side=side, keypoints=keypoints, world=d.world @ (turn @ flip).T)
 
 
 @pytest.mark.parametrize("mirror", [False, True])
@@ -45,6 +47,6 @@ def test_how_the_picture_is_held_makes_no_difference(mirror, angle, scale, shift
 
 
 def test_points_in_one_place_do_no_harm():
-    frame = canonical_right(columns([HandDetection(RIGHT, 0.5, np.full((21, 3), 7.0), np.zeros((21, 3)))]))
+    frame = canonical_right(columns([Detections.hand(RIGHT, 0.5, np.full((21, 3), 7.0), np.zeros((21, 3)))]))
     assert np.isfinite(frame.features).all()
     assert canonical_right(columns([])).features.shape == (0, FEATURES)

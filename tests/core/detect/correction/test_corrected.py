@@ -6,7 +6,7 @@ import numpy as np
 
 from handfit_core.common.skeleton import SIDES
 from handfit_core.detect.correction import corrected as corrected_module
-from handfit_core.detect.correction.corrected import TRUST, corrected, landmarked, with_side_judged
+from handfit_core.detect.correction.corrected import BLEND, corrected, landmarked, with_side_judged
 from tests.core.fit.detections import columns, landmarks_of, poses, seen
 
 POINTS = landmarks_of("right", *poses(12, seed=3))
@@ -24,7 +24,7 @@ def test_the_detectors_word_counts_more():
     assert np.mean(with_side_judged(UNSURE).likely_side == right) > 0.5
     _, probability = corrected(UNSURE, UNSURE.side)
     found = with_side_judged(UNSURE).right_side
-    aim = TRUST.detector_odds * probability / (1.0 - probability)
+    aim = BLEND.detector_odds * probability / (1.0 - probability)
     np.testing.assert_allclose(found / (1.0 - found), aim, rtol=1e-6)
     none = with_side_judged(columns([]))
     assert none.corrected is not None
@@ -41,7 +41,7 @@ def test_points_where_another_hand_is_are_believed_less():
         doubted = landmarked(given, "right")
         np.testing.assert_array_equal(doubted.pixels, before.pixels)
         times = np.ones((12, 21))
-        times[covered] = corrected_module.TRUST.overlapped
+        times[covered] = corrected_module.BLEND.overlapped
         np.testing.assert_array_equal(doubted.pixel_sigma, before.pixel_sigma * times[..., None])
         np.testing.assert_array_equal(doubted.depth_sigma, before.depth_sigma * times)
 

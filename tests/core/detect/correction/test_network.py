@@ -15,7 +15,7 @@ from handfit_core.detect.correction.network import (
     LandmarkNetwork,
     landmark_network,
 )
-from handfit_core.detect.keypoints import HandDetection
+from handfit_core.detect.keypoints import Detections
 from tests.core.fit.detections import columns, landmarks_of, mirror_image, poses, seen
 
 RIGHT: Side = "right"
@@ -56,7 +56,7 @@ def shipped() -> dict[str, np.ndarray]:
         return dict(arrays)
 
 
-def probability(hands: list[HandDetection]) -> np.ndarray:
+def probability(hands: list[Detections]) -> np.ndarray:
     detections = columns(hands)
     return corrected(detections, detections.side)[1]
 
@@ -85,7 +85,7 @@ def test_bad_landmarks_are_expected_to_be_worse():
 def test_sides():
     """A right hand named a right one is likely; what is named wrong is not. Mirrored, it is the same."""
     right = probability(HANDS)
-    wrong = probability([replace(d, side="left", score=0.6) for d in HANDS])
+    wrong = probability([replace(d, side=1 - d.side, score=np.array([0.6])) for d in HANDS])
     assert right.mean() > 0.8
     assert wrong.mean() < right.mean() - 0.2
     np.testing.assert_allclose(probability([mirror_image(d) for d in HANDS]), right, atol=1e-4)

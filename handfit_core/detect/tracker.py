@@ -1,0 +1,204 @@
+"""What is followed from frame to frame, hands and bodies alike: where it is expected, found again, lost,
+searched for, given up.
+
+Clips (`clips.py`), live hands (`capturing/live/streaming.py`) and bodies (`bodies.py`) are followed with it,
+each at intervals of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from handfit_core.detect.correction.corrected import disagreement
+from handfit_core.detect.crops import Crop
+from handfit_core.detect.keypoints import Detections
+from handfit_core.detect.matching import distance, is_same_hand, mean_detection, overlaps
+from handfit_core.detect.networks import NETWORK, Networks, augmented_crops, crop_around
+from handfit_core.detect.search import SEARCH
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Thresholds of following hands. Distances are in hand sizes."""
+
+    max_shift: float = 0.15
+    """A hand that is found farther than this from where it was expected lies at the crop's edge, and is
+    predicted once more"""
+    min_speed: float = 0.1
+    """Per frame, beyond which a hand is expected where it is going. Slower ones are expected where they were,
+    since a guess would only make them tremble"""
+    max_disagreement: float = 0.2
+    """Mean lengths of bones; where the two landmark networks' points are farther apart than this in the
+    picture, the mirrored crop is predicted, too. Of clear hands, hardly any differ by more than 0.14"""
+
+
+TRACKER: Final = TrackerSettings()
+
+
+@dataclass(eq=False)
+class Tracked:
+    """A hand or a body that was found, and what is known of its motion."""
+
+    points: np.ndarray
+    """(K, 2) pixels where it was found last, about which the next crop is laid"""
+    min_presence: float
+    """Presence below which it is lost"""
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    """(2,) pixels per frame"""
+    misses: int = 0
+    """Searches that failed since a hand was lost; frames since a hand was at a body's wrists"""
+    wait: int = 0
+    """Frames until the next search"""
+
+    def found(self, points: np.ndarray) -> None:
+        """Take in where it is in the next frame."""
+        self.velocity = points.mean(axis=0) - self.points.mean(axis=0)
+        self.points = points
+
+    def expected(self) -> np.ndarray:
+        """(K, 2) pixels where its points are expected in the next frame."""
+        speed = float(np.linalg.norm(self.velocity))
+        slow = TRACKER.min_speed * float(np.ptp(self.points, axis=0).max())
+        moving = max(0.0, 1.0 - slow / max(speed, 1e-9))
+        return self.points + moving * self.velocity
+
+    def search_is_due(self) -> bool:
+        """Count a frame in which it is lost; True if it is to be searched for in this one."""
+        due = self.wait == 0
+        self.wait -= not due
+        return due
+
+    def missed(self, most_wait: int) -> None:
+        """Count a failed search, and wait longer for the next one."""
+        self.velocity = np.zeros(2)
+        self.misses += 1
+        self.wait = min(2**self.misses - 1, most_wait)
+
+
+@dataclass(eq=False)
+class TrackedHand(Tracked):
+    """A hand that is followed."""
+
+    last: Detections = field(kw_only=True)
+    """Where it was found last"""
+    occluded: bool = False
+    """True if it was lost where another hand is"""
+    votes: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    """Of the last frames for each of `SIDES`, where a caller counts them"""
+
+    @classmethod
+    def of(cls, hand: Detections, threshold: float) -> TrackedHand:
+        """Begin to follow a hand that was found with that threshold of presence; one that a person has shown
+        needs less of it."""
+        min_presence = SEARCH.box_min_presence if hand.shown.all() else threshold
+        return cls(hand.keypoints_2d[0], min_presence, last=hand)
+
+    def update(self, hand: Detections) -> None:
+        """Take in its detection in the next frame."""
+        self.found(hand.keypoints_2d[0])
+        self.last = hand
+
+
+class HandTracker:
+    """The hands that are followed in one shot, `most` at a time (None: any number)."""
+
+    def __init__(self, networks: Networks, threshold: float, most: int | None) -> None:
+        self.tracked: list[TrackedHand] = []
+        """The hands of the last frame"""
+        self._networks, self._threshold, self._most = networks, threshold, most
+
+    @property
+    def full(self) -> bool:
+        """True if no more hands are wanted."""
+        return self._most is not None and len(self.tracked) >= self._most
+
+    @property
+    def hands(self) -> Detections:
+        """The hands of the last frame."""
+        return Detections.of([[tracked.last for tracked in self.tracked]])
+
+    def is_known(self, hand: Detections) -> bool:
+        """True if a hand is one of those that are followed."""
+        return bool(is_same_hand(hand, self.hands).any())
+
+    def begin(self, hands: Iterable[Detections]) -> list[TrackedHand]:
+        """Begin to follow those of these hands that are wanted and new; returns them."""
+        begun = []
+        for hand in hands:
+            if not self.full and not self.is_known(hand):
+                begun.append(TrackedHand.of(hand, self._threshold))
+                self.tracked.append(begun[-1])
+        return begun
+
+    def follow(
+        self, rgb: np.ndarray, is_usable: Callable[[Detections], bool] = lambda _: True
+    ) -> list[TrackedHand]:
+        """Find all hands in the next frame (H, W, 3) uint8 RGB; returns those that are lost, or not usable
+        there."""
+        self.tracked, before = [], self.tracked
+        hands = self._networks.map(lambda networks, tracked: redetect(networks, rgb, tracked), before)
+        found = [(t, hand) for t, hand in zip(before, hands, strict=True) if hand and is_usable(hand)]
+        # Of two tracks that end up on one hand, the one that has come farther has taken the other's.
+        for tracked, hand in sorted(found, key=lambda each: float(distance(each[0].last, each[1])[0])):
+            if not overlaps(hand, self.hands):
+                tracked.update(hand)
+                self.tracked.append(tracked)
+        self.tracked = [tracked for tracked in before if tracked in self.tracked]
+        return [tracked for tracked in before if tracked not in self.tracked]
+
+
+def redetect(networks: Networks, rgb: np.ndarray, tracked: TrackedHand) -> Detections | None:
+    """Predict a tracked hand where it is expected in the next frame, once more where it has moved away from
+    there. None where it is lost."""
+    expected = tracked.expected()
+    hand = networks.predict(rgb, crop_around(expected))
+    off = np.linalg.norm(hand.keypoints_2d[0] - expected, axis=-1).mean()
+    if hand.certainty[0] >= tracked.min_presence and off > TRACKER.max_shift * hand.extent[0]:
+        hand = networks.predict(rgb, crop_around(hand.keypoints[0]))
+    if hand.certainty[0] < tracked.min_presence:
+        return None
+    crops = list(augmented_crops(hand.keypoints[0]))[1:] if networks.quality == "best" else []
+    hand = _mean_with_crops(networks, rgb, hand, crops, tracked.min_presence)
+    return replace(hand, shown=tracked.last.shown)
+
+
+def cross_check(networks: Networks, rgb: np.ndarray, hand: Detections, min_presence: float) -> Detections:
+    """Add what the landmark network of December 2020 sees of a hand. In quality `standard`, where the
+    networks disagree on a hand with a single prediction, the mirrored crop is averaged in."""
+    hand = networks.with_keypoints_2020(rgb, hand)
+    if networks.quality != "standard" or hand.keypoints_2020 is None or hand.spread is not None:
+        return hand
+    apart = disagreement(hand.keypoints, hand.keypoints_2020)[0]
+    mirrored = list(augmented_crops(hand.keypoints[0]))[len(NETWORK.augmentation_turns)]
+    crops = [mirrored] if apart > TRACKER.max_disagreement else []
+    return _mean_with_crops(networks, rgb, hand, crops, min_presence)
+
+
+def _mean_with_crops(
+    networks: Networks, rgb: np.ndarray, hand: Detections, crops: Sequence[Crop], min_presence: float
+) -> Detections:
+    """The mean of a hand and its predictions in more crops, where these have enough presence."""
+    more = [networks.predict(rgb, crop) for crop in crops]
+    hands = [hand, *(other for other in more if other.certainty[0] >= min_presence)]
+    return replace(mean_detection(Detections.of([hands])), shown=hand.shown) if len(hands) > 1 else hand
+
+
+def extend_track(
+    networks: Networks,
+    tracked: TrackedHand,
+    rgb: np.ndarray,
+    row: int,
+    frames: list[tuple[Detections, ...]],
+) -> bool:
+    """Follow a hand into the frame `row` with that picture, and add it to the frame's hands. False where it
+    is lost, or is one of them."""
+    hand = redetect(networks, rgb, tracked)
+    if hand is None or overlaps(hand, Detections.of([frames[row]])):
+        return False
+    tracked.update(hand)
+    frames[row] = (*frames[row], cross_check(networks, rgb, hand, tracked.min_presence))
+    return True
