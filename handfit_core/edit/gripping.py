@@ -14,7 +14,7 @@ from handfit_core.edit.settings import EDITS, GRIPS
 from handfit_core.edit.solving import _cheapest, _check, _chunks, _held, _posed, _poses, _with_held
 from handfit_core.fit.fast import FastFitter, fitter_of
 from handfit_core.fit.grip import Grip, SkinVertices, Spheres
-from handfit_core.fit.observation import Kept, observation_of
+from handfit_core.fit.observation import PoseAnchor, observation_of
 from handfit_core.fit.prop import PropSurface, outward
 from handfit_core.fit.solvers import ShouldStop
 from handfit_core.geometry.camera import Intrinsics
@@ -87,7 +87,7 @@ def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.nda
         seen, pixel_sigma=GRIPS.loosened * seen.pixel_sigma, depth_sigma=GRIPS.loosened * seen.depth_sigma
     )
     count = len(own)
-    kept = Kept(
+    kept = PoseAnchor(
         own.wrist, np.full(count, np.inf), own.angles, np.full((count, 5), GRIPS.angle_sigma),
         np.full(count, pinning.PINS.limits_sigma),
     )  # fmt: skip
