@@ -32,8 +32,8 @@ written"""
 class RangeFit:
     """The frames of a range on their way through the worker."""
 
-    fields: Callable[[], dict[str, Any]]
-    """Makes the request's fields"""
+    requests: list[tuple[int, Callable[[], dict[str, Any]]]]
+    """Numbers of frames, and what makes the fields of the requests for them"""
     poses: BonePoses
     fitted: int
     """What is written, and of how many frames"""
@@ -166,8 +166,11 @@ class RangeFitOperator(StepsOperator):
 
     def _fitting(self, fit: RangeFit) -> Generator[str, None, RangeFit]:
         text = f"{self.progress_text}: {fit.count} frames"
-        done = yield from shared_worker.ask("refit", text, **fit.fields())
-        fit.received(fit.refiner.poses(done, len(fit.rows)))
+        parts = []
+        for count, fields in fit.requests:
+            done = yield from shared_worker.ask("refit", text, **fields())
+            parts.append(fit.refiner.poses(done, count))
+        fit.received(BonePoses.concatenate(parts))
         if type(self).bl_idname in self.running:
             self.running[type(self).bl_idname].can_stop = False
         screen.redraw_sidebars()
@@ -267,7 +270,8 @@ class MotionFit(RangeFit):
         written, first, last = self.rows, numbers[self.rows[0]], numbers[self.rows[-1]]
         self.rows = np.flatnonzero((numbers >= first - margin) & (numbers <= last + margin))
         self._is_written = np.isin(self.rows, written)
-        self.fields = self.request(smoothing_of(context.scene, self.refiner.armature))
+        smoothing = smoothing_of(context.scene, self.refiner.armature)
+        self.requests = [(len(self.rows), self.request(smoothing))]
 
     def request(self, smoothing: float) -> Callable[[], dict[str, Any]]:
         """The request's fields: what they start from, and the strength of smoothing."""

@@ -183,7 +183,8 @@ class _TouchFit(RangeFit):
         self.gaps = refiner.gaps(start, self._new)
         """(N,) metres between what is to touch, at the widest"""
         self._touches = [{**refiner.touches(row), **new} for row, new in zip(rows, self._new, strict=True)]
-        self.fields = refiner.request(rows, list(map(refiner.pins, rows)), start, touches=self._touches)
+        pins = list(map(refiner.pins, rows))
+        self.requests = [(len(rows), refiner.request(rows, pins, start, touches=self._touches))]
 
     def new_touches(self, operator: Any) -> list[Touches]:
         """What is to touch in each frame of the range; those without anything are left out. Raises

@@ -59,6 +59,7 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
         row = layout.row(align=True)
         self._fitting(row.row(align=True), "manient.touch", "SNAP_ON")
         self._fitting(row.row(align=True), "manient.press_together", "AUTOMERGE_ON")
+        self._fitting(layout.row(), "manient.grip", "VIEW_PAN")
 
     def _fitting(self, row, operator: str, icon: str, *, stop: str = "Stop", **shown: str) -> None:
         """The button that begins to fit a range, and in its place the one that stops that."""

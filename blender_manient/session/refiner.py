@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from handfit_core.capturing.options import CaptureOptions
+from handfit_core.common.batch import Batch
 from handfit_core.common.errors import OptionError, TakeError
 from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, Side
 from handfit_core.edit import (
@@ -48,7 +49,7 @@ _NEAREST = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class BonePoses:
+class BonePoses(Batch):
     """What N frames' bones are set to; NaN rows where there is no hand."""
 
     quats: np.ndarray
@@ -224,7 +225,7 @@ class Refiner:
         rows: Sequence[int],
         pins: Sequence[Pins],
         poses: BonePoses,
-        mode: Literal["each", "draft", "range"] = "each",
+        mode: Literal["each", "draft", "range", "grip"] = "each",
         smoothing: float = CaptureOptions.smoothing,
         touches: Sequence[Touches] | None = None,
     ) -> Callable[[], dict[str, Any]]:

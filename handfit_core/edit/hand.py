@@ -171,3 +171,30 @@ class RefineHand(HandMotion):
         if self.touches is None:
             return np.zeros(len(self), dtype=bool)
         return np.asarray(np.isfinite(self.touches).any(axis=1))
+
+
+@array_dataclass
+class Prop:
+    """An object that a hand holds in its T frames, as rigid triangles.
+
+    Raises OptionError, naming the field, where something has the wrong shape or range.
+    """
+
+    vertices: np.ndarray = array("V", 3, finite="all", sent=np.float32)
+    """metres, in the prop's own frame"""
+    triangles: np.ndarray = array("F", 3, kind="i")
+    placed: np.ndarray = array("T", 3, 4, finite="all")
+    """[turn | place] of each frame, in metres: x = turn p + place takes the prop into the camera frame"""
+    fingers: np.ndarray = array(5, kind="b", default=True)
+    """Which fingers may be laid on it, the thumb first"""
+
+    def __post_init__(self) -> None:
+        check_arrays(self, OptionError, "prop: ")
+        if len(self.triangles) and not 0 <= self.triangles.min() <= self.triangles.max() < len(self.vertices):
+            raise OptionError("prop: triangles must name its vertices")
+        turn = self.placed[:, :, :3]
+        if (
+            not np.allclose(turn @ turn.swapaxes(1, 2), np.eye(3), atol=1e-4)
+            or (np.linalg.det(turn) < 0).any()
+        ):
+            raise OptionError("prop: placed must turn it without scaling or mirroring it")

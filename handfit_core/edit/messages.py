@@ -13,13 +13,13 @@ from handfit_core.common.arrays import LARGEST, check_arrays, packed, unpacked
 from handfit_core.common.errors import Cancelled, OptionError, ProtocolError
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.keypoints import Detections
-from handfit_core.edit.hand import RefineHand, SecondSight
-from handfit_core.edit.refit import refit_each, refit_range
+from handfit_core.edit.hand import Prop, RefineHand, SecondSight
+from handfit_core.edit.refit import refit_each, refit_grip, refit_range
 from handfit_core.fit.solvers import ShouldStop
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.take.found import FoundRows
 
-MODES = ("each", "draft", "range")
+MODES = ("each", "draft", "range", "grip")
 _LAST: list[tuple[tuple[object, ...], HandMotion]] = []
 """The last result of a single frame, and what it was of: none or one. A drag asks many times for the same
 frame with a pin that has moved a little; the solver needs a few steps from the last result, and many from
@@ -69,8 +69,9 @@ def _second_from(message: Any, side: Side) -> SecondSight:
 def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any]:
     """Answer a `refit` request with the fields of its `done` event: {"result": {...}, "seconds": s}.
 
-    The request's `mode` is "each", "draft" (see `refit_each`) or "range", its `hand` what `to_message` made.
-    The result is a HandMotion. Raises HandfitError; Cancelled when stopped.
+    The request's `mode` is "each", "draft" (see `refit_each`), "range" or "grip", its `hand` what
+    `to_message` made, and its `prop`, for a grip, a packed `Prop`. The result is a HandMotion. Raises
+    HandfitError; Cancelled when stopped.
     """
     mode = message.get("mode", "each")
     if mode not in MODES:
@@ -83,6 +84,11 @@ def answer(message: Mapping[str, Any], should_stop: ShouldStop) -> dict[str, Any
         raise Cancelled("re-fitting was stopped; nothing was changed")
     if mode == "range":
         result = refit_range(hand, should_stop)
+    elif mode == "grip":
+        prop = message.get("prop")
+        if not isinstance(prop, Mapping):
+            raise ProtocolError("refit: prop must be an object")
+        result = refit_grip(hand, Prop(**unpacked(Prop, prop, "refit: prop: ")), should_stop)
     else:
         key = _drag(hand)
         guess = next((last for of, last in _LAST if of == key), None)

@@ -7,7 +7,7 @@ import numpy as np
 from handfit_core.common.errors import HandModelError
 from handfit_core.common.skeleton import NUM_BETAS, NUM_JOINTS, NUM_KEYPOINTS, SIDES, Side
 from handfit_core.detect.keypoints import Detections
-from handfit_core.edit.hand import RefineHand
+from handfit_core.edit.hand import Prop, RefineHand
 from handfit_core.edit.handles import landmark_points
 from handfit_core.fit.solvers import ShouldStop, never
 from handfit_core.geometry.camera import Intrinsics
@@ -51,6 +51,19 @@ def refit_range(hand: RefineHand, should_stop: ShouldStop = never) -> HandMotion
     Raises HandModelError; Cancelled when `should_stop` said so.
     """
     return _solving().solve_range(hand, kept_model(hand.model, hand.side), should_stop)
+
+
+def refit_grip(hand: RefineHand, prop: Prop, should_stop: ShouldStop = never) -> HandMotion:
+    """All frames, with the fingers that are near a prop laid on its surface.
+
+    Each frame stays near its pose. Fingers out of reach stay exactly as they are, and so does the wrist,
+    unless the palm has to leave the prop. Frames without a pose stay empty.
+
+    Raises HandModelError; OptionError, in an artist's words, where the prop cannot be held; Cancelled.
+    """
+    from handfit_core.edit.gripping import solve_grip
+
+    return solve_grip(hand, prop, kept_model(hand.model, hand.side), should_stop)
 
 
 def warm_up(model: str = OPEN_HAND) -> None:

@@ -99,3 +99,30 @@ class EditSettings:
 
 
 EDITS: Final = EditSettings()
+
+
+@dataclass(frozen=True)
+class GripSettings:
+    """How a hand is laid on a prop."""
+
+    reach: tuple[float, float] = (0.015, 0.02)
+    """metres from the prop up to which a fingertip is drawn to it, and from which it is not"""
+    middle_reach: tuple[float, float] = (0.0045, 0.006)
+    """The same for a finger's middle bone"""
+    middle_share: float = 0.3
+    """How firmly the middle bone is drawn, in parts of the fingertip's firmness"""
+    loosened: float = 2.5
+    """Factor of the expected errors of the landmarks of the pose that is corrected"""
+    angle_sigma: float = math.radians(15.0)
+    """radians: deviation of a finger's angles from those of the pose"""
+    palm_gives_way: float = 0.002
+    """metres of the palm's depth in the prop from which the wrist moves"""
+    deepest_palm: float = 0.008
+    """metres of that depth from which it would have to move too far"""
+    skin_reach: float = 0.008
+    """metres from the prop, once fingers are roughly laid on it, in which the skin's vertices count"""
+    margin: float = 0.04
+    """metres around the hand, and around the middle of a finger, in which the prop's faces count"""
+
+
+GRIPS: Final = GripSettings()

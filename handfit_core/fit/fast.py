@@ -43,7 +43,9 @@ from handfit_core.fit.terms import (
     coupling,
     depth,
     distance,
+    grip,
     near_pose,
+    near_wrist,
     reprojection,
     second_view,
 )
@@ -117,6 +119,8 @@ class FastFitter:
             terms = (*terms, second_view)
         if seen.kept is not None:
             terms = (*terms, near_pose, distance)
+        if seen.grip is not None:
+            terms = (*terms, grip, near_wrist)
         if shape != "given":
             weight = 1.0 if shape == "each" else 1.0 / min(len(seen), SOLVER.shape_evidence)
             terms = (*terms, Shape(self._betas, self._length_rates, weight, measured=self._measured))
@@ -132,8 +136,9 @@ class FastFitter:
     def solve_each(self, problem: Problem, start: State, max_iterations: int | None = None) -> Solution:
         """Solve independent frames in batches. `max_iterations`: None for `SOLVER`'s."""
         most = SOLVER.max_iterations if max_iterations is None else max_iterations
-        # Fingers that are made to touch have none of `pinned`.
-        corrected = problem.seen.pinned is not None or problem.seen.touches is not None
+        # Fingers that are made to touch or to grip have none of `pinned`.
+        seen = problem.seen
+        corrected = any(each is not None for each in (seen.pinned, seen.touches, seen.grip))
         tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
         return Solution.collect(
             len(start),

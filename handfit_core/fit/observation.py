@@ -8,6 +8,7 @@ import numpy as np
 
 from handfit_core.common.batch import Batch
 from handfit_core.detect.keypoints import Landmarked
+from handfit_core.fit.grip import Grip
 from handfit_core.geometry.camera import Intrinsics, PlacedCamera
 from handfit_core.hand_model.chain import State
 
@@ -115,6 +116,8 @@ class Observation(Landmarked):
     """What a second camera saw; None: there is none"""
     touches: np.ndarray | None = None
     """(B, 21) the keypoint that each one is to touch, 0 being the palm; NaN, or None: none"""
+    grip: Grip | None = None
+    """The prop that they are to hold; None: none"""
 
 
 def lines_of_sight(pixels: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:

@@ -13,7 +13,7 @@ from handfit_core.common.skeleton import JOINTS_BY_FINGER
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
-from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows
+from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows, SkinRows
 from handfit_core.hand_model.chain import FIXED_SHAPE, HAND_SIZE, Chain, State
 
 SharedShape = Literal["given", "each", "one"]
@@ -96,11 +96,16 @@ class Problem(Batch):
         columns: dict[Group, list[np.ndarray]] = {POINTS: [], FINGERS: [], HAND: []}
         cost = np.zeros(len(state))
         pairs: list[PairRows] = []
+        skin: list[SkinRows] = []
         for term in self.terms:
             rows = term(posed, self.seen)
             if isinstance(rows, PairRows):
                 pairs.append(rows)
                 np.add.at(cost, rows.hand, rows.cost)
+                continue
+            if isinstance(rows, SkinRows):
+                skin.append(rows)
+                np.add.at(cost, rows.hand, np.square(rows.columns[:, -1]))
                 continue
             weighted, of_term = rows.weighted()
             columns[rows.of].append(weighted)
@@ -136,6 +141,14 @@ class Problem(Batch):
             hand[:, :3, -1] += between[:, 45:, 48]
             between = between[:, :45, :45].copy()
             np.einsum("bfifj->bfij", between.reshape(batch, 5, 9, 5, 9))[...] = 0.0
+        for rows in skin:
+            squared = np.zeros((batch, 5, 15, 16))
+            products = rows.columns[:, :-1, None] * rows.columns[:, None]
+            np.add.at(squared, (rows.hand, rows.finger), products)
+            finger[..., :15] += squared[:, :, :9, :15]
+            finger[..., -1] += squared[:, :, :9, -1]
+            hand[:, :6, :6] += squared[:, :, 9:, 9:15].sum(axis=1)
+            hand[:, :6, -1] += squared[:, :, 9:, -1].sum(axis=1)
         blocks = Blocks(hand, finger, cost, between)
         if self.held is None:
             return blocks

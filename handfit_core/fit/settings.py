@@ -104,6 +104,14 @@ class TermSettings:
     """metres along the line of sight by which parts lie in the wrong order"""
     contact_sigma: float = 0.0025
     """metres between the skins of parts that are in contact"""
+    prop_touch_sigma: float = 0.0005
+    """metres between a pad that is drawn to a prop and this"""
+    prop_penetration_sigma: float = 0.00025
+    """metres of a skin's depth in a prop"""
+    grip_turn_sigma: float = math.radians(2.0)
+    """radians by which a wrist gives way to a prop in the palm"""
+    grip_place_sigma: float = 0.002
+    """metres by which it does"""
     penetration_sigma: float = 0.001
     """metres of penetration depth"""
     edit_penetration_sigma: float = 0.00025

@@ -132,17 +132,17 @@ class HandModel:
         transl (..., 3) metres. The root rotates about the wrist joint, then transl is added, so the
         wrist ends at shaped(betas).joints[0] + transl.
         """
-        vertices, joints = self._skinned(slice(None), betas, global_orient, hand_pose, transl)
+        vertices, joints = self.skinned(slice(None), betas, global_orient, hand_pose, transl)
         return ShapedHand(vertices, joints, vertices[..., self.tip_vertices, :])
 
     def keypoints(
         self, betas: np.ndarray | None, global_orient: np.ndarray, hand_pose: np.ndarray, transl: np.ndarray
     ) -> np.ndarray:
         """The (..., 21, 3) keypoints of `posed`, without the cost of the mesh."""
-        tips, joints = self._skinned(self.tip_vertices, betas, global_orient, hand_pose, transl)
+        tips, joints = self.skinned(self.tip_vertices, betas, global_orient, hand_pose, transl)
         return keypoints_from_joints(joints, tips)
 
-    def _skinned(
+    def skinned(
         self,
         chosen: np.ndarray | slice,
         betas: np.ndarray | None,

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import bmesh
 import bpy
 import numpy as np
 import pytest
@@ -378,6 +379,89 @@ def test_the_frames_in_which_points_are_near_are_suggested(armature):
     assert all(gap(armature, frame, frame)[0] > here + 0.005 for frame in beyond)
     dialog = drawn(MANIENT_OT_touch, point="4", other="8", scope="CUSTOM", first=first, last=last)
     assert "mmapartthere" in dialog.said.replace(" ", "")
+
+
+BALL = 0.02
+"""metres: the radius of what the hand grips"""
+
+
+@pytest.fixture
+def ball(armature):
+    """A ball into which the index fingertip sinks on one frame."""
+    mesh, shape = bpy.data.meshes.new("ball"), bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=4, radius=1.0)
+    shape.to_mesh(mesh)
+    shape.free()
+    ball = bpy.data.objects.new("ball", mesh)
+    bpy.context.scene.collection.objects.link(ball)
+    tip = armature.pose.bones[rig_of(armature).bones[3]]
+    ball.location = armature.matrix_world @ (tip.tail + 0.7 * BALL * tip.z_axis)
+    ball.scale = (BALL, BALL, -BALL)
+    bpy.context.view_layer.update()
+    return ball
+
+
+def gaps_to(ball, armature) -> np.ndarray:
+    """Metres from the ball of the hand's vertices, as they are shown."""
+    shown = hand_of(armature).meshes[0].evaluated_get(bpy.context.evaluated_depsgraph_get())
+    places = np.empty(3 * len(shown.data.vertices))
+    shown.data.vertices.foreach_get("co", places)
+    world = np.array(shown.matrix_world)
+    places = places.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
+    return np.linalg.norm(places - np.array(ball.location), axis=1) - BALL
+
+
+def test_fingers_are_laid_on_an_object_and_let_go_again(armature, ball):
+    before = all_keys(armature)
+    assert gaps_to(ball, armature).min() < -0.004
+    assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
+    bpy.context.scene.frame_set(FRAME)
+    assert -0.001 < gaps_to(ball, armature).min() < 0.002
+    moved = turned(before, all_keys(armature))
+    reach = (before.frames > FIRST - SPREAD) & (before.frames < LAST + SPREAD)
+    assert moved[~reach].max() == 0.0
+    assert moved[before.frames == FRAME, FINGER_JOINTS["index"][0]] > 1e-3
+    assert set(corrections.corrected_frames(armature)) <= set(range(FIRST, LAST + 1))
+    assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    assert turned(before, all_keys(armature)).max() < 1e-5
+
+
+def test_an_object_that_changes_its_shape_is_followed(armature, ball):
+    """It grows by a shape key, then it is moved by keys: both are seen where they are on each frame."""
+    ball.shape_key_add(name="Basis")
+    for point, vertex in zip(ball.shape_key_add(name="grown").data, ball.data.vertices, strict=True):
+        point.co = 1.1 * vertex.co
+    for frame, value in ((FRAME - 1, 0.0), (FRAME, 1.0)):
+        ball.data.shape_keys.key_blocks["grown"].value = value
+        ball.data.shape_keys.key_blocks["grown"].keyframe_insert("value", frame=frame)
+    assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
+    bpy.context.scene.frame_set(FRAME)
+    assert -0.001 < gaps_to(ball, armature).min() - 0.1 * BALL < 0.002
+
+
+def test_what_cannot_be_gripped_says_so(armature, ball):
+    def said(fields=TOUCH) -> str:
+        with pytest.raises(RuntimeError) as caught:
+            bpy.ops.manient.grip(prop="ball", **fields)
+        assert corrections.corrections_text(armature) == ""
+        return str(caught.value)
+
+    assert "none of the frames" in said(TOUCH | {"first": LAST, "last": FIRST})
+    place = ball.location.copy()
+    ball.location.z += 1.0
+    assert "no finger comes near 'ball'" in said()
+    ball.location = place
+    scale = ball.scale.copy()
+    ball.scale = (0.0, 0.0, 0.0)
+    assert "has no faces" in said()
+    ball.scale = scale
+    ball.hide_viewport = True
+    assert "'ball' is hidden" in said()
+    ball.hide_viewport = False
+    ball.data.clear_geometry()
+    assert "has no faces" in said()
+    bpy.data.objects.remove(ball)
+    assert "choose an object" in said()
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,19 @@ class PairRows:
     """(K,) squared sigmas"""
 
 
+@dataclass(frozen=True, eq=False)
+class SkinRows:
+    """K residuals of places on fingers or on the palm, in sigmas, of hands whose shape is given."""
+
+    hand: np.ndarray
+    """(K,) row of the batch"""
+    finger: np.ndarray
+    """(K,) which finger, as in `skeleton.FINGERS`; the palm's rows may name any"""
+    columns: np.ndarray
+    """(K, 16) derivatives by the finger's nine angles, by the root's turn (3) and place (3), and the
+    residual"""
+
+
 def between(
     posed: Posed, hand: np.ndarray, bones: np.ndarray, places: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
@@ -110,6 +123,6 @@ def between(
 class Term(Protocol):
     """One kind of residual of a fit."""
 
-    def __call__(self, posed: Posed, seen: Observation) -> Rows | PairRows:
+    def __call__(self, posed: Posed, seen: Observation) -> Rows | PairRows | SkinRows:
         """The rows of B posed hands against their observation."""
         ...

@@ -1,0 +1,103 @@
+"""Fingers laid on a prop: first by spheres inside them, which tell where they came in, then by their skin."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from handfit_core.common.errors import OptionError
+from handfit_core.common.skeleton import JOINTS_BY_FINGER
+from handfit_core.edit import pins as pinning
+from handfit_core.edit.hand import Prop, RefineHand
+from handfit_core.edit.settings import EDITS, GRIPS
+from handfit_core.edit.solving import _cheapest, _check, _chunks, _held, _posed, _poses, _with_held
+from handfit_core.fit.fast import FastFitter, fitter_of
+from handfit_core.fit.grip import Grip, SkinVertices, Spheres
+from handfit_core.fit.observation import PoseAnchor, observation_of
+from handfit_core.fit.prop import PropSurface, outward
+from handfit_core.fit.solvers import ShouldStop
+from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.chain import State
+from handfit_core.hand_model.data import HandModel
+from handfit_core.hand_model.motion import HandMotion
+
+
+def solve_grip(hand: RefineHand, prop: Prop, model: HandModel, should_stop: ShouldStop) -> HandMotion:
+    """All frames (T), each laid on the prop by itself; the wrist moves in all of them or in none."""
+    if len(prop.placed) != len(hand):
+        raise OptionError(f"prop: placed has {len(prop.placed)} rows, expected {len(hand)}")
+    posed, points = _posed(hand, model)
+    pose = [np.where(posed[:, None], np.asarray(rows, dtype=np.float64), np.nan) for rows in hand.pose]
+    held, rows = np.tile(posed[:, None], 16), np.flatnonzero(posed)
+    corners = outward(prop.vertices, prop.triangles)
+    if not len(rows):
+        return _with_held(hand, held, pose)
+    turn, place = prop.placed[..., :3], prop.placed[..., 3]
+    seen_from = (points[rows] - place[rows, None]) @ turn[rows]
+    low, high = (pick(seen_from, axis=(0, 1)) for pick in (np.min, np.max))
+    surface = PropSurface(corners, low - GRIPS.margin, high + GRIPS.margin)
+    if not len(surface):
+        return _with_held(hand, held, pose)
+    fitter = fitter_of(model)
+    own = _poses(fitter, hand, hand, posed[rows], rows)
+    nothing = np.zeros((len(rows), 10))
+    grip = Grip(surface, Spheres(fitter.surface), turn[rows], place[rows], nothing, own, GRIPS.margin)
+    grip, joints = _wanted(fitter, grip, prop.fingers)
+    held[rows] = joints | np.asarray(hand.locked, dtype=bool)
+    busy = np.flatnonzero(~held[rows].all(axis=1))
+    for _, part in _chunks(busy):
+        _check(should_stop)
+        at = busy[part]
+        state = _laid(fitter, hand.intrinsics, grip.select(at), held[rows[at]])
+        for all_rows, found in zip(pose, fitter.chain.parameters(state)[1:], strict=True):
+            all_rows[rows[at]] = found
+    return _with_held(hand, held, pose)
+
+
+def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, np.ndarray]:
+    """The grip with what is drawn to the prop, and the joints (B, 16) bool that are held."""
+    posed, points = fitter.chain.pose(grip.captured), grip.points
+    gaps = grip.gaps(posed)[1]
+    skin = SkinVertices(fitter.chain, np.flatnonzero(fitter.model.weights.argmax(axis=1) == 0))
+    palm = -replace(grip, points=skin).gaps(posed)[1].min()
+    if palm > GRIPS.deepest_palm:
+        raise OptionError(
+            f"the prop is {1000 * palm:.0f} mm inside the palm; move it out of the palm, then grip again"
+        )
+    drawn = np.empty((len(gaps), 5, 2))
+    for level, (near, far) in enumerate((GRIPS.middle_reach, GRIPS.reach)):
+        for finger in range(5):
+            gap = gaps[:, points.pad == 2 * finger + level].min(axis=1)
+            drawn[:, finger, level] = np.clip((far - gap) / (far - near), 0.0, 1.0) * fingers[finger]
+    drawn[..., 0] *= GRIPS.middle_share * drawn[..., 1]
+    of_finger = (points.finger == np.arange(5)[:, None]) & ~points.palm
+    sunk = np.stack([(gaps[:, own] < 0.0).any(axis=1) for own in of_finger], axis=1) & fingers
+    held = np.ones((len(gaps), 16), dtype=bool)
+    held[:, 0] = palm <= GRIPS.palm_gives_way
+    held[:, JOINTS_BY_FINGER] = ~((drawn[..., 1] > 0.0) | sunk)[..., None]
+    return replace(grip, drawn=drawn.reshape(-1, 10)), held
+
+
+def _laid(fitter: FastFitter, intrinsics: Intrinsics, grip: Grip, joints: np.ndarray) -> State:
+    """B hands laid on the prop, but for the `joints` (B, 16) bool that are held."""
+    own, held = grip.captured, _held(joints, grip.captured)
+    seen = pinning.landmarks_of_pose(fitter.chain.points(own), intrinsics)
+    seen = replace(
+        seen, pixel_sigma=GRIPS.loosened * seen.pixel_sigma, depth_sigma=GRIPS.loosened * seen.depth_sigma
+    )
+    count = len(own)
+    kept = PoseAnchor(
+        own.wrist, np.full(count, np.inf), own.angles, np.full((count, 5), GRIPS.angle_sigma),
+        np.full(count, pinning.PINS.limits_sigma),
+    )  # fmt: skip
+    observed = replace(observation_of(seen, intrinsics), kept=kept, grip=grip)
+    along = (fitter.chain.points(own) * observed.ray[:, None]).sum(axis=2).mean(axis=1)
+    start = replace(own, depth_zero=along)
+    start = _cheapest(fitter, observed, [start], held, EDITS.max_iterations, solid=True).state
+    every = SkinVertices(fitter.chain, np.arange(len(fitter.model.v_template)))
+    skin = replace(grip, points=every, within=GRIPS.skin_reach)
+    near = np.isfinite(skin.gaps(fitter.chain.pose(start))[1]).any(axis=0)
+    skin = replace(skin, points=SkinVertices(fitter.chain, np.flatnonzero(near)))
+    observed = replace(observed, grip=skin)
+    return _cheapest(fitter, observed, [start], held, EDITS.max_iterations, solid=True).state

@@ -1,0 +1,106 @@
+"""What hands hold: a prop where each hand has it, and the points of the hand that may meet it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from handfit_core.common.batch import Batch
+from handfit_core.common.skeleton import JOINTS_BY_FINGER
+from handfit_core.fit.prop import PropSurface
+from handfit_core.hand_model.chain import Chain, Posed, State
+from handfit_core.hand_model.landmarks import bone_axes
+from handfit_core.hand_model.surface import FINGER_OF_BONE, LEVEL_OF_BONE, NUM_BONES, Surface
+
+LEVELS: Final = 2
+"""Pads of a finger that are drawn to a prop: those of its middle and last bones, 2 f and 2 f + 1"""
+_ALONG: Final = np.array([0.0, 0.35, 0.7, 1.0])
+"""Where on a bone its spheres lie"""
+
+
+class GripPoints:
+    """S points of a hand with the fingers (S,) that they belong to, and what follows from them.
+
+    `follows`: (S, 3) the share in which each goes along with its finger's joints. `pad`: (S,) the pad that it
+    is part of; -1: none. `palm`: (S,) bool.
+    """
+
+    def __init__(
+        self, finger: np.ndarray, follows: np.ndarray, level: np.ndarray, on_pad: np.ndarray
+    ) -> None:
+        self.finger, self.follows, self.palm = finger, follows, level == 3
+        self.pad = np.where(on_pad & np.isin(level, (1, 2)), LEVELS * finger + level - 1, -1)
+
+    def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
+        """(B, S, 3) metres, camera frame, and the thickness (B, S) of the flesh around them."""
+        raise NotImplementedError
+
+
+class Spheres(GripPoints):
+    """Spheres along the bones, whose middles a prop hardly ever reaches: they tell where a finger came in."""
+
+    def __init__(self, surface: Surface) -> None:
+        level = LEVEL_OF_BONE.repeat(len(_ALONG))
+        follows = (np.arange(3) <= level[:, None]) & (level[:, None] < 3)
+        super().__init__(
+            FINGER_OF_BONE.repeat(len(_ALONG)), follows * 1.0, level, np.ones(len(level), dtype=bool)
+        )
+        self._surface, self._share = surface, np.stack([1.0 - _ALONG, _ALONG])
+
+    def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
+        """The spheres' centres, and their radii."""
+        capsules, size = self._surface.capsules(posed), NUM_BONES * len(_ALONG)
+        centres = (capsules.ends.swapaxes(2, 3) @ self._share).swapaxes(2, 3).reshape(-1, size, 3)
+        return centres, (capsules.radii @ self._share).reshape(-1, size)
+
+
+class SkinVertices(GripPoints):
+    """Vertices (S,) of the skin itself, by linear blend skinning. The hands must be of one shape."""
+
+    def __init__(self, chain: Chain, vertices: np.ndarray) -> None:
+        model, axes = chain.model, bone_axes(chain.model)
+        weights = model.weights[vertices]
+        owner = weights.argmax(axis=1)
+        by_finger = weights[:, JOINTS_BY_FINGER]  # (S, 5, 3)
+        finger = by_finger.sum(axis=2).argmax(axis=1)
+        own = by_finger[np.arange(len(vertices)), finger]
+        flat = model.shaped()
+        to_back = ((flat.vertices[vertices] - flat.joints[owner]) * axes[owner, :, 1]).sum(axis=1)
+        level = np.where(owner == 0, 3, (owner - 1) % 3)
+        super().__init__(finger, own[:, ::-1].cumsum(axis=1)[:, ::-1], level, to_back < 0.0)
+        self._chain, self._vertices = chain, vertices
+
+    def places(self, posed: Posed) -> tuple[np.ndarray, np.ndarray]:
+        """The vertices, around which there is nothing."""
+        betas, *pose = self._chain.parameters(posed.state)
+        places = self._chain.model.skinned(self._vertices, betas[0], *pose)[0]
+        return places, np.zeros(places.shape[:2])
+
+
+@dataclass(frozen=True, eq=False)
+class Grip(Batch):
+    """The prop that B hands hold."""
+
+    surface: PropSurface
+    points: GripPoints
+    turn: np.ndarray
+    """(B, 3, 3)"""
+    place: np.ndarray
+    """(B, 3) metres: x = turn p + place takes the prop into the camera frame"""
+    drawn: np.ndarray
+    """(B, 10) how firmly each pad is drawn to the prop, 0..1"""
+    captured: State
+    """Where the wrists were"""
+    within: float
+    """metres beyond which points do not count"""
+
+    def gaps(self, posed: Posed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The points (B, S, 3), their skins' distances (B, S) from the prop, and the ways out of it
+        (B, S, 3)."""
+        places, thickness = self.points.places(posed)
+        seen_from = (places - self.place[:, None]) @ self.turn
+        gaps, out = self.surface.gaps(seen_from.reshape(-1, 3), self.within)
+        out = out.reshape(places.shape) @ self.turn.swapaxes(1, 2)
+        return places, gaps.reshape(places.shape[:2]) - thickness, out
