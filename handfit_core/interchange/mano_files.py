@@ -25,7 +25,7 @@ from handfit_core.interchange.recording import ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import UP_AXES
 
-_SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
+_SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl", ".pt", ".pth")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
 """of a hand's number in a file's name; longer ones are frames'"""
