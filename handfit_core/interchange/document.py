@@ -210,7 +210,9 @@ class Document:
         if self.npz is None:
             alone = next((a for a in (self.npy, self.objects, self.numbers) if a is not None), None)
             named = alone if isinstance(alone, dict) else {self.path.stem: alone}
-            return {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
+            found = {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
+            with np.errstate(invalid="ignore"):  # float16 is too coarse to compute with
+                return {n: a.astype(np.float64) if a.dtype.kind == "f" else a for n, a in found.items()}
         found = {}
         for name in self.npz.names:
             with contextlib.suppress(NotNpz):
@@ -490,7 +492,7 @@ def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> An
     except (safe_pickle.Refused, NotNpz, MemoryError):
         raise
     except Exception as error:  # a damaged pickle can fail in any way
-        raise safe_pickle.Refused(f"is a damaged pickle ({str(error)[:100]})") from error
+        raise safe_pickle.Refused("is damaged") from error
 
 
 def _listed(held: Any) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from handfit_core.common import safe_pickle
+from handfit_core.interchange.document import Document
 from tests.torch_files import KINDS, SYSTEM, Storage, Tensor, older_torch, tensors_in_pickle
 
 
@@ -240,3 +241,31 @@ def test_joblib_as_it_writes():
     for cut in range(0, len(stream.getvalue()) - 1, 7):
         with contextlib.suppress(Exception):
             read(stream.getvalue()[:cut] + b".")
+
+
+@pytest.mark.parametrize("kind", ["zip", "older", "pickle", "joblib"])
+def test_torch_as_it_writes(tmp_path, kind):
+    torch = pytest.importorskip("torch")
+    numbers = torch.arange(24.0).reshape(4, 6)
+    held = {
+        "turned": numbers.T,
+        "part": numbers[1:, 2:],
+        "expanded": numbers[:1].expand(3, 6),
+        "parameter": torch.nn.Parameter(numbers),
+        "number": torch.tensor(2.5),
+        **{
+            str(kind): (numbers > 3).to(kind)
+            for kind in (torch.float16, torch.float64, torch.int64, torch.bool)
+        },
+    }
+    path, other = tmp_path / "a.pt", {"size": numbers.shape, "kind": torch.float32, "device": numbers.device}
+    if kind in ("zip", "older"):
+        torch.save(held | other, path, _use_new_zipfile_serialization=kind == "zip")
+    else:
+        path.write_bytes(pickle.dumps(held | other))
+    if kind == "joblib":
+        pytest.importorskip("joblib").dump(held | other, path, compress=3)
+    found = Document(path).objects
+    for name, tensor in held.items():
+        np.testing.assert_array_equal(found[name], tensor.detach().numpy(), name)
+    assert [found[name] for name in other] == [None, None, None]
