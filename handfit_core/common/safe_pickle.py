@@ -51,10 +51,10 @@ MOST_NUMBERED: Final = 10_000_000
 MOST_PARTS: Final = 3_000_000
 """Values that `plain` gives, each as often as it is named"""
 _MOST_NESTED: Final = 100
-MOST_BYTES: Final = 1 << 29
-"""Bytes of all arrays that `plain` gives"""
+MOST_BYTES: Final = 1 << 28
+"""Bytes of all arrays that `plain` gives, with 8 bytes for each float"""
 MOST_DENSE: Final = 2_000_000
-"""Numbers of a sparse matrix that is made dense; MANO's have 16 x 778"""
+"""Numbers of a sparse matrix that is made dense (MANO's have 16 x 778), or of a tensor that repeats some"""
 
 
 class Refused(Exception):
@@ -152,7 +152,8 @@ class _Plain:
         if isinstance(value, Call):
             if id(value) not in self._made:
                 made = self._made[id(value)] = self._call(value, depth + 1)
-                self._bytes -= made.nbytes if isinstance(made, np.ndarray) else 0
+                if isinstance(made, np.ndarray):
+                    self._bytes -= made.size * (8 if made.dtype.kind == "f" else made.itemsize)
                 if self._bytes < 0:  # one text may be the contents of many arrays
                     raise Refused("has more numbers than such files have")
             return self._made[id(value)]
@@ -197,7 +198,7 @@ class _Plain:
         if len(shape) != len(strides) or any(type(n) is not int or n < 0 for n in (offset, *shape, *strides)):
             raise Refused("has a tensor that is damaged")
         count = math.prod(shape)
-        if count * kind.itemsize > self._bytes:
+        if 8 * count > self._bytes or count > max(len(flat), MOST_DENSE):
             raise Refused("has more numbers than such files have")
         last = offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
         if count and last >= len(flat):

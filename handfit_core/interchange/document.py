@@ -210,9 +210,7 @@ class Document:
         if self.npz is None:
             alone = next((a for a in (self.npy, self.objects, self.numbers) if a is not None), None)
             named = alone if isinstance(alone, dict) else {self.path.stem: alone}
-            found = {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
-            with np.errstate(invalid="ignore"):  # float16 is too coarse to compute with
-                return {n: a.astype(np.float64) if a.dtype.kind == "f" else a for n, a in found.items()}
+            return {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
         found = {}
         for name in self.npz.names:
             with contextlib.suppress(NotNpz):
@@ -470,13 +468,15 @@ def _memory_of_json(data: bytes) -> int:
 
 def _inflated(data: bytes) -> bytes:
     """The pickle that zlib or gzip has compressed, as joblib does; nothing of all else. Raises Refused."""
-    stream, found = zlib.decompressobj(zlib.MAX_WBITS | 32), b""
-    with contextlib.suppress(zlib.error):
-        found = stream.decompress(data[:4096], 1)
-    if found != b"\x80":
-        return b""
+    wrapped = zlib.MAX_WBITS | 32
     try:
-        found += stream.decompress(stream.unconsumed_tail + data[4096:], LIMITS.array_bytes)
+        if zlib.decompressobj(wrapped).decompress(data[:4096], 1) != b"\x80":
+            return b""
+    except zlib.error:
+        return b""
+    stream = zlib.decompressobj(wrapped)
+    try:
+        found = stream.decompress(data, LIMITS.text_bytes)
     except zlib.error as error:
         raise safe_pickle.Refused("is damaged") from error
     if not stream.eof:
@@ -486,6 +486,8 @@ def _inflated(data: bytes) -> bytes:
 
 def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> Any:
     """What a pickle holds; `contents` as in `safe_pickle.load`. Raises Refused, also if it is damaged."""
+    if len(data) > LIMITS.array_bytes:
+        raise safe_pickle.Refused("is larger than such files are")
     try:
         held = safe_pickle.load(data, most_steps=LIMITS.pickle_steps, contents=contents)
         return safe_pickle.plain(held)
