@@ -99,9 +99,8 @@ def panels_say() -> None:
         if getattr(section, "bl_category", "") == "Hand Capture" and section.is_registered:
             said[section.bl_label] = drawn(section).said
     assert said.keys() == {"Capture", "Advanced", "Live"}
-    assert said["Capture"].startswith("Choose a photo or a clip ") and said["Capture"].endswith(" Capture"), (
-        said
-    )
+    assert said["Capture"].startswith("Choose a photo or a clip "), said
+    assert said["Capture"].endswith(" Capture"), said
 
 
 def check_finds_all_well() -> None:
