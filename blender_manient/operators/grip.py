@@ -233,8 +233,8 @@ class _GripFit(RangeFit):
             self._ride(bpy.context.scene, prop)
 
     def _ride(self, scene: bpy.types.Scene, prop: bpy.types.Object) -> None:
-        """Have the prop keep its present place in the hand from the first frame to the last, and lie where the
-        hand takes and leaves it before and after."""
+        """Have the prop keep its present place in the hand from the first frame to the last, and lie where it
+        takes and leaves it before and after."""
         now = scene.frame_current, scene.frame_subframe
         first, last = self.refiner.scene_frames()[self.rows[[0, -1]]].tolist()
         turn = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
