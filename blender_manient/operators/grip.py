@@ -20,6 +20,7 @@ from handfit_core.hand_model.axes import WORLD_FROM_CAMERA
 from ..common.wording import capitalised, counted
 from ..scene.actions import present_curves
 from ..scene.corrections import correct_frames
+from ..scene.keys import read_pose_keys
 from ..scene.own_scene import object_mode
 from ..scene.sampling import stepped
 from ..scene.store import CapturedHand
@@ -155,6 +156,8 @@ class _GripFit(RangeFit):
         now = float(context.scene.frame_current_final)
         self._placed_at = now if frames[0] <= now <= frames[-1] else float(frames[0])
         rows, refiner = self.rows.tolist(), self.refiner
+        if not len(read_pose_keys(refiner.hand.rig).frames):
+            raise OptionError("the hand has no keys to correct: capture it again, or key it first")
         self._start = refiner.keyed_poses(rows)
         self.requests = [
             (len(part), self._request(part, held)) for part, held in self._held(context, prop, fingers)

@@ -39,7 +39,8 @@ from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.takes import seen_as
 
-from .conftest import READY
+from .conftest import READY, joint_heads
+from .importing import imported, read_back
 from .looking import select_bones
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -474,6 +475,22 @@ def test_an_object_rides_with_the_hand_and_stays_where_it_leaves_it(armature, ba
         bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
 
 
+@pytest.mark.parametrize("fmt", ["fbx", "glb"])
+def test_a_hand_that_holds_something_is_exported_as_it_is_shown(armature, ball, tmp_path, fmt):
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    expected = {}
+    for frame in (FIRST, FRAME, LAST):
+        bpy.context.scene.frame_set(frame)
+        expected[frame] = joint_heads(armature, "right")
+    path = str(tmp_path / f"a.{fmt}")
+    assert bpy.ops.manient.export_hand(filepath=path, file_format=fmt) == {"FINISHED"}
+    scene = bpy.context.scene
+    read_back(Path(path), first=scene.frame_start, fps=scene.render.fps)
+    for frame, heads in expected.items():
+        bpy.context.scene.frame_set(frame)
+        np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
+
+
 def test_half_the_strength_goes_half_the_way(armature, ball):
     before = all_keys(armature)
     moved = []
@@ -532,6 +549,13 @@ def test_what_cannot_be_gripped_says_so(armature, ball):
     bpy.data.scenes.remove(elsewhere)
     bpy.data.objects.remove(ball)
     assert "choose an object" in said()
+
+
+def test_a_hand_without_keys_grips_nothing(armature, ball):
+    armature.animation_data_clear()
+    with pytest.raises(RuntimeError, match="keys"):
+        bpy.ops.manient.grip(prop="ball", **TOUCH)
+    assert corrections.corrections_text(armature) == ""
 
 
 @pytest.mark.parametrize(
