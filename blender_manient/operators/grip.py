@@ -36,7 +36,7 @@ _MOVED = 1e-6
 _STILL = 1e-4
 """By how much the matrix of an object that stands still may differ"""
 _FLESH = 0.01
-"""metres around a fingertip's middle"""
+"""metres around a finger's bones"""
 
 
 class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
@@ -122,9 +122,12 @@ def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
     if not shown or shown.type != "MESH" or not shown.data.polygons or not shown.matrix_world.determinant():
         return [True] * len(FINGERS)
     to_hand = armature.matrix_world.inverted() @ shown.matrix_world
-    tips = [armature.pose.bones[hand.rig.bones[joint]].tail for joint in JOINTS_BY_FINGER[:, 2]]
-    found = [to_hand @ shown.closest_point_on_mesh(to_hand.inverted() @ tip)[1] for tip in tips]
-    near = [(a - b).length < GRIPS.reach[1] + _FLESH for a, b in zip(tips, found, strict=True)]
+    near = []
+    for joints in JOINTS_BY_FINGER[:, 1:]:
+        ends = [armature.pose.bones[hand.rig.bones[joint]].tail for joint in joints]
+        found = [to_hand @ shown.closest_point_on_mesh(to_hand.inverted() @ end)[1] for end in ends]
+        gaps = [(a - b).length for a, b in zip(ends, found, strict=True)]
+        near.append(min(gaps) < GRIPS.reach[1] + _FLESH)
     return near if any(near) else [True] * len(FINGERS)
 
 
