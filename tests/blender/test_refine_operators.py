@@ -551,6 +551,17 @@ def test_what_cannot_be_gripped_says_so(armature, ball):
     assert "choose an object" in said()
 
 
+def test_a_linked_object_is_gripped_but_does_not_ride(armature, ball, tmp_path):
+    bpy.data.libraries.write(str(tmp_path / "props.blend"), {ball})
+    bpy.data.objects.remove(ball)
+    with bpy.data.libraries.load(str(tmp_path / "props.blend"), link=True) as (_, wanted):
+        wanted.objects = ["ball"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    with pytest.raises(RuntimeError, match="'ball' is linked and cannot be made to ride"):
+        bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
+    assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
+
+
 def test_a_hand_without_keys_grips_nothing(armature, ball):
     armature.animation_data_clear()
     with pytest.raises(RuntimeError, match="keys"):
