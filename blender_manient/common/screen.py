@@ -62,8 +62,8 @@ def open_edit_tab() -> None:
     """Show the tab Hand Edit in sidebars that show Hand Capture."""
     for area in areas("VIEW_3D"):
         for region in area.regions:
-            if region.type == "UI" and getattr(region, "active_panel_category", "") == CAPTURE:
-                with contextlib.suppress(AttributeError, TypeError):  # Blender does not let scripts do it
+            with contextlib.suppress(AttributeError, TypeError):  # Blender does not let scripts do it
+                if region.type == "UI" and region.active_panel_category == CAPTURE:
                     region.active_panel_category = EDIT
 
 

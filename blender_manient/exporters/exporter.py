@@ -64,7 +64,7 @@ class Exporter(ABC):
     label: ClassVar[str]
     """On its button"""
     description: ClassVar[str]
-    """In the button's tooltip"""
+    """What the tooltip of its button says"""
     suffix: ClassVar[str]
     writes: ClassVar[Literal["hands", "collection", "captured"]] = "hands"
     """What it wants: a scene with nothing but the hands; the whole collection with its camera, as a batch has
@@ -86,7 +86,8 @@ class Exporter(ABC):
     """metres by which a bone that moves from its rest place is put beside the end of the one above: Blender's
     importer connects bones that touch, and leaves out where connected ones go"""
     reads: ClassVar[Mapping[str, Sequence[str]]] = {}
-    """By the ending of files that Blender imports, the operators that do it, the one to prefer first"""
+    """Endings of files that can be imported, each with the Blender operators that do it, the preferred one
+    first"""
     of_scene: ClassVar[Mapping[str, Any] | None] = None
     """What Blender's exporter is told where the whole scene is written as it was imported; None: it is not"""
 

@@ -244,8 +244,8 @@ def keyed_curves(armature: bpy.types.Object) -> Iterator[tuple[Any, bpy.types.FC
 
 
 def is_own(constraint: bpy.types.Constraint) -> bool:
-    """Whether a constraint is one of the controls', which do nothing unless these are `in_use`, or the arm's,
-    which does nothing to the hand."""
+    """True if the add-on made the constraint: for the controls, where it has no effect unless they are
+    `in_use`, or for the arm, where it has none on the hand."""
     return _is_of_controls(constraint) or constraint.name.startswith((TO_WRIST, TO_ELBOW))
 
 

@@ -125,7 +125,8 @@ def _material(
 
 
 def corrective_names(rig: Rig) -> list[list[str]]:
-    """(15, 9) names of the shape keys that `axes.corrective_offsets` are for: a bone, and a product."""
+    """(15, 9) names of the shape keys of `axes.corrective_offsets`: a bone's name and a product of two
+    components of its quaternion, as in `index_proximal.R wx`."""
     products = [product.replace("*", "") for product in axes.QUATERNION_PRODUCTS]
     return [[f"{bone} {product}" for product in products] for bone in rig.bones[1:]]
 

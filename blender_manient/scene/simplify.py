@@ -46,7 +46,8 @@ from .store import CapturedHand, active_hand, hand_of
 DENSE = "manient_all_keys"
 """Custom property of an action with fewer keys: the action with all of them"""
 _NOTE = "manient_simplified"
-"""Custom property of the same: what is needed to tell whether it was changed since, and to go back"""
+"""Custom property of an action with fewer keys: what is needed to tell whether it was changed since, and to
+go back"""
 _MOST_FRAMES = 100_000
 PARTS = (*FINGERS, "wrist")
 """What can be simplified for itself: fingers, and where the hand is and how it is turned"""

@@ -468,6 +468,6 @@ TIMERS = (_sweep,)
 
 
 def unregister() -> None:
-    """End what goes on."""
+    """End a live session, and forget its pictures."""
     _on_other_file()
     pictures.forget()

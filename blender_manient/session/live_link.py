@@ -131,7 +131,8 @@ def _show(armature: bpy.types.Object) -> None:
 
 
 def _keying(link: _Link, armature: bpy.types.Object) -> Generator[float, None, None]:
-    """Write what is not what the link has written before; tells how much is done, 0..1."""
+    """Key the hands' motion on the character where it differs from what the link keyed last; yields how much
+    is done, 0..1."""
     character, hands = armature.manient.character, hands_to_move(armature, bpy.context)
     for _, hand in hands:
         if not is_keyframed(hand.rig):

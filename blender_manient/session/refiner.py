@@ -289,7 +289,8 @@ class Refiner:
         return gaps
 
     def lying_over(self, poses: BonePoses) -> list[Touches]:
-        """The touches of what lies over each other in the picture in each of N poses."""
+        """For each of N poses the touches of finger bones that cross the thumb in the picture, and of
+        fingertips on the palm."""
         there, found = np.flatnonzero(poses.present), list[Touches]({} for _ in poses.locations)
         pose, pixels = self._hand_poses(poses)[there], poses.landmarks[there]
         touches = lying_over(self.model, self.hand.betas, pose, pixels)

@@ -425,7 +425,7 @@ def _await_answers() -> float | None:
 
 
 def _on_undo(*_args) -> None:
-    """Undo and redo change the source without telling."""
+    """Ask anew about sources that an undo or a redo has changed, of which no update callback tells."""
     scene = bpy.context.scene
     if scene is None:
         return

@@ -97,6 +97,12 @@ class NpzArchive:
             self._pay(name, size)
             return _pickle(stream, name)
 
+    def contents(self, name: str) -> bytes:
+        """The bytes of a member that is no array. Raises KeyError where there is none, and NotNpz."""
+        with self._member(name) as (stream, size):
+            self._pay(name, size)
+            return stream.read()
+
     def header(self, name: str = "header") -> dict[str, Any]:
         """The JSON object that a member holds as its only text. Raises KeyError and NotNpz."""
         with self._member(name) as (stream, size):
@@ -142,13 +148,17 @@ def _opened(stream: BinaryIO) -> zipfile.ZipFile:
     """The zip, where its table of contents is short enough to be read at all."""
     with _or_not_npz("is no zip, or a damaged one"):
         length = stream.seek(0, io.SEEK_END)
-        stream.seek(max(0, length - 42))
+        stream.seek(max(0, length - 98))
         end = stream.read()
-        # Without a comment, the last 22 bytes are what zipfile takes for the end. NumPy writes none, and uses
-        # the longer record before it only for more than 4 GB.
-        if not end[-22:].startswith(b"PK\5\6") or end.startswith(b"PK\6\7"):
+        # Without a comment, the last 22 bytes are what zipfile takes for the end. NumPy writes none.
+        # PyTorch writes none either, and a longer record before it, which counts, always in one place.
+        longer = end[-42:].startswith(b"PK\6\7")
+        record = b"PK\6\6" + (44).to_bytes(8, "little")
+        placed = end.startswith(record) and int.from_bytes(end[64:72], "little") == length - 98
+        if not end[-22:].startswith(b"PK\5\6") or (longer and not placed):
             raise NotNpz("is no zip, or does not end where it should")
-        if int.from_bytes(end[-10:-6], "little") > _LONGEST_TABLE:
+        table = end[40:48] if longer else end[-10:-6]
+        if int.from_bytes(table, "little") > _LONGEST_TABLE:
             raise NotNpz("has very many members, or members with very long names")
         return zipfile.ZipFile(stream)
 

@@ -1,8 +1,9 @@
-"""Pickles of NumPy arrays and plain containers, read without running anything in them.
+"""Pickles of arrays and plain containers, NumPy's, PyTorch's and joblib's, read without running anything in
+them.
 
 A pickle is a program that calls what it names. Here a name must be on a list, and a call is only remembered:
-nothing of NumPy, SciPy, chumpy or anybody else runs on the file's behalf, whichever process reads it. Arrays
-are made of the remembered bytes afterwards, where they are asked for.
+nothing of NumPy, PyTorch, SciPy, chumpy or anybody else runs on the file's behalf, whichever process reads
+it. Arrays are made of the remembered bytes afterwards, where they are asked for.
 
 Nor can a file keep its reader busy: its instructions are counted, none makes more than the file holds, and
 nothing that it nests is hashed or compared: keys are texts or small numbers, and sets become lists.
@@ -22,11 +23,26 @@ import numpy as np
 
 _NAMES: Final = re.compile(
     r"numpy\.(ndarray|dtype)|numpy\._?core\.(multiarray\.(_reconstruct|scalar)|numeric\._frombuffer)"
-    r"|(__builtin__|builtins)\.(object|set)|_codecs\.encode|copy_?reg\._reconstructor"
+    r"|(__builtin__|builtins)\.(object|set|dict|list)|_codecs\.encode|copy_?reg\._reconstructor"
+    r"|collections\.(OrderedDict|defaultdict)|joblib\.numpy_pickle\.NumpyArrayWrapper"
+    r"|torch\.([A-Z]\w+Storage|Size|device|[a-z]+\d+|bool)|torch\.storage\._load_from_bytes"
+    r"|torch\._utils\._rebuild_(tensor_v2|parameter)"
     r"|scipy\.sparse\._?cs[cr]\.cs[cr]_(matrix|array)|chumpy(\.\w+)*\.[A-Za-z]\w*",
     re.ASCII,
 )
-"""What arrays name in pickles of NumPy 1 and 2 and Python 2 and 3, and what MANO's files name besides"""
+"""What arrays name in pickles of NumPy 1 and 2, Python 2 and 3, PyTorch and joblib, and what MANO's files
+name besides"""
+_STORAGES: Final = {
+    f"torch.{name}Storage": np.dtype(kind)
+    for name, kind in zip(
+        "Float Double Half BFloat16 Long Int Short Char Byte Bool".split(),
+        "<f4 <f8 <f2 <u2 <i8 <i4 <i2 i1 u1 u1".split(),
+        strict=True,
+    )
+}
+"""The numbers of PyTorch's storages; the upper half of a float32 for bfloat16"""
+_OLDER_TORCH: Final = b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."
+"""What PyTorch's files begin with that are no zips, and a storage within a pickle"""
 
 MOST_STEPS: Final = 100_000
 """Instructions of a pickle with a few arrays, such as MANO's, which has some hundred"""
@@ -35,10 +51,10 @@ MOST_NUMBERED: Final = 10_000_000
 MOST_PARTS: Final = 3_000_000
 """Values that `plain` gives, each as often as it is named"""
 _MOST_NESTED: Final = 100
-MOST_BYTES: Final = 1 << 29
-"""Bytes of all arrays that `plain` gives"""
+MOST_BYTES: Final = 1 << 28
+"""Bytes of all arrays that `plain` gives, with 8 bytes for each float"""
 MOST_DENSE: Final = 2_000_000
-"""Numbers of a sparse matrix that is made dense; MANO's have 16 x 778"""
+"""Numbers of a sparse matrix that is made dense (MANO's have 16 x 778), or of a tensor that repeats some"""
 
 
 class Refused(Exception):
@@ -64,26 +80,56 @@ class Call:
         return state if isinstance(state, dict) else {}
 
 
-def load(data: bytes, *, most_steps: int = MOST_STEPS) -> Any:
-    """What a pickle holds: plain containers, texts, numbers, None, and a `Call` for everything else.
+def load(data: bytes, *, most_steps: int = MOST_STEPS, contents: Callable[[str], bytes] | None = None) -> Any:
+    """What a pickle, or an older file of PyTorch, holds: plain containers, texts, numbers, None, and a `Call`
+    for everything else.
+
+    `contents`: the bytes of one of the storages that lie beside a pickle in PyTorch's zip, by its key.
 
     Sets are read as lists, and bytes of Python 2 as Latin-1. Raises Refused for a name that is not allowed,
     for more than `most_steps` instructions and for other keys than texts and small numbers, and whatever a
     damaged file leads to otherwise: callers catch Exception.
     """
+    steps = _Counted(_Reader.dispatch, most_steps)
+    if data.startswith(_OLDER_TORCH):
+        return _older_torch(data, steps, len(data))
     if not data.endswith(pickle.STOP):  # or the end of a cut file could be half a name
         raise EOFError
-    return _Reader(data, most_steps).load()
+    reader = _Reader(io.BytesIO(data), steps, len(data))
+    held = reader.load()
+    for key, storage in reader.storages.items():
+        if contents is None:
+            raise Refused("refers to parts that it does not have")
+        storage.state = contents(key)
+    return held
+
+
+def _older_torch(data: bytes, steps: _Counted, room: int) -> Any:
+    """What is in a file of PyTorch that is no zip: five pickles, of which the fourth is what was saved and
+    the fifth the keys of the storages, whose numbers follow."""
+    stream = io.BytesIO(data)
+    reader = _Reader(stream, steps, room)
+    _, _, system, held, keys = [reader.load() for _ in range(5)]
+    if system["little_endian"] is not True:
+        raise Refused("has its bytes in an order that is not read")
+    for key in keys:
+        storage, count = reader.storages[key], int.from_bytes(stream.read(8), "little")
+        start = stream.tell()
+        end = start + count * _STORAGES[storage.name].itemsize if storage.name in _STORAGES else len(data)
+        storage.state = memoryview(data)[start:end]
+        stream.seek(end)
+    return held
 
 
 def plain(value: Any) -> Any:
     """What `load` gave as dictionaries, lists, texts, numbers and arrays; keys are texts.
 
-    Arrays are of integers or floats in native byte order, those of chumpy and SciPy's sparse ones as well;
-    those of objects are lists, or their only object where they have no dimension. What is none of these, or
-    damaged, is None.
+    Arrays are of integers, floats (bfloat16 as float32) or bools in native byte order, those of PyTorch,
+    chumpy and SciPy's sparse ones as well; those of objects are lists, or their only object where they have
+    no dimension. What is none of these, or damaged, is None.
 
-    Raises Refused for a value that is nested without end, or names the same parts over and over.
+    Raises Refused for a value that is nested without end, or names the same parts over and over, and for a
+    tensor beyond its storage.
     """
     return _Plain().of(value, 0)
 
@@ -106,7 +152,8 @@ class _Plain:
         if isinstance(value, Call):
             if id(value) not in self._made:
                 made = self._made[id(value)] = self._call(value, depth + 1)
-                self._bytes -= made.nbytes if isinstance(made, np.ndarray) else 0
+                if isinstance(made, np.ndarray):
+                    self._bytes -= made.size * (8 if made.dtype.kind == "f" else made.itemsize)
                 if self._bytes < 0:  # one text may be the contents of many arrays
                     raise Refused("has more numbers than such files have")
             return self._made[id(value)]
@@ -116,7 +163,11 @@ class _Plain:
         state, fields = call.state, call.fields
         if call.name.startswith("chumpy.") and call.name != "chumpy.reordering.Select":
             return self.of(fields.get("x"), depth)
+        if call.name == "torch._utils._rebuild_parameter":
+            return self.of(call.args[0] if call.args else None, depth)
         try:
+            if call.name == "torch._utils._rebuild_tensor_v2":
+                return self._tensor(*call.args[:4])
             if call.name.startswith("scipy."):
                 parts = [self.of(fields.get(name), depth) for name in ("data", "indices", "indptr")]
                 return _dense(parts, fields.get("_shape", fields.get("shape")), ".csc_" in call.name)
@@ -136,6 +187,27 @@ class _Plain:
             return None  # texts and times, and what is damaged
         objects = self.of(contents, depth)
         return objects[0] if shape == () and len(objects) == 1 else objects
+
+    def _tensor(self, storage: Call, offset: int, shape: tuple[int, ...], strides: tuple[int, ...]) -> Any:
+        """The numbers of a tensor, which may lie anyhow in its storage. None for kinds of numbers that NumPy
+        lacks."""
+        kind = _STORAGES.get(storage.name)
+        if kind is None:
+            return None
+        flat = np.frombuffer(storage.state[: len(storage.state) // kind.itemsize * kind.itemsize], kind)
+        if len(shape) != len(strides) or any(type(n) is not int or n < 0 for n in (offset, *shape, *strides)):
+            raise Refused("has a tensor that is damaged")
+        count = math.prod(shape)
+        if 8 * count > self._bytes or count > max(len(flat), MOST_DENSE):
+            raise Refused("has more numbers than such files have")
+        last = offset + sum((n - 1) * step for n, step in zip(shape, strides, strict=True))
+        if count and last >= len(flat):
+            raise Refused("has a tensor with more numbers than are stored of it")
+        steps = [kind.itemsize * step if count else 0 for step in strides]
+        laid = np.lib.stride_tricks.as_strided(flat[offset if count else 0 :], shape, steps).copy()
+        if storage.name == "torch.BFloat16Storage":
+            return (laid.astype(np.uint32) << 16).view(np.float32)
+        return laid != 0 if storage.name == "torch.BoolStorage" else laid.astype(kind.newbyteorder("="))
 
 
 def _shaped(array: np.ndarray, shape: Any, order: str) -> np.ndarray:
@@ -169,15 +241,19 @@ def _dense(parts: list[np.ndarray], shape: Any, by_columns: bool) -> np.ndarray:
 def _numbers(raw: Any, dtype: Any) -> np.ndarray:
     """The numbers (N,) of bytes, which protocol 2 writes as a text to be encoded, and Python 2 as a text.
     Raises ValueError where they are of another kind."""
-    if isinstance(raw, Call) and raw.name == "_codecs.encode" and raw.args[1:] == ("latin1",):
-        raw = raw.args[0]
-    if isinstance(raw, str):
-        raw = raw.encode("latin1")
-    known = re.fullmatch(r"[<>|=]?([iu][1248]|f[248])", dtype.args[0])
+    raw = _bytes(raw)
+    known = re.fullmatch(r"[<>|=]?([iu][1248]|f[248]|b1)", dtype.args[0])
     if not known or not isinstance(raw, bytes | bytearray):
         raise ValueError("no numbers")
     big = isinstance(dtype.state, tuple) and dtype.state[1:2] == (">",)
     return np.frombuffer(raw, np.dtype((">" if big else "<") + known[1]))
+
+
+def _bytes(raw: Any) -> Any:
+    """Bytes that are written as a text, or as a text to be encoded; all else as it is."""
+    if isinstance(raw, Call) and raw.name == "_codecs.encode" and raw.args[1:] == ("latin1",):
+        raw = raw.args[0]
+    return raw.encode("latin1") if isinstance(raw, str) else raw
 
 
 class _Keyed(dict[Any, Any]):
@@ -189,6 +265,9 @@ class _Keyed(dict[Any, Any]):
         if type(key) is not str and not (type(key) is int and 0 <= key < MOST_NUMBERED):
             raise Refused("has a dictionary with a key that is no text")
         super().__setitem__(key, value)
+
+    def __setstate__(self, state: Any) -> None:
+        """Attributes, such as those of a network's weights, are left out."""
 
 
 class _Counted(dict[int, Any]):
@@ -216,9 +295,19 @@ class _Reader(pickle._Unpickler):
     read: Callable[[int], bytes]
     dispatch: ClassVar[dict[int, Any]] = dict(pickle._Unpickler.dispatch)
 
-    def __init__(self, data: bytes, most_steps: int) -> None:
-        super().__init__(io.BytesIO(data), encoding="latin1")
-        self.dispatch = _Counted(type(self).dispatch, most_steps)  # type: ignore[misc]
+    def __init__(self, stream: io.BytesIO, steps: _Counted, room: int) -> None:
+        """`steps` are shared by all readers of a file; `room`: the bytes that all pickles within this one may
+        have together."""
+        super().__init__(stream, encoding="latin1")
+        self.dispatch = self._steps = steps  # type: ignore[misc]
+        self.storages: dict[str, Call] = {}
+        """PyTorch's storages that lie beside the pickle, by their keys; their states are to be filled"""
+        self._stream, self._room = stream, room
+
+    def load(self) -> Any:
+        """The next pickle."""
+        self.memo: dict[int, Any] = {}
+        return super().load()
 
     def find_class(self, module: Any, name: Any) -> Any:
         """Remember an allowed name; Refused for all others."""
@@ -227,9 +316,28 @@ class _Reader(pickle._Unpickler):
             raise Refused("asks to run " + re.sub(r"[^\x20-\x7e]", "?", asked)[:80])
         return Call(asked)
 
+    def persistent_load(self, pid: Any) -> Call:
+        """One of PyTorch's storages."""
+        if not isinstance(pid, tuple) or pid[:1] != ("storage",) or type(pid[2]) is not str or any(pid[5:]):
+            raise Refused("refers to parts that it does not have")
+        return self.storages.setdefault(pid[2], Call(pid[1].name))
+
     def _instantiate(self, called: Any, args: Any) -> None:
         if not isinstance(called, Call) or not isinstance(args, tuple | list):
             raise pickle.UnpicklingError("this cannot be called")
+        if called.name.startswith("collections."):
+            made = _Keyed()
+            for key, value in args[0] if called.name.endswith(".OrderedDict") and args else ():
+                made[key] = value
+            self.append(made)
+            return
+        if called.name == "torch.storage._load_from_bytes":
+            raw = _bytes(args[0])
+            self._room -= len(raw)
+            if self._room < 0:  # one text may be named again and again
+                raise Refused("has more numbers than such files have")
+            self.append(_older_torch(raw, self._steps, 0))
+            return
         # Protocols 0 and 1 make an object of the class that is the first argument.
         made = args[0] if called.name.endswith("._reconstructor") else called
         self.append(Call(made.name, tuple(args)))
@@ -239,6 +347,27 @@ class _Reader(pickle._Unpickler):
         self._instantiate(called, args)
 
     dispatch[pickle.REDUCE[0]] = dispatch[pickle.NEWOBJ[0]] = _load_call
+
+    def _load_build(self) -> None:
+        """The numbers of joblib's arrays follow their descriptions, behind bytes that align them."""
+        super().load_build()  # type: ignore[misc]
+        made = self.stack[-1]
+        if not isinstance(made, Call) or not made.name.startswith("joblib."):
+            return
+        shape, dtype, align = made.fields["shape"], made.fields["dtype"], "numpy_array_alignment_bytes"
+        kind, width = re.findall(r"^[<>|=]?([a-zA-Z])(\d+)$", dtype.args[0])[0]
+        if kind == "O":
+            self.stack[-1] = _Reader(self._stream, self._steps, 0).load()
+            return
+        if made.fields.get(align) is not None:
+            self.read(self.read(1)[0])
+        size = math.prod(shape) * int(width) * (4 if kind == "U" else 1)
+        raw = self.read(size)
+        if len(raw) != size:
+            raise EOFError("an array breaks off")
+        made.name, made.state = "numpy.ndarray", (shape, dtype, made.fields.get("order") == "F", raw)
+
+    dispatch[pickle.BUILD[0]] = _load_build
 
     def _load_empty_dict(self) -> None:
         self.append(_Keyed())

@@ -108,7 +108,7 @@ class GripSettings:
     reach: tuple[float, float] = (0.015, 0.02)
     """metres from the prop up to which a fingertip is drawn to it, and from which it is not"""
     middle_reach: tuple[float, float] = (0.0045, 0.006)
-    """The same for a finger's middle bone"""
+    """metres from the prop up to which a finger's middle bone is drawn to it, and from which it is not"""
     middle_share: float = 0.3
     """How firmly the middle bone is drawn, in parts of the fingertip's firmness"""
     loosened: float = 2.5

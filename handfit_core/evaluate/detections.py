@@ -116,7 +116,7 @@ class _UnitMedia(Media):
         self.source = Source("sequence", tuple(str(entry.picture) for entry in unit.entries))
 
     def numbers(self, first: int = 0, count: int | None = None) -> range:
-        """The pictures of the part, counted from 0."""
+        """Rows of the unit's pictures from `first` on, at most `count` of them, counted from 0."""
         return range(len(self._entries))[first:][:count]
 
     def frames(self, first: int = 0, count: int | None = None, step: int = 1) -> Iterator[Frame]:

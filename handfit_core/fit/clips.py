@@ -26,7 +26,8 @@ FRAME_VARIABLES = 51
 _BAND = 2 * FRAME_VARIABLES + 2
 """Subdiagonals, down to a rotation's third component two frames on"""
 _HAND = np.r_[0:3, 48:51]
-"""Indices of the hand's own variables, without the last of its seven, where depth is zero"""
+"""Where the root's rotation and the place stand among a frame's variables. The hand's seventh variable, the
+zero of depth, is none of these: it is eliminated in each frame"""
 
 
 def smooth_clip(problem: Problem, start: State, before_each: Callable[[], None] = lambda: None) -> State:

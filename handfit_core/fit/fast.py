@@ -226,7 +226,7 @@ class Guess:
     judged: Observation
     """What its expected error is told from, as the doubt's weights know it"""
     error_factor: np.ndarray
-    """(N,) of the expected error"""
+    """(N,) factors by which the expected errors are multiplied"""
 
 
 def fit_observed(
@@ -301,7 +301,8 @@ def _clip(
 
 
 def _motion_prior(smoothing: float, fps: float) -> MotionPrior:
-    """Per second -> per frame. The stronger the smoothing, the farther frames influence each other."""
+    """The motion prior of a clip at that rate: accelerations per frame, and how many frames two windows
+    share, which are more with stronger smoothing."""
     per_frame = 1.0 / (max(smoothing, 1e-6) * fps**2)
     overlap = int(np.clip(MOTION.overlap_seconds * fps * np.sqrt(max(smoothing, 1.0)), 60, 400))
     return MotionPrior(

@@ -12,7 +12,8 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterable, Sequence
+import zlib
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -205,10 +206,11 @@ class Document:
 
     @cached_property
     def arrays(self) -> dict[str, np.ndarray]:
-        """The arrays of numbers in a .npy, a .npz or a table without names, by their names."""
+        """The arrays of numbers in a .npy, a .npz, a pickle or a table without names, by their names."""
         if self.npz is None:
-            alone = self.npy if self.npy is not None else self.numbers
-            return {} if alone is None else {self.path.stem: alone}
+            alone = next((a for a in (self.npy, self.objects, self.numbers) if a is not None), None)
+            named = alone if isinstance(alone, dict) else {self.path.stem: alone}
+            return {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
         found = {}
         for name in self.npz.names:
             with contextlib.suppress(NotNpz):
@@ -216,12 +218,22 @@ class Document:
         return found
 
     @cached_property
-    def npz(self) -> NpzArchive | None:
-        """The arrays of a .npz."""
+    def _zip(self) -> NpzArchive | None:
         try:
             return NpzArchive(self.bytes, LIMITS.array_bytes) if self.bytes[:2] == b"PK" else None
         except NotNpz:
             return None
+
+    @property
+    def _torch(self) -> str | None:
+        """Where in a zip of PyTorch its pickle and its storages lie; None of all else."""
+        names = self._zip.names if self._zip else ()
+        return next((name[:-8] for name in names if name == "data.pkl" or name.endswith("/data.pkl")), None)
+
+    @property
+    def npz(self) -> NpzArchive | None:
+        """The arrays of a .npz."""
+        return None if self._torch is not None else self._zip
 
     @cached_property
     def npy(self) -> np.ndarray | None:
@@ -234,24 +246,39 @@ class Document:
 
     @cached_property
     def _unpickled(self) -> tuple[Any, str]:
-        """What Python objects a .npy or a pickle holds, and why they cannot be had; both empty of others."""
-        pickled = self.bytes[:1] == b"\x80"
-        if not pickled and self.bytes[:6] != _NPY:
-            return None, ""
+        """What Python objects a .npy, a pickle or a file of PyTorch holds, and why they cannot be had; both
+        empty of others."""
         try:
-            return _plain_of(self.bytes if pickled else npy_pickle(self.bytes)), ""
+            if self._zip is not None and self._torch is not None:
+                return self._of_torch(self._zip, self._torch), ""
+            if self.bytes[:1] == b"\x80":
+                return _plain_of(self.bytes), ""
+            if self.bytes[:6] == _NPY:
+                return _plain_of(npy_pickle(self.bytes)), ""
+            if pickled := _inflated(self.bytes):
+                return _plain_of(pickled), ""
         except (NotNpz, safe_pickle.Refused) as error:
             return None, str(error)
+        return None, ""
+
+    @staticmethod
+    def _of_torch(archive: NpzArchive, within: str) -> Any:
+        """What a zip of PyTorch holds. Raises NotNpz and Refused."""
+        order = f"{within}byteorder"
+        if order in archive and archive.contents(order) != b"little":
+            raise safe_pickle.Refused("has its bytes in an order that is not read")
+        pickled = archive.contents(f"{within}data.pkl")
+        return _plain_of(pickled, lambda key: archive.contents(f"{within}data/{key}"))
 
     @property
     def objects(self) -> Any:
-        """What Python objects a .npy or a pickle holds: dictionaries, lists, texts, numbers and arrays. The
-        pickle is read without running anything of it."""
+        """What Python objects a .npy, a pickle (also joblib's) or a file of PyTorch holds: dictionaries,
+        lists, texts, numbers and arrays. They are read without running anything in the file."""
         return self._unpickled[0]
 
     @property
     def held(self) -> Any:
-        """What a JSON file, a .npy or a pickle holds as objects."""
+        """What a JSON file, a .npy, a pickle or a file of PyTorch holds as objects."""
         return self.json if self.json is not None else self.objects
 
     @property
@@ -316,7 +343,7 @@ class Document:
     def found(self) -> str:
         """What it is by its content, and what can be done where it is something that is not read."""
         if self.is_folder:
-            counts = {ending: len(self.files(ending)) for ending in (".json", ".npz", ".npy", ".csv", ".pkl")}
+            counts = {ending: len(self.files(ending)) for ending in _COUNTED}
             some = [f"{count} {ending}" for ending, count in counts.items() if count]
             return (
                 f"a folder with {', '.join(some)} files" if some else "a folder without files that are read"
@@ -324,19 +351,17 @@ class Document:
         if not self.bytes:
             return "an empty file"
         kind = self.media or next((what for sign, what in _OTHERS if self.bytes.startswith(sign)), "")
-        if kind:
+        held, refused = self._unpickled
+        if kind and held is None and not refused:
             return kind
-        if self.npz is not None and any(name.endswith("data.pkl") for name in self.npz.names):
-            return (
-                "PyTorch's file, which is not read; write its arrays as .npz in the program's own environment"
-            )
-        names = set(self.names)
+        inner = next(iter(held.values()), None) if isinstance(held, dict) else None
+        names = {*self.names, *(inner if isinstance(inner, dict) else ())}
         what = next((what for sign, what in _NAMED if set(sign.split()) <= names), "")
         if what:
             return what
         if self.npz is not None:
             return f"an .npz with {_some(self.npz.names)}"
-        if self.bytes[:2] == b"PK":
+        if self.bytes[:2] == b"PK" and self._torch is None:
             return "a zip archive, or a damaged .npz; unpack it first"
         if b'"joint_angles"' in self.bytes[:4096] and (self.json or self.lines):
             return (
@@ -344,21 +369,21 @@ class Document:
                 "mano_hand_pose_trajectory.jsonl, which lies beside them"
             )
         if self.json is not None:
-            few = _some(self.json) if isinstance(self.json, dict) else f"a list of {len(self.json)}"
+            few = _some(self.json) if isinstance(self.json, dict) else _listed(self.json)
             return f"JSON with {few}"
         if self.lines:
             few = _some(self.lines[0]) if isinstance(self.lines[0], dict) else "lists"
             return f"lines of JSON with {few}"
         if self.npy is not None:
             return f"an .npy of the shape {'x'.join(map(str, self.npy.shape)) or 'of one number'}"
-        held, refused = self._unpickled
-        if isinstance(held, dict):
-            return f"a pickle with {_some(held)}"
+        whose = "a pickle" if self._torch is None else "PyTorch's file"
+        if isinstance(held, np.ndarray):
+            return f"{whose} with an array of the shape {'x'.join(map(str, held.shape)) or 'of one number'}"
+        if held is not None:
+            return f"{whose} with {_some(held) if isinstance(held, dict) else _listed(held)}"
         if refused:
-            return (
-                f"a pickle that {refused}; such files are not read, as they can run programs: write what is "
-                "in it as .npz or JSON"
-            )
+            why_not = "is not read, as it could run programs: " if "asks to run" in refused else ""
+            return f"{whose} that {refused}; {why_not}write what is in it as .npz or JSON"
         if self.table is not None and self.numbers is not None:
             return f"a table of {len(self.numbers)}x{self.numbers.shape[1]} numbers without names"
         if self.table is not None:
@@ -372,6 +397,7 @@ class Document:
         return f"a file of {len(self.bytes)} bytes of a kind that is not known"
 
 
+_COUNTED: Final = (".json", ".npz", ".npy", ".csv", ".pkl", ".pt", ".pth")
 _MEDIA: Final = (
     (
         (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"II*\0", b"MM\0*", b"BM", b"v/1\x01", b"SDPX", b"XPDS"),
@@ -386,6 +412,8 @@ _OTHERS: Final = (
     (b"\x89HDF", "HDF5 (DeepLabCut, SLEAP); export its points as CSV"),
     (b"\x1f\x8b", "a gzip archive; unpack it first"),
     (b"7z", "a 7z archive; unpack it first"),
+    (b"BZh", "a bzip2 archive; unpack it first"),
+    (b"\xfd7zXZ", "an xz archive; unpack it first"),
     (b"\x02P", "a C3D; export its markers as .trc"),
 )
 """What files begin with that are not read"""
@@ -394,6 +422,7 @@ _NAMED: Final = (
     ("pred_vertices", "surfaces without MANO's parameters; have the program save pred_mano_params, too"),
     ("global_orient body_pose", "a body of SMPL without hands"),
     ("root_orient pose_body", "a body of SMPL without hands"),
+    ("pose_world trans_world", "a body of SMPL without hands"),
 )
 """What arrays or keys tell of files whose hands no reader knows"""
 
@@ -437,14 +466,39 @@ def _memory_of_json(data: bytes) -> int:
     return 56 * lists + 180 * objects + 32 * items + 10 * quotes + 20 * names + 200 * own
 
 
-def _plain_of(data: bytes) -> Any:
-    """What a pickle holds. Raises Refused, also for one that is damaged."""
+def _inflated(data: bytes) -> bytes:
+    """The pickle that zlib or gzip has compressed, as joblib does; nothing of all else. Raises Refused."""
+    wrapped = zlib.MAX_WBITS | 32
     try:
-        return safe_pickle.plain(safe_pickle.load(data, most_steps=LIMITS.pickle_steps))
-    except (safe_pickle.Refused, MemoryError):
+        if zlib.decompressobj(wrapped).decompress(data[:4096], 1) != b"\x80":
+            return b""
+    except zlib.error:
+        return b""
+    stream = zlib.decompressobj(wrapped)
+    try:
+        found = stream.decompress(data, LIMITS.text_bytes)
+    except zlib.error as error:
+        raise safe_pickle.Refused("is damaged") from error
+    if not stream.eof:
+        raise safe_pickle.Refused("breaks off, or would take more memory than such a file ever needs")
+    return found
+
+
+def _plain_of(data: bytes, contents: Callable[[str], bytes] | None = None) -> Any:
+    """What a pickle holds; `contents` as in `safe_pickle.load`. Raises Refused, also if it is damaged."""
+    if len(data) > LIMITS.array_bytes:
+        raise safe_pickle.Refused("is larger than such files are")
+    try:
+        held = safe_pickle.load(data, most_steps=LIMITS.pickle_steps, contents=contents)
+        return safe_pickle.plain(held)
+    except (safe_pickle.Refused, NotNpz, MemoryError):
         raise
     except Exception as error:  # a damaged pickle can fail in any way
-        raise safe_pickle.Refused(f"is a damaged pickle ({str(error)[:100]})") from error
+        raise safe_pickle.Refused("is damaged") from error
+
+
+def _listed(held: Any) -> str:
+    return f"a list of {len(held)}" if isinstance(held, list) else "a single value"
 
 
 def _some(names: Iterable[Any]) -> str:

@@ -25,7 +25,7 @@ from handfit_core.interchange.recording import ReadOptions, Recording
 from handfit_core.interchange.settings import LIMITS
 from handfit_core.interchange.skeletons import UP_AXES
 
-_SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl")
+_SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl", ".pt", ".pth")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
 """of a hand's number in a file's name; longer ones are frames'"""
@@ -159,7 +159,7 @@ class _Part:
         """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
         values = dict(self.values)
         for what, (name, value) in self.values.items():
-            with suppress(TypeError, ValueError):
+            with suppress(TypeError, ValueError), np.errstate(invalid="ignore"):
                 values[what] = name, np.asarray(value, dtype=np.float64)
         for name, what in [(of[0], what) for what, of in values.items() if of[0] in self.layout.columns]:
             widths, array = self.layout.columns[name], np.asarray(values[what][1], dtype=np.float64)

@@ -84,13 +84,14 @@ class PointLayout:
     grouped: bool = False
     """Whether each person or hand stands alone in a list, with the number of its frame"""
     hands: Callable[[Any], Any] = lambda frame: frame
-    """From a frame to objects with `side` and `points`, where hands are told in another way"""
+    """From a frame, or with `people` from each of these, to objects with `side` and `points`, where hands are
+    told in another way"""
     read: Callable[[Document], ParsedPoints | None] = lambda _: None
     """The hands of what is neither a table nor frames of JSON"""
     persons: Literal["one", "told", "unknown"] = "unknown"
     """Whether a file is of one person, or tells them; else nobody can be chosen"""
     least: float = 0.0
-    """Mean confidence below which a hand is left out"""
+    """Mean confidence below which a hand in a picture is left out"""
     from_below: bool = False
     """Whether parts of a picture count from its lower left corner"""
     halved: Callable[[JsonFrames], bool] = lambda _: False
@@ -208,7 +209,7 @@ class PointLayout:
             people = [content] if self.grouped else None
         if not isinstance(people, list):
             raise ValueError(f"it has no list of {self.people}")
-        return people
+        return [self.hands(each) for each in people]
 
     def _parts(self, hand: JsonHand) -> Iterator[tuple[Any, ...]]:
         """Side, score, points (K, 4) and world (K, 3) of each hand that a list of points has."""

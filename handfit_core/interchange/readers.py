@@ -77,10 +77,8 @@ READERS: Final = Registry(
     },
     "layouts",
 )
-"""The readers by their names on the command line, the more particular ones first. MediaPipe's comes last: it
-takes whatever has 21 points a hand"""
-_LAST: Final = ("arrays", "mediapipe")
-"""Those that are asked after other packages' readers"""
+"""The readers by their names on the command line, the more particular ones first, which are asked after those
+of users and of other packages. MediaPipe's comes last: it takes whatever has 21 points a hand"""
 
 
 def recognised(document: Document, name: str | None = None) -> tuple[str, Reader]:
@@ -88,7 +86,8 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
     name that there is not."""
     if name is not None:
         return name, READERS.get(name)
-    for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] in _LAST):
+    ours = READERS.built_in()
+    for known, reader in sorted(READERS.all().items(), key=lambda named: named[0] in ours):
         with READERS.blamed(known):
             if reader.recognises(document):
                 return known, reader

@@ -48,7 +48,7 @@ class FileLimits:
     number_digits: int = 15
     """of a frame's number"""
     hands: int = 1000
-    """of one file"""
+    """of one list in JSON, of which those after it are not read"""
     bvh_bytes: int = 1 << 27
     """bytes of a .bvh"""
     bvh_bones: int = 2048

@@ -91,8 +91,8 @@ def read_at(stream: BinaryIO, position: int, count: int) -> bytes:
 
 
 def boxes_of(stream: BinaryIO, with_boxes: frozenset[bytes]) -> Iterator[tuple[bytes, int, int]]:
-    """The name of each box of a file, and where its contents begin and end; those `with_boxes` in them come
-    before what they hold. Raises struct.error, and ValueError for more than anybody writes."""
+    """The name of each box of a file, and where its contents begin and end. Boxes of the names `with_boxes`
+    are entered: what they hold follows them. Raises struct.error, and ValueError beyond `_MOST_BOXES`."""
     end, position = stream.seek(0, 2), 0
     for _ in range(_MOST_BOXES):
         if position + 8 > end:

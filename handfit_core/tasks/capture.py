@@ -140,7 +140,7 @@ def _capture(task: Task, output: Path, part: Path, settings: Settings, result: R
 
 
 def _is_same(given: str, path: Path) -> bool:
-    """Whether the take that is an input lies where its copy would."""
+    """True if the take that is the input is the very file to which it would be copied."""
     with contextlib.suppress(OSError):
         return bool(given) and path.samefile(given)
     return False

@@ -80,7 +80,7 @@ class Adjusted:
     offset: float
     """seconds from the first view's start to the second one's"""
     betas: np.ndarray
-    """(10,)"""
+    """(10,) shape of the hand"""
     state: State
     """The hands in the frames that the cameras were found from"""
     cost: float

@@ -28,7 +28,8 @@ from handfit_core.take import Take
 
 LARGEST_FILE: Final = 1 << 20
 _MOST_DOTS: Final = 200
-"""in a line, since a key of many parts takes the reader gigabytes; a camera's numbers in one have 20"""
+"""Dots in one line of the file: a key of many parts would cost the reader gigabytes. A camera's numbers, all
+in one line, have 20"""
 _LARGEST_NUMBER: Final = 1e6
 """pixels, millimetres"""
 _WIDEST_PIXEL: Final = 3.0

@@ -261,8 +261,8 @@ def test_likely_errors_of_another_landmark_model_are_not_known(landmark_model, t
 
 def test_other_programs_keypoints_have_no_likely_error(tmp_path):
     truth, path = Take.load(SAMPLE / "truth.take.npz"), tmp_path / "hands.json"
-    nonsense = np.random.default_rng(1).uniform(100.0, 300.0, (21, 3))
-    hand = {"handedness": truth.hands[0].side, "keypoints": nonsense.tolist()}
+    points = np.pad(truth.hands[0].keypoints_2d[0], [(0, 0), (0, 1)])
+    hand = {"handedness": truth.hands[0].side, "keypoints": points.tolist()}
     path.write_text(json.dumps({"frames": [{"hands": [hand]}]}))
     taken = capture(PHOTO, keypoints=path)
     (told,) = hand_summaries(taken)

@@ -1,13 +1,18 @@
 """Pickles of arrays: read as NumPy reads them, and nothing else. Whole hostile files: tests/hostile."""
 
 import contextlib
+import io
 import pickle
 import tracemalloc
+from collections import OrderedDict, defaultdict
+from typing import Any
 
 import numpy as np
 import pytest
 
 from handfit_core.common import safe_pickle
+from handfit_core.interchange.document import Document
+from tests.torch_files import KINDS, SYSTEM, Storage, Tensor, older_torch, tensors_in_pickle
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
@@ -22,7 +27,8 @@ def test_arrays_as_numpy_reads_them(protocol):
 @pytest.mark.parametrize(
     "asked",
     "os.system builtins.getattr numpy.load numpy.core.multiarray.fromfile scipy.sparse.load_npz "
-    "_codecs.decode chumpyevil.run chumpy.ch.__init__ chumpy.os.2 collections.OrderedDict".split(),
+    "torch.load torch.hub.load torch._utils._rebuild_qtensor joblib.load collections.Counter "
+    "_codecs.decode chumpyevil.run chumpy.ch.__init__ chumpy.os.2".split(),
 )
 def test_any_other_name_is_refused(asked):
     module, _, name = asked.rpartition(".")
@@ -133,3 +139,133 @@ def test_plain_ends(monkeypatch):
         safe_pickle.plain(safe_pickle.load(pickle.dumps(arrays)))
     held = safe_pickle.plain(safe_pickle.load(pickle.dumps([arrays[0]] * 50)))
     assert all(array is held[0] for array in held)
+
+
+# PyTorch and joblib
+
+
+def read(data: bytes) -> Any:
+    return safe_pickle.plain(safe_pickle.load(data))
+
+
+@pytest.mark.parametrize("write", [older_torch, tensors_in_pickle])
+def test_tensors(write):
+    numbers = np.arange(24.0)
+    storage = Storage("Double", numbers.tobytes(), 24)
+    laid = {
+        "whole": (Tensor(storage, (4, 6), (6, 1)), numbers.reshape(4, 6)),
+        "transposed": (Tensor(storage, (6, 4), (1, 6), parameter=True), numbers.reshape(4, 6).T),
+        "part": (Tensor(storage, (2, 3), (6, 2), 7), numbers.reshape(4, 6)[1:3, 1::2]),
+        "expanded": (Tensor(storage, (5, 3), (0, 1), 21), np.tile(numbers[21:], (5, 1))),
+        "number": (Tensor(storage, (), (), 23), np.array(23.0)),
+        "none": (Tensor(storage, (0, 3), (3, 1), 24), np.zeros((0, 3))),
+        "bfloat16": (
+            Tensor(Storage("BFloat16", b"\x80\x3f\x20\xc0", 2), (2,), (1,)),
+            np.array([1, -2.5], np.float32),
+        ),
+        **{kind: (array, array) for kind in KINDS for array in [np.array([[0, 1], [1, 0]], kind)]},
+    }
+    found = read(write(OrderedDict((name, each) for name, (each, _) in laid.items())))
+    for name, (_, expected) in laid.items():
+        np.testing.assert_array_equal(found[name], expected, name)
+        assert (found[name].dtype, found[name].shape) == (expected.dtype, expected.shape)
+
+
+FOUR = Storage("Float", bytes(16), 4)
+
+
+@pytest.mark.parametrize(
+    ("tensor", "said"),
+    [
+        (Tensor(FOUR, (5,), (1,)), "more numbers than are stored"),
+        (Tensor(FOUR, (2, 2), (3, 1)), "more numbers than are stored"),
+        (Tensor(FOUR, (2,), (1,), 3), "more numbers than are stored"),
+        (Tensor(FOUR, (4,), (10**30,)), "more numbers than are stored"),
+        (Tensor(FOUR, (2,), (-1,), 1), "damaged"),
+        (Tensor(FOUR, (4,), (1,), -1), "damaged"),
+        (Tensor(FOUR, (-4,), (1,)), "damaged"),
+        (Tensor(FOUR, (4, 1), (1,)), "damaged"),
+        (Tensor(FOUR, (2.0,), (1,)), "damaged"),
+        (Tensor(FOUR, (10**6, 10**6), (0, 0)), "more numbers than such files"),
+        ([Tensor(FOUR, (10**8,), (0,)) for _ in range(2)], "more numbers than such files"),
+    ],
+)
+def test_tensors_stay_within_their_storage(tensor, said):
+    with pytest.raises(safe_pickle.Refused, match=said):
+        read(older_torch(tensor))
+
+
+def test_a_storage_is_not_read_over_and_over():
+
+    def within(storage: bytes, times: int) -> bytes:
+        start = b"\x80\x04(B" + len(storage).to_bytes(4, "little") + storage + b"\x94ctorch.storage\n"
+        return start + b"_load_from_bytes\n\x94" + b"h\x01h\x00\x85R" * times + b"l."
+
+    storage = older_torch(Storage("Float", bytes(4_000_000), 1_000_000))
+    assert len(safe_pickle.load(within(storage, 1))) == 3
+    nested = older_torch(0).replace(pickle.dumps(0, 2), within(storage, 1))
+    for data in (within(storage, 10_000), within(nested, 1)):
+        with pytest.raises(safe_pickle.Refused, match="more numbers"):
+            safe_pickle.load(data)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (older_torch(FOUR).replace(b"little_endianq\x02\x88", b"little_endianq\x02\x89"), "order"),
+        (older_torch(FOUR).replace(b"storage", b"modules"), "refers to parts"),
+        (b"\x80\x02(X\7\0\0\0storagectorch\nFloatStorage\n)X\3\0\0\0cpuK\1tQ.", "refers to parts"),
+        (older_torch(FOUR).split(b"u.")[1].split(b"\x80\x02]")[0], "refers to parts"),
+    ],
+)
+def test_references_to_other_parts_are_refused(data, said):
+    assert b"little_endianq\x02\x88" in pickle.dumps(SYSTEM, 2)
+    with pytest.raises(safe_pickle.Refused, match=said):
+        safe_pickle.load(data)
+
+
+def test_joblib_as_it_writes():
+    """Among them are WHAM's, a defaultdict with a dictionary for each person."""
+    joblib = pytest.importorskip("joblib")
+    numbers = np.arange(24, dtype=np.float32).reshape(2, 3, 4)
+    held = defaultdict(dict, {0: {"pose": numbers, "turned": numbers.T, "valid": numbers[0] > 5}})
+    held[1] = {"objects": np.array([numbers, "x"], dtype=object), "texts": np.array(["ab"]), "after": numbers}
+    stream = io.BytesIO()
+    joblib.dump(held, stream)
+    found = read(stream.getvalue())
+    for name in ("pose", "turned", "valid"):
+        np.testing.assert_array_equal(found["0"][name], held[0][name])
+    np.testing.assert_array_equal(found["1"]["objects"][0], numbers)
+    assert (found["1"]["objects"][1], found["1"]["texts"]) == ("x", None)
+    np.testing.assert_array_equal(found["1"]["after"], numbers)
+    for cut in range(0, len(stream.getvalue()) - 1, 7):
+        with contextlib.suppress(Exception):
+            read(stream.getvalue()[:cut] + b".")
+
+
+@pytest.mark.parametrize("kind", ["zip", "older", "pickle", "joblib"])
+def test_torch_as_it_writes(tmp_path, kind):
+    torch = pytest.importorskip("torch")
+    numbers = torch.arange(24.0).reshape(4, 6)
+    held = {
+        "turned": numbers.T,
+        "part": numbers[1:, 2:],
+        "expanded": numbers[:1].expand(3, 6),
+        "parameter": torch.nn.Parameter(numbers),
+        "number": torch.tensor(2.5),
+        **{
+            str(kind): (numbers > 3).to(kind)
+            for kind in (torch.float16, torch.float64, torch.int64, torch.bool)
+        },
+    }
+    path, other = tmp_path / "a.pt", {"size": numbers.shape, "kind": torch.float32, "device": numbers.device}
+    if kind in ("zip", "older"):
+        torch.save(held | other, path, _use_new_zipfile_serialization=kind == "zip")
+    else:
+        path.write_bytes(pickle.dumps(held | other))
+    if kind == "joblib":
+        pytest.importorskip("joblib").dump(held | other, path, compress=3)
+    found = Document(path).objects
+    for name, tensor in held.items():
+        np.testing.assert_array_equal(found[name], tensor.detach().numpy(), name)
+    assert [found[name] for name in other] == [None, None, None]

@@ -11,6 +11,7 @@ from handfit_core.interchange.writers import writer_for
 from tests.core.interchange import point_files, test_hand_tracking, test_sam3d_body
 from tests.core.interchange.mano_files import laid_out, layouts
 from tests.told import told
+from tests.torch_files import torch_zip
 
 
 def keypoint_files(folder: Path) -> dict[str, list[Path]]:
@@ -55,7 +56,8 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     found["aria"] = [point_files.aria(folder / "aria.csv")]
     found["trc"] = [point_files.trc(folder / "a.trc")]
     np.save(folder / "a.npy", told().points["left"])
-    found["arrays"] = [folder / "a.npy"]
+    (folder / "a.pt").write_bytes(torch_zip({"hand": told().points["left"].astype(np.float32)}))
+    found["arrays"] = [folder / "a.npy", folder / "a.pt"]
     return found
 
 

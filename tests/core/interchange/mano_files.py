@@ -24,6 +24,7 @@ from tests.core.interchange.known_hands import (
     wrist_of,
 )
 from tests.imitation_mano import imitation_arrays
+from tests.torch_files import tensors_in_pickle, torch_zip
 
 FOCAL = 5000.0 / 256.0 * 1280.0
 NUMBERS = range(1, FRAMES + 1)
@@ -40,6 +41,10 @@ def written(path: Path, content: Any) -> Path:
         path.write_text(content)
     elif path.suffix == ".npy":
         np.save(path, content, allow_pickle=True)
+    elif path.suffix == ".pt":
+        path.write_bytes(torch_zip(content))
+    elif path.suffix == ".pth":
+        path.write_bytes(tensors_in_pickle(content))
     else:
         path.write_bytes(pickle.dumps(content))
     return path
@@ -356,6 +361,9 @@ def layouts() -> dict[str, tuple[str, dict[str, Any]]]:
         "HaWoR, its world": ("hawor", {"world_space_res.npz": hawor_world()}),
         "HaWoR, its world as pred_": ("hawor", {"world_space_res.npz": hawor_world("pred_")}),
         "HaWoR, its world in a list": ("hawor", {"world_space_res.pkl": [*hawor_world().values()]}),
+        "HaWoR, its world as it writes it": ("hawor", {"world_space_res.pth": [*hawor_world().values()]}),
+        "HaMeR, in PyTorch's files": ("hamer", {f"{n:06}.pt": v for n, v in pictures.items()}),
+        "Dyn-HaMR, in PyTorch's file": ("dyn-hamr", {"a.pt": dyn_hamr()}),
         "Dyn-HaMR": ("dyn-hamr", {"a_000300_world_results.npz": dyn_hamr()}),
         "AMASS, SMPL+H": ("smplx", {"a.npz": amass(52, UP_AXES["z"])}),
         "AMASS, SMPL-X": ("smplx", {"a.npz": amass(55, UP_AXES["z"])}),

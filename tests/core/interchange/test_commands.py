@@ -37,7 +37,8 @@ def two(tmp_path: Path) -> Path:
     of_frames = {k: np.array(v) for k, v in vars(hand).items() if isinstance(v, np.ndarray) and k != "betas"}
     for array in of_frames.values():
         array[late] = False if array.dtype == bool else np.nan
-    hands = (replace(hand, side=OTHER, **of_frames), hand)
+    found = hand.detections.select(hand.detections.frame < 3)
+    hands = (replace(hand, side=OTHER, detections=found, **of_frames), hand)
     return replace(take, hands=hands).save(tmp_path / "two.take.npz")
 
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gzip
+import pickle
+import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from handfit_core.common.errors import InputError
@@ -13,6 +17,7 @@ from handfit_core.interchange.writers import WRITERS
 from tests.conftest import ROOT
 from tests.core.interchange.every_format import keypoint_files, other_files
 from tests.core.interchange.known_hands import read
+from tests.torch_files import Name, older_torch, torch_zip
 
 
 def formats_table() -> list[str]:
@@ -71,7 +76,21 @@ def test_no_reader_but_the_last_takes_anothers_file(files: dict[str, list[Path]]
         ("a.jsonl", b'{"a": 1}\n{"a" 2}\n{"a": 1}\n', "lines of JSON, of which line 2 is damaged"),
         ("a.jsonl", b'{"hand_poses": {"0": {"joint_angles": [0.1]}}}\n', "UmeTrack's joints .HOT3D"),
         ("a.npz", b"PK\3\4", "a zip archive, or a damaged .npz"),
-        ("a.pkl", b"\x80\x02cposix\nsystem\n.", "a pickle that .* can run programs"),
+        ("a.pkl", b"\x80\x02cposix\nsystem\n.", "a pickle that .* could run programs"),
+        ("a.pt", torch_zip({"weights": np.ones(3)}), "PyTorch's file with weights"),
+        ("a.pt", torch_zip(np.ones((3, 2))), "PyTorch's file with an array of the shape 3x2"),
+        ("a.pt", torch_zip([np.ones(3)], byteorder=b"big"), "PyTorch's file that has its bytes in an order"),
+        (
+            "a.pt",
+            torch_zip([np.ones(3)], **{"data/0": bytes(8)}),
+            "PyTorch's file that has a tensor with more",
+        ),
+        ("a.pt", torch_zip(Name("os", "system")), "PyTorch's file that asks to run os.system"),
+        ("a.pth", older_torch({"weights": np.ones(3)}), "a pickle with weights"),
+        ("a.pkl", zlib.compress(pickle.dumps([1, 2])), "a pickle with a list of 2"),
+        ("a.pkl", gzip.compress(b"\x80" + bytes(1 << 29)), "a pickle that .* more memory than such a file"),
+        ("a.gz", gzip.compress(b"text"), "a gzip archive; unpack it first"),
+        ("wham_output.pkl", pickle.dumps({0: {"pose_world": 0, "trans_world": 0}}), "a body of SMPL without"),
         ("a.npz", b"\x89HDF\r\n", "HDF5"),
         ("a.json", b'{"root_orient": [0], "pose_body": [0]}', "a body of SMPL without hands"),
     ],

@@ -98,9 +98,9 @@ def panels_say() -> None:
     for section in bpy.types.Panel.__subclasses__():
         if getattr(section, "bl_category", "") == "Hand Capture" and section.is_registered:
             said[section.bl_label] = drawn(section).said
-    assert "Choose a photo" in said["Source"], said
-    assert "Scene becomes" in said["Capture"], said
-    assert " Capture " in said["Capture"], said
+    assert said.keys() == {"Capture", "Advanced", "Live"}
+    assert said["Capture"].startswith("Choose a photo or a clip "), said
+    assert said["Capture"].endswith(" Capture"), said
 
 
 def check_finds_all_well() -> None:
