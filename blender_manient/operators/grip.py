@@ -7,17 +7,24 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from handfit_core.common.arrays import packed
 from handfit_core.common.errors import HandfitError, OptionError
-from handfit_core.common.skeleton import FINGERS
+from handfit_core.common.skeleton import FINGERS, JOINTS_BY_FINGER
 from handfit_core.edit import Prop
+from handfit_core.edit.corrections import changed_quats, correction_between
+from handfit_core.edit.settings import GRIPS
 from handfit_core.hand_model.axes import WORLD_FROM_CAMERA
 
 from ..common.wording import capitalised, counted
+from ..scene.actions import present_curves
 from ..scene.corrections import correct_frames
+from ..scene.keys import read_pose_keys
 from ..scene.own_scene import object_mode
 from ..scene.sampling import stepped
+from ..scene.store import CapturedHand
+from ..session.properties import has_surface
 from ..session.refiner import Refiner
 from .base import polled_hand
 from .refit_range import RangeFit, RangeFitOperator
@@ -26,6 +33,10 @@ _RIGID = 1e-5
 """How far a matrix may be from a rotation"""
 _MOVED = 1e-6
 """By how much a pose's numbers differ where fingers were laid on the prop"""
+_STILL = 1e-4
+"""By how much the matrix of an object that stands still may differ"""
+_FLESH = 0.01
+"""metres around a finger's bones"""
 
 
 class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
@@ -36,28 +47,58 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
     bl_label = "Grip"
     progress_text = "Laying fingers on the object"
 
-    prop: bpy.props.StringProperty(name="Object", description="What the hand holds")  # type: ignore
+    prop: bpy.props.StringProperty(  # type: ignore
+        name="Object", description="What the hand holds", options={"SKIP_SAVE"}
+    )
     fingers: bpy.props.BoolVectorProperty(  # type: ignore
         name="Fingers", description="Which fingers may be laid on it", size=5, default=(True,) * 5
     )
+    strength: bpy.props.FloatProperty(  # type: ignore
+        name="Strength",
+        description="How far fingers go from where they are to the object's surface",
+        subtype="FACTOR",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+    )
+    rides: bpy.props.BoolProperty(  # type: ignore
+        name="Object Rides with the Hand",
+        description="From the first frame to the last the object keeps its present place in the hand, by a "
+        "Child Of constraint; before and after it lies where the hand takes and leaves it",
+    )
+
+    _ticked_for: bpy.types.Object | None = None
+    """The object whose near fingers were ticked"""
 
     def suggest(self, context):
         """The selected mesh beside the hand, and the frames that Re-fit Range suggests."""
         super().suggest(context)
-        own = polled_hand(context)
+        own, settings = polled_hand(context), context.scene.manient
         others = [o for o in context.selected_objects if o.type == "MESH" and o not in own.meshes]
-        if others and not self.prop:
-            self.prop = others[0].name
+        settings.grip_prop = next(iter(others), settings.grip_prop)
+        self.check(context)
+
+    def check(self, context):
+        """Tick the fingers that are near another object."""
+        prop = context.scene.manient.grip_prop
+        self.prop = prop.name if prop is not None else ""
+        if prop != self._ticked_for:
+            self._ticked_for = prop
+            self.fingers = _near(polled_hand(context), prop)
+        return True
 
     def draw_properties(self):
-        self.layout.prop_search(self, "prop", bpy.context.scene, "objects", text="")
+        # The dialog opens with its first field under the mouse, where Enter would search for an object.
+        self.layout.prop(self, "strength")
+        self.layout.prop(bpy.context.scene.manient, "grip_prop", text="")
         row = self.layout.row(align=True)
         for index, finger in enumerate(FINGERS):
             row.prop(self, "fingers", index=index, text=finger.capitalize(), toggle=True)
+        self.layout.prop(self, "rides")
 
     def summary(self, context):
         try:
-            prop = _prop_named(context, self.prop)
+            prop = _prop_named(context, self.prop, rides=self.rides)
             count = len(self.rows(context, Refiner(polled_hand(context).armature)))
         except HandfitError as error:
             return capitalised(str(error)), True
@@ -67,23 +108,42 @@ class MANIENT_OT_grip(RangeFitOperator, bpy.types.Operator):
         return _GripFit(self, context)
 
     def other_properties(self) -> dict[str, Any]:
-        return {"prop": self.prop, "fingers": tuple(self.fingers)}
+        chosen = {name: getattr(self, name) for name in ("prop", "strength", "rides")}
+        return chosen | {"fingers": tuple(self.fingers)}
 
     def report_text(self, fit):
         return "INFO", f"Fingers lie on {self.prop!r} in {counted(fit.fitted, 'frame')}"
 
 
-def _prop_named(context: bpy.types.Context, name: str) -> bpy.types.Object:
+def _near(hand: CapturedHand, prop: bpy.types.Object | None) -> list[bool]:
+    """Which fingers are near an object as it is shown; all where none is, or where it has no faces."""
+    armature = hand.armature
+    shown = prop and prop.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    if not shown or shown.type != "MESH" or not shown.data.polygons or not shown.matrix_world.determinant():
+        return [True] * len(FINGERS)
+    to_hand = armature.matrix_world.inverted() @ shown.matrix_world
+    near = []
+    for joints in JOINTS_BY_FINGER[:, 1:]:
+        ends = [armature.pose.bones[hand.rig.bones[joint]].tail for joint in joints]
+        found = [to_hand @ shown.closest_point_on_mesh(to_hand.inverted() @ end)[1] for end in ends]
+        gaps = [(a - b).length for a, b in zip(ends, found, strict=True)]
+        near.append(min(gaps) < GRIPS.reach[1] + _FLESH)
+    return near if any(near) else [True] * len(FINGERS)
+
+
+def _prop_named(context: bpy.types.Context, name: str, *, rides: bool) -> bpy.types.Object:
     """The object that the hand may hold. Raises OptionError."""
     prop, hand = context.scene.objects.get(name), polled_hand(context)
     if prop is None:
         raise OptionError("choose an object of this scene for the hand to hold")
-    if prop.type not in ("MESH", "CURVE", "SURFACE", "FONT", "META"):
+    if not has_surface(prop):
         raise OptionError(f"{name!r} has no surface: choose a mesh")
     if prop in hand.meshes:
         raise OptionError(f"{name!r} is the hand itself: choose what it holds")
     if not prop.visible_get():
         raise OptionError(f"{name!r} is hidden: show it, then grip again")
+    if rides and prop.library is not None:
+        raise OptionError(f"{name!r} is linked and cannot be made to ride: make a library override of it")
     return prop
 
 
@@ -92,9 +152,15 @@ class _GripFit(RangeFit):
 
     def __init__(self, operator: MANIENT_OT_grip, context: bpy.types.Context) -> None:
         super().__init__(operator, context)
-        prop = _prop_named(context, operator.prop)
-        self._name, fingers = prop.name, np.array(operator.fingers)
+        prop = _prop_named(context, operator.prop, rides=operator.rides)
+        self._name, self._strength = prop.name, operator.strength
+        self._rides = operator.rides and prop.parent != self.refiner.armature
+        fingers, frames = np.array(operator.fingers), self.refiner.scene_frames()[self.rows]
+        now = float(context.scene.frame_current_final)
+        self._placed_at = now if frames[0] <= now <= frames[-1] else float(frames[0])
         rows, refiner = self.rows.tolist(), self.refiner
+        if not len(read_pose_keys(refiner.hand.rig).frames):
+            raise OptionError("the hand has no keys to correct: capture it again, or key it first")
         self._start = refiner.keyed_poses(rows)
         self.requests = [
             (len(part), self._request(part, held)) for part, held in self._held(context, prop, fingers)
@@ -112,12 +178,24 @@ class _GripFit(RangeFit):
         scene, armature = context.scene, self.refiner.armature
         frame, subframe = scene.frame_current, scene.frame_subframe
         rest = self.refiner.hand.rig.rest
-        shapes, places = [], []
+        shapes, places, carried = [], [], None
         with object_mode():
+            graph = next(stepped(scene, [self._placed_at]))
+            here = np.array(prop.evaluated_get(graph).matrix_world)
+            from_hand = np.linalg.inv(np.array(self._hand_now(graph)))
             for graph in stepped(scene, self.refiner.scene_frames()[self.rows]):
-                shown = prop.evaluated_get(graph)
+                shown, hand = prop.evaluated_get(graph), np.array(self._hand_now(graph))
+                world = np.array(shown.matrix_world)
+                if carried is None:
+                    carried = self._rides and _rides_by(prop, armature) is None
+                if carried:
+                    if np.abs(world - here).max() > _STILL:
+                        raise OptionError(
+                            f"{self._name!r} moves by itself in this range: untick that it rides"
+                        )
+                    world = hand @ from_hand @ world
                 to_rest = np.linalg.inv(np.array(armature.evaluated_get(graph).matrix_world))
-                place = to_rest @ np.array(shown.matrix_world)
+                place = to_rest @ world
                 place[:3, 3] += rest.origin
                 places.append(WORLD_FROM_CAMERA.T @ place[:3])
                 shapes.append(_faces(shown))
@@ -130,11 +208,22 @@ class _GripFit(RangeFit):
                 yield first + part, Prop(vertices, shapes[first][1], placed, fingers)
             first = at
 
+    def _hand_now(self, graph: bpy.types.Depsgraph) -> Matrix:
+        """Where the hand is in the world."""
+        shown = self.refiner.armature.evaluated_get(graph)
+        return shown.matrix_world @ shown.pose.bones[self.refiner.hand.rig.bones[0]].matrix
+
     def received(self, poses):
         changed = np.abs(poses.quats - self._start.quats).max(axis=(1, 2)) > _MOVED
         changed |= np.abs(poses.locations - self._start.locations).max(axis=1) > _MOVED
         if not changed.any():
             raise OptionError(f"no finger comes near {self._name!r} in this range: nothing was changed")
+        if self._strength < 1.0:
+            turns = self._strength * correction_between(self._start.quats, poses.quats)
+            poses.quats[:] = changed_quats(self._start.quats, np.zeros_like(turns), turns)
+            poses.locations[:] = self._start.locations + self._strength * (
+                poses.locations - self._start.locations
+            )
         poses.quats[~changed] = poses.locations[~changed] = np.nan
         super().received(poses)
 
@@ -145,6 +234,58 @@ class _GripFit(RangeFit):
             self.refiner.armature, frames, poses.quats[there], poses.locations[there], self.spread, posed=True
         )
         yield 1.0
+        prop = bpy.context.scene.objects.get(self._name)
+        if self._rides and prop is not None:
+            self._ride(bpy.context.scene, prop)
+
+    def _ride(self, scene: bpy.types.Scene, prop: bpy.types.Object) -> None:
+        """Have the prop keep its present place in the hand from the first frame to the last, and lie where it
+        takes and leaves it before and after."""
+        now = scene.frame_current, scene.frame_subframe
+        first, last = self.refiner.scene_frames()[self.rows[[0, -1]]].tolist()
+        turn = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+        own = ("location", turn.get(prop.rotation_mode, "rotation_euler"), "scale")
+        steps = stepped(scene, (self._placed_at, first - 1, first, last))
+        in_hand = self._hand_now(next(steps)).inverted() @ prop.matrix_world
+        next(steps)
+        if first < last and _rides_by(prop, self.refiner.armature) is None:
+            hand = self._hand_now(next(steps))
+            child = _rides_by(prop, self.refiner.armature)
+            if child is None:
+                prop.matrix_world = hand @ in_hand
+                child = self._hung(prop, first, last)
+            child.inverse_matrix = hand.inverted()
+            bpy.context.view_layer.update()
+            in_hand = child.inverse_matrix @ prop.matrix_world
+            for path in own:
+                prop.keyframe_insert(path, frame=first)
+            left = self._hand_now(next(steps)) @ in_hand
+            if _rides_by(prop, self.refiner.armature) is None:
+                prop.matrix_world = left
+                for path in own:
+                    prop.keyframe_insert(path, frame=last)
+            for curve in present_curves(prop):
+                if curve.data_path in (*own, child.path_from_id("influence")):
+                    for key in curve.keyframe_points:
+                        if first - 1 <= key.co.x < last:
+                            key.interpolation = "CONSTANT"
+        scene.frame_set(now[0], subframe=now[1])
+
+    def _hung(self, prop: bpy.types.Object, first: float, last: float) -> bpy.types.Constraint:
+        """A new constraint by which the prop follows the hand from the first frame to the last."""
+        child = prop.constraints.new("CHILD_OF")
+        child.name = f"Held by {self.refiner.armature.name}"
+        child.target, child.subtarget = self.refiner.armature, self.refiner.hand.rig.bones[0]
+        for frame, influence in ((first - 1, 0.0), (first, 1.0), (last, 0.0)):
+            child.influence = influence
+            child.keyframe_insert("influence", frame=frame)
+        return child
+
+
+def _rides_by(prop: bpy.types.Object, armature: bpy.types.Object) -> Any:
+    """The constraint by which a prop follows a hand in the scene's frame; None without one."""
+    held = (c for c in prop.constraints if c.type == "CHILD_OF" and c.target == armature)
+    return next((c for c in held if c.influence > 0.0 and not c.mute), None)
 
 
 def _faces(shown: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:

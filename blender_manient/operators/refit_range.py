@@ -199,6 +199,8 @@ class RangeFitOperator(StepsOperator):
             first, last = self.first, self.last
         elif context.scene.use_preview_range:
             first, last = span_of(context.scene)
+        if first > last:
+            raise OptionError(f"the range runs backwards, from {first:g} to {last:g}: set First before Last")
         rows = rows_within(frames, first, last)
         if len(rows) == 0:
             raise OptionError(

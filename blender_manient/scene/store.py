@@ -253,9 +253,16 @@ def captures_of(
 
 
 def attached_objects(hand: CapturedHand) -> list[bpy.types.Object]:
-    """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own."""
+    """What else hangs on the hand or is deformed by it, by name: rings, gloves, another mesh of its own, what
+    it holds."""
     armature = hand.armature
-    others = [o for o in bpy.data.objects if o.parent == armature or _moved_by(o, armature)]
+    others = [
+        o
+        for o in bpy.data.objects
+        if o.parent == armature
+        or _moved_by(o, armature)
+        or any(c.type == "CHILD_OF" and c.target == armature for c in o.constraints)
+    ]
     return sorted((o for o in others if o != hand.mesh and o.users_collection), key=lambda o: o.name)
 
 

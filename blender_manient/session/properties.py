@@ -97,6 +97,11 @@ def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[
     return shown
 
 
+def has_surface(obj: bpy.types.Object) -> bool:
+    """Whether a hand may hold an object of its type."""
+    return obj.type in ("MESH", "CURVE", "SURFACE", "FONT", "META")
+
+
 def _is_character(_group: Any, obj: bpy.types.Object) -> bool:
     return obj.type == "ARMATURE" and not obj.manient.is_hand
 
@@ -390,6 +395,13 @@ class ManientSettings(bpy.types.PropertyGroup):
         min=0,
         soft_max=50,
         max=1000,
+    )
+
+    grip_prop: PointerProperty(  # type: ignore
+        name="Object",
+        description="What the hand holds",
+        type=bpy.types.Object,
+        poll=lambda _group, obj: has_surface(obj),
     )
 
     # Character

@@ -63,7 +63,7 @@ def _wanted(fitter: FastFitter, grip: Grip, fingers: np.ndarray) -> tuple[Grip, 
     palm = -replace(grip, points=skin).gaps(posed)[1].min()
     if palm > GRIPS.deepest_palm:
         raise OptionError(
-            f"the prop is {1000 * palm:.0f} mm inside the palm; move it out of the palm, then grip again"
+            f"the prop is up to {1000 * palm:.0f} mm inside the palm; move it out, or grip in fewer frames"
         )
     drawn = np.empty((len(gaps), 5, 2))
     for level, (near, far) in enumerate((GRIPS.middle_reach, GRIPS.reach)):

@@ -18,6 +18,7 @@ import blender_manient
 from blender_manient.common import preferences
 from blender_manient.exporters.take import retaken
 from blender_manient.operators import edit_keypoints
+from blender_manient.operators.grip import _near
 from blender_manient.operators.modes.keypoints import KeypointMode
 from blender_manient.operators.refit_range import replaced
 from blender_manient.operators.touch import MANIENT_OT_press_together, MANIENT_OT_touch, touching_range
@@ -38,7 +39,8 @@ from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.takes import seen_as
 
-from .conftest import READY
+from .conftest import READY, joint_heads
+from .importing import imported, read_back
 from .looking import select_bones
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -439,6 +441,83 @@ def test_an_object_that_changes_its_shape_is_followed(armature, ball):
     assert -0.001 < gaps_to(ball, armature).min() - 0.1 * BALL < 0.002
 
 
+def world_of(prop, frame: float) -> np.ndarray:
+    bpy.context.scene.frame_set(int(frame), subframe=frame % 1)
+    return np.array(prop.evaluated_get(bpy.context.evaluated_depsgraph_get()).matrix_world)
+
+
+def test_an_object_rides_with_the_hand_and_stays_where_it_leaves_it(armature, ball, tmp_path, capfd):
+    """Between first and last frame it keeps its place in the hand, and jumps at neither end."""
+    start = world_of(ball, FRAME)
+    wrist = armature.pose.bones[rig_of(armature).bones[0]]
+    for _ in range(2):  # The second time it rides already.
+        assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+        assert len(ball.constraints) == 1
+        np.testing.assert_allclose(world_of(ball, FRAME), start, atol=2e-3)
+        in_hand = []
+        for frame in range(FIRST, LAST + 1):
+            place = world_of(ball, frame)
+            in_hand.append(np.linalg.inv(np.array(armature.matrix_world @ wrist.matrix)) @ place)
+        assert np.ptp(in_hand, axis=0).max() < 1e-5
+        taken = world_of(ball, FIRST)
+        for frame in (1, FIRST - 1, FIRST - 0.01, FIRST + 0.01):
+            np.testing.assert_allclose(world_of(ball, frame), taken, atol=1e-4)
+        left = world_of(ball, LAST)
+        assert np.abs(left - taken).max() > 0.003
+        np.testing.assert_allclose(world_of(ball, LAST - 0.01), left, atol=1e-4)
+        for frame in (LAST + 0.5, LAST + 1, LAST + 5):
+            np.testing.assert_allclose(world_of(ball, frame), left, atol=1e-5)
+        bpy.context.scene.frame_set(FRAME)
+    assert bpy.ops.manient.export_hand(filepath=str(tmp_path / "a.glb"), file_format="glb") == {"FINISHED"}
+    assert "without ball: only hands are exported" in capfd.readouterr().out
+    ball.constraints.clear()
+    with pytest.raises(RuntimeError, match="moves by itself"):
+        bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
+
+
+@pytest.mark.parametrize("fmt", ["fbx", "glb"])
+def test_a_hand_that_holds_something_is_exported_as_it_is_shown(armature, ball, tmp_path, fmt):
+    assert bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH) == {"FINISHED"}
+    expected = {}
+    for frame in (FIRST, FRAME, LAST):
+        bpy.context.scene.frame_set(frame)
+        expected[frame] = joint_heads(armature, "right")
+    path = str(tmp_path / f"a.{fmt}")
+    assert bpy.ops.manient.export_hand(filepath=path, file_format=fmt) == {"FINISHED"}
+    scene = bpy.context.scene
+    read_back(Path(path), first=scene.frame_start, fps=scene.render.fps)
+    for frame, heads in expected.items():
+        bpy.context.scene.frame_set(frame)
+        np.testing.assert_allclose(joint_heads(imported("right"), "right"), heads, atol=5e-4)
+
+
+def test_half_the_strength_goes_half_the_way(armature, ball):
+    before = all_keys(armature)
+    moved = []
+    for strength in (1.0, 0.5):
+        assert bpy.ops.manient.grip(prop="ball", strength=strength, **TOUCH) == {"FINISHED"}
+        moved.append(turned(before, all_keys(armature))[before.frames == FRAME])
+        assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
+    np.testing.assert_allclose(moved[1], 0.5 * moved[0], atol=1e-4)
+
+
+def test_near_fingers_are_ticked(armature, ball):
+    own, tip = hand_of(armature), armature.pose.bones[rig_of(armature).bones[3]]
+    ball.location = armature.matrix_world @ (tip.tail + 1.5 * BALL * tip.y_axis)
+    bpy.context.view_layer.update()
+    assert (_near(own, ball)[1], _near(own, ball)[4]) == (True, False)
+    ball.location.z += 1.0
+    bpy.context.view_layer.update()
+    assert _near(own, ball) == [True] * 5
+    ball.scale = (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    assert _near(own, ball) == [True] * 5
+    ball.data.clear_geometry()
+    bpy.context.view_layer.update()
+    assert _near(own, ball) == [True] * 5
+    assert _near(own, None) == [True] * 5
+
+
 def test_what_cannot_be_gripped_says_so(armature, ball):
     def said(fields=TOUCH) -> str:
         with pytest.raises(RuntimeError) as caught:
@@ -446,7 +525,8 @@ def test_what_cannot_be_gripped_says_so(armature, ball):
         assert corrections.corrections_text(armature) == ""
         return str(caught.value)
 
-    assert "none of the frames" in said(TOUCH | {"first": LAST, "last": FIRST})
+    assert "runs backwards" in said(TOUCH | {"first": LAST, "last": FIRST})
+    assert "none of the frames" in said(TOUCH | {"first": 90, "last": 95})
     place = ball.location.copy()
     ball.location.z += 1.0
     assert "no finger comes near 'ball'" in said()
@@ -454,14 +534,39 @@ def test_what_cannot_be_gripped_says_so(armature, ball):
     scale = ball.scale.copy()
     ball.scale = (0.0, 0.0, 0.0)
     assert "has no faces" in said()
+    ball.scale = (1e5, 1e5, 1e5)
+    assert "no finger comes near 'ball'" in said()
     ball.scale = scale
     ball.hide_viewport = True
     assert "'ball' is hidden" in said()
     ball.hide_viewport = False
     ball.data.clear_geometry()
     assert "has no faces" in said()
+    elsewhere = bpy.data.scenes.new("elsewhere")
+    elsewhere.collection.objects.link(ball)
+    bpy.context.scene.collection.objects.unlink(ball)
+    assert "choose an object" in said()
+    bpy.data.scenes.remove(elsewhere)
     bpy.data.objects.remove(ball)
     assert "choose an object" in said()
+
+
+def test_a_linked_object_is_gripped_but_does_not_ride(armature, ball, tmp_path):
+    bpy.data.libraries.write(str(tmp_path / "props.blend"), {ball})
+    bpy.data.objects.remove(ball)
+    with bpy.data.libraries.load(str(tmp_path / "props.blend"), link=True) as (_, wanted):
+        wanted.objects = ["ball"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    with pytest.raises(RuntimeError, match="'ball' is linked and cannot be made to ride"):
+        bpy.ops.manient.grip(prop="ball", rides=True, **TOUCH)
+    assert bpy.ops.manient.grip(prop="ball", **TOUCH) == {"FINISHED"}
+
+
+def test_a_hand_without_keys_grips_nothing(armature, ball):
+    armature.animation_data_clear()
+    with pytest.raises(RuntimeError, match="keys"):
+        bpy.ops.manient.grip(prop="ball", **TOUCH)
+    assert corrections.corrections_text(armature) == ""
 
 
 @pytest.mark.parametrize(

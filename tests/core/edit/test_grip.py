@@ -174,18 +174,22 @@ def test_made_grasps_come_back(kind: str, side: Side) -> None:
     )  # fmt: skip
     owner = model_of(side).weights.argmax(axis=1)
     assert np.median(-before.min(axis=1)) > 0.006
-    # A sharp edge lies between two vertices of the skin.
-    most = 0.0015 if kind == "box" else 0.0005
+    # A sharp edge lies between two vertices of the skin. Noise of single bends leaves more open about a ball
+    # than a capture's noise, which is mostly depth.
+    most, nearer, shrunk = {"cylinder": (0.0003, 0.9, 0.7), "box": (0.0015, 0.7, 0.9)}.get(
+        kind, (0.0004, 0.6, 0.98)
+    )
     assert np.median(-after.min(axis=1)) < most
-    assert np.mean(-after.min(axis=1) < 2.0 * most) >= 0.75
+    assert np.max(-after.min(axis=1)) < 0.0025
     began, pads = (np.stack([d[:, owner == j].min(axis=1) for j in DISTAL], axis=1) for d in (before, after))
-    assert np.mean(np.abs(pads[began < 0.015]) < 0.002) >= 0.9
+    assert np.mean(np.abs(pads[began < 0.015]) < 0.002) >= 0.95
     errors = [np.linalg.norm(joints_of(one) - joints_of(true), axis=-1).mean(axis=1) for one in (hand, found)]
-    # Noise of single bends leaves more open than a capture's, which is mostly depth: there it is 0.9.
-    assert np.mean(errors[1] < errors[0]) >= 0.6
-    assert errors[1].mean() < 0.98 * errors[0].mean()
+    assert np.mean(errors[1] < errors[0]) >= nearer
+    assert errors[1].mean() < shrunk * errors[0].mean()
     size = np.ptp(shown(true), axis=1).max(axis=1)
-    assert np.mean(np.linalg.norm(shown(found) - shown(hand), axis=-1).mean(axis=1) / size) < 0.04
+    assert np.mean(np.linalg.norm(shown(found) - shown(hand), axis=-1).mean(axis=1) / size) < (
+        0.04 if kind == "box" else 0.03
+    )
     assert np.abs(found.transl - hand.transl).max() < 0.004
 
 
