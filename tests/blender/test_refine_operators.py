@@ -364,7 +364,7 @@ def test_what_lies_over_each_other_is_pressed_together_and_let_go_again(armature
     moved = np.linalg.norm(after.landmarks - poses.landmarks, axis=-1).max(axis=1)
     moved /= np.ptp(poses.landmarks, axis=1).max(axis=1)
     assert np.median(moved) < 0.01
-    assert moved.max() < 0.04, "they stay where the picture has them"
+    assert moved.max() < 0.06, "they stay where the picture has them, but for wide gaps"
     assert corrections.corrected_frames(armature) == np.arange(FIRST, LAST + 1)[crossed].tolist()
     assert bpy.ops.manient.clear_corrections(scope="ALL") == {"FINISHED"}
     assert turned(before, all_keys(armature)).max() < 1e-5

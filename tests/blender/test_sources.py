@@ -61,7 +61,7 @@ def test_clips_and_hands_of_another_program(tmp_path):
     [
         ("", "Choose a photo"),
         ("gone.png", "not there any more"),
-        ("notes.txt", "this is a text"),
+        ("notes.md", "this is a text"),
         ("a.take.npz", "Import > Hand Take"),
         ("empty", "No pictures"),
         ("x" * 5000, "choose"),
@@ -72,7 +72,7 @@ def test_clips_and_hands_of_another_program(tmp_path):
 def test_what_cannot_be_captured_is_said_with_a_remedy(tmp_path, make_take, monkeypatch, name, said):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
-    (tmp_path / "notes.txt").write_text("text")
+    (tmp_path / "notes.md").write_text("text")
     make_take().take.save(tmp_path / "a.take.npz")
     with pytest.raises(InputError, match=said):
         source_info.resolve(name, as_sequence=False)
