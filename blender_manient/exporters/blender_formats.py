@@ -113,7 +113,7 @@ class FbxExporter(BlenderFormat, Exporter):
         ),
     }
 
-    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+    def missing(self, path: Path, bones: Sequence[str], /) -> str:
         """Names and curves stand in the file as they are."""
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
             named, at = {bone.encode() for bone in bones}, content.find(_NODE)
@@ -190,7 +190,7 @@ class GltfExporter(BlenderFormat, Exporter):
             bpy.context = context
             left_out.remove("manient")
 
-    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+    def missing(self, path: Path, bones: Sequence[str], /) -> str:
         """Its first chunk tells of all nodes and animations."""
         with path.open("rb") as stream:
             (size,) = struct.unpack("<12xI4x", stream.read(20))
@@ -205,7 +205,7 @@ class GltfExporter(BlenderFormat, Exporter):
 
 
 def _missing(bones: Sequence[str], *, moves: bool) -> str:
-    """What `Exporter.lacks` says where these bones, or all motion, are not there."""
+    """What `Exporter.missing` says where these bones, or all motion, are not there."""
     return f"the bone {bones[0]!r} and {len(bones) - 1} others" if bones else "" if moves else "any motion"
 
 
@@ -258,7 +258,7 @@ class UsdExporter(BlenderFormat, Exporter):
             render.fps, render.fps_base = nearest_rate(rate)
         return done
 
-    def lacks(self, path: Path, bones: Sequence[str], /) -> str:
+    def missing(self, path: Path, bones: Sequence[str], /) -> str:
         """Its skeletons name their joints, with an underscore for all that is no letter or digit."""
         if (stage := usd_stage(str(path))) is None:
             return ""

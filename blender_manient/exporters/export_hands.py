@@ -196,9 +196,9 @@ def _write_one(
                 with bpy.context.temp_override(object=next(iter(objects), None), selected_objects=objects):
                     chosen.write(beside, written, preset, path)
             prove_whole(path, beside, chosen.is_whole)
-            if lacks := chosen.lacks(beside, bones):
+            if missing := chosen.missing(beside, bones):
                 raise OutputError(
-                    f"{shown(path)}: Blender wrote it without {lacks}, so what was there is kept; choose "
+                    f"{shown(path)}: Blender wrote it without {missing}, so what was there is kept; choose "
                     "another format or preset"
                 )
         except (HandfitError, OSError):

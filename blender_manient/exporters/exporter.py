@@ -102,7 +102,7 @@ class Exporter(ABC):
         struct.error, ValueError, IndexError and OSError where the file is too short."""
         return True
 
-    def lacks(self, _path: Path, _bones: Sequence[str], /) -> str:
+    def missing(self, _path: Path, _bones: Sequence[str], /) -> str:
         """What of the motion of these bones a file that was written does not hold, as part of a sentence;
         empty where it holds it, or where that is not looked at."""
         return ""

@@ -32,9 +32,9 @@ from .refit_range import RangeFit, RangeFitOperator
 _RIGID = 1e-5
 """How far a matrix may be from a rotation"""
 _MOVED = 1e-6
-"""By how much a pose's numbers differ where fingers were laid on the prop"""
+"""Largest difference of a quaternion's or a place's numbers that counts as no change"""
 _STILL = 1e-4
-"""By how much the matrix of an object that stands still may differ"""
+"""Largest difference of matrices between frames of an object that stands still"""
 _FLESH = 0.01
 """metres around a finger's bones"""
 

@@ -223,5 +223,5 @@ class _PressFit(_TouchFit):
         fingers = sorted({(point - 1) // 4 % 6 for point in points})  # the palm, of point 0, is the last
         named = [(*FINGERS, "palm")[finger].capitalize() for finger in fingers]
         self.names = " and ".join(filter(None, (", ".join(named[:-1]), named[-1])))
-        """Of the parts that are pressed together"""
+        """Names of the fingers, and the palm, that are pressed together"""
         return touches

@@ -1,4 +1,4 @@
-"""Advanced: all else that a capture can be told."""
+"""The section Advanced: options of a capture that most artists leave alone."""
 
 from __future__ import annotations
 

@@ -168,7 +168,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
                 note(row, f"{name}: Waiting", _ICONS["waiting"])
                 row.operator("manient.cancel_capture", text="", icon="X").index = index
             elif job.finished and not job.is_gone:
-                note(row, f"{name}: {job.told()}", "INFO" if job.warnings else _ICONS[job.state])
+                note(row, f"{name}: {job.summary()}", "INFO" if job.warnings else _ICONS[job.state])
                 if job.state == "failed":
                     row.operator("manient.show_details", text="Details", icon="TEXT")
                 elif job.offer:

@@ -27,7 +27,7 @@ class CameraClip:
     timing: Timing
     """Where its frames lie in the scene's time: Blender plays one on each scene frame, at any rate"""
     is_solved: bool
-    """Whether Blender's tracker has found the camera's motion in it"""
+    """True if Blender's tracker has solved the camera's motion from the clip"""
     is_shown: bool
     """Whether it is in the camera's background"""
 

@@ -183,8 +183,8 @@ class Job:
         left = (self.total - self.done) / self.rate
         return f"{self.rate:.0f} fps  {_duration(left)} left"
 
-    def told(self) -> str:
-        """What came of it, all of it: its result, what became of the scene, and warnings."""
+    def summary(self) -> str:
+        """The result of the job in sentences: its message, warnings, and what became of the scene."""
         said = (self.message, *self.warnings, self.views_message, self.scene_message)
         return ". ".join(text.removesuffix(".") for text in said if text)
 

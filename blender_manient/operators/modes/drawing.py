@@ -75,7 +75,7 @@ class Picture:
     corner: tuple[float, float]
     """pixels of the region: where the line begins"""
     hollow: bool = False
-    """Whether the points are not those of the hand"""
+    """True if the points are detections and not where the hand is"""
 
 
 def draw(picture: Picture) -> None:

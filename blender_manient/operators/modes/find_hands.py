@@ -111,7 +111,7 @@ class FindMode(view.Overlay):
         """(2,) pixels of the region each: where the mouse was pressed, and where it is"""
         self.nothing_there = False
         self._boxes: list[tuple[float, ...]] = []
-        """That are drawn and not searched yet"""
+        """Drawn boxes (x, y, width, height) that are not searched yet"""
         self._texture: gpu.types.GPUTexture | None = None
         self._picture = cache.temporary_take("picture").with_suffix(".jpg")
         self._asked: dict[int, tuple[float, ...] | None] = {}

@@ -325,8 +325,7 @@ class KeypointMode(view.Overlay):
         return places
 
     def shows_detections(self, of_view: int) -> bool:
-        """Whether the points are what was detected while corrections beside this frame move the hand away
-        from it."""
+        """True if corrections in frames beside this one move the hand away from its detected points."""
         row = self.row()
         if row is None or self.drag is not None or not self.refiner.is_beside_correction(row):
             return False
