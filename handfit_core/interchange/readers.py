@@ -70,6 +70,7 @@ READERS: Final = Registry(
         "points-table": f"{_HERE}.keypoints:POINTS_TABLE.reader",
         "freemocap": f"{_HERE}.keypoints:FREEMOCAP.reader",
         "apple-vision": f"{_HERE}.keypoints:APPLE_VISION.reader",
+        "pose-format": f"{_HERE}.pose_format:POSE_FORMAT.reader",
         "trc": f"{_HERE}.keypoints:TRC.reader",
         "xr-points": f"{_HERE}.keypoints:XR_POINTS.reader",
         "arrays": f"{_HERE}.keypoints:ARRAYS.reader",
