@@ -130,14 +130,6 @@ def benchmark(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHON)
-def arms(session: nox.Session) -> None:
-    """Render people who gesture, capture them with arms, and print how far these are off: into out/arms/."""
-    install(session, *RUN_TIME, *PAPER, "anny", DEMO_BPY)
-    fetch_landmark_model(session)
-    session.run("python", "scripts/measure_arms.py", "out/arms", *session.posargs)
-
-
-@nox.session(python=PYTHON)
 @nox.parametrize("part", ["core", "bpy-4.5"])
 def tests(session: nox.Session, part: str) -> None:
     """The core without Blender, and the add-on and the scripts in one Blender, 4.5's wheel."""
