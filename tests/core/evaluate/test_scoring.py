@@ -85,7 +85,7 @@ def test_a_mesh_that_cannot_be_read_is_named_once_and_the_joints_are_scored() ->
     for _ in range(2):  # two methods
         made = with_mesh(MeshLabel(damaged), problems=problems)
     assert np.isnan(made.hands["f5"][0])
-    assert made.pa_error[0].max() < 1e-6
+    assert made.errors["pa_mpjpe"][0].max() < 1e-6
     assert [(p.kind, p.where) for p in problems] == [
         ("mesh cannot be read", "a: evaluation_verts.json: entry 7 is null")
     ]
@@ -241,12 +241,12 @@ def test_joints_mix_in_the_paper_where_a_tip_has_no_label() -> None:
     moved[TIPS[1]] += [0.03, 0.0, 0.0]
     without_thumb = only(truth, TIPS[1:])
     scores = scored([only(truth, TIPS), without_thumb], moved, "paper")
-    errors = [row[~np.isnan(row)] for row in scores.epe]
+    errors = [row[~np.isnan(row)] for row in scores.errors["epe"]]
     # The index finger's error is filed under the thumb wherever the thumb has no label.
     by_position = [*np.mean([errors[0][:4], errors[1]], axis=0), errors[0][4]]
     assert summarise(scores, "paper")["epe"] == pytest.approx(np.mean(by_position))
     strict = scored([only(truth, TIPS), without_thumb], moved, "strict")
-    assert summarise(strict, "strict")["epe"] == pytest.approx(np.nanmean(strict.epe))
+    assert summarise(strict, "strict")["epe"] == pytest.approx(np.nanmean(strict.errors["epe"]))
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
@@ -260,7 +260,7 @@ def test_null_baselines_score_what_facts_say(protocol: ProtocolName) -> None:
         summaries.append(summarise(scores, protocol))
         if truth is five:
             spread = 1000 * np.linalg.norm(five[TIPS] - five[TIPS].mean(axis=0), axis=1)
-            np.testing.assert_allclose(scores.epe[0, TIPS], spread, rtol=1e-6)
+            np.testing.assert_allclose(scores.errors["epe"][0, TIPS], spread, rtol=1e-6)
     assert 0.2 < summaries[0]["auc"] < 0.8
     assert summaries[1]["auc"] == pytest.approx(1.0) if protocol == "paper" else np.isnan(summaries[1]["auc"])
 
