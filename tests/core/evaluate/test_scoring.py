@@ -10,10 +10,9 @@ import pytest
 from handfit_core.common.errors import DatasetError
 from handfit_core.common.skeleton import SIDES, TIP_KEYPOINTS, Side
 from handfit_core.evaluate import ProtocolName
-from handfit_core.evaluate.detections import UnitDetections
-from handfit_core.evaluate.labels import Entry, HandLabel, MeshLabel, Problem, units_of
+from handfit_core.evaluate.labels import HandLabel, MeshLabel, Problem
 from handfit_core.evaluate.methods import TrackResult
-from handfit_core.evaluate.rows import Rows, rows_of
+from handfit_core.evaluate.rows import Rows
 from handfit_core.evaluate.scores import Scores
 from handfit_core.evaluate.scoring import (
     baselines,
@@ -24,7 +23,7 @@ from handfit_core.evaluate.scoring import (
 from handfit_core.evaluate.summary import summarise
 from handfit_core.geometry.camera import Intrinsics
 from handfit_core.hand_model import HandModel, load_model
-from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, seen
+from tests.core.evaluate.hands import CAMERA, entry, found, joints, label, rows, seen
 
 RIGHT, LEFT = load_model(None, "right"), load_model(None, "left")
 DIGESTS = frozenset({RIGHT.digest, LEFT.digest})
@@ -39,10 +38,7 @@ def surface(model: HandModel = RIGHT, pose: np.ndarray | None = None):
 def rows_with(mesh: MeshLabel | None, side: Side = "right") -> Rows:
     hand = label(surface().keypoints)
     hand = HandLabel(hand.side, hand.joints_3d, hand.keypoints_2d, mesh)
-    seen_as = seen(surface().keypoints, side)
-    return rows_of(
-        units_of([entry("a", hand)]), lambda _: found((seen_as,)), protocol="strict", camera="assumed"
-    )
+    return rows([entry("a", hand)], found((seen(surface().keypoints, side),)))
 
 
 def with_mesh(
@@ -102,12 +98,7 @@ def test_how_deep_a_fitted_hand_stands_in_itself() -> None:
 def test_rows_take_their_tracks_frames_and_misses_are_nan() -> None:
     truth = joints()
     frames = [entry(f"{i}", label(truth), clip="a", time=i / 25) for i in range(3)]
-    made = rows_of(
-        units_of(frames),
-        lambda _: found((seen(truth),), (), (seen(truth),)),
-        protocol="strict",
-        camera="assumed",
-    )
+    made = rows(frames, found((seen(truth),), (), (seen(truth),)))
     points = np.arange(3.0)[:, None, None] * np.ones((3, 21, 3))
     result = results_of_rows(made, [TrackResult.of_points(points, points, np.arange(3.0))])
     np.testing.assert_array_equal(result.milliseconds, [0.0, np.nan, 2.0])
@@ -134,11 +125,6 @@ TIPS = list(TIP_KEYPOINTS)
 PROTOCOLS: tuple[ProtocolName, ...] = ("paper", "strict")
 
 
-def rows(entries: Sequence[Entry], detections: Sequence[UnitDetections], protocol: ProtocolName) -> Rows:
-    made = iter(detections)
-    return rows_of(units_of(entries), lambda _: next(made), protocol=protocol, camera="assumed")
-
-
 def scored(
     labels: np.ndarray | Sequence[np.ndarray],
     points: np.ndarray,
@@ -152,7 +138,7 @@ def scored(
     detections = [found((seen(points, camera=camera),))] * len(entries)
     if picture_points is None:
         picture_points = seen(points, camera=camera).keypoints[0]
-    return of_all(rows(entries, detections, protocol), points, picture_points, protocol)
+    return of_all(rows(entries, *detections, protocol=protocol), points, picture_points, protocol)
 
 
 def of_all(made: Rows, points: np.ndarray, picture_points: np.ndarray, protocol: ProtocolName) -> Scores:
@@ -187,7 +173,7 @@ def test_misses_vanish_in_the_paper_and_are_wrong_in_strict() -> None:
     detections = [found((seen(truth),)), found(()), found(()), found(())]
     summaries = {}
     for protocol in PROTOCOLS:
-        made = rows(entries, detections, protocol)
+        made = rows(entries, *detections, protocol=protocol)
         scores = of_all(made, truth, seen(truth).keypoints[0], protocol)
         summaries[protocol] = summarise(scores, protocol)
         assert summaries[protocol]["detection_rate"] == 25.0
@@ -230,7 +216,7 @@ def test_true_depth_and_camera_hide_a_wrong_size_in_the_paper_only() -> None:
 def test_every_hand_is_a_left_one_in_the_paper() -> None:
     truth = joints("right")
     for protocol, side in (("paper", "left"), ("strict", "right")):
-        made = rows([entry("a", label(truth, "right"))], [found((seen(truth, "right"),))], protocol)
+        made = rows([entry("a", label(truth, "right"))], found((seen(truth, "right"),)), protocol=protocol)
         assert [view.track.side for view in made.tracks] == [side]
         assert made.listed[0]["side_correct"] == (side == "right")
 
@@ -254,7 +240,7 @@ def test_null_baselines_score_what_facts_say(protocol: ProtocolName) -> None:
     five, one = only(joints(), TIPS), only(joints(), TIPS[:1])
     summaries = []
     for truth in (five, one):
-        made = rows([entry("a", label(truth))], [found((seen(joints()),))], protocol)
+        made = rows([entry("a", label(truth))], found((seen(joints()),)), protocol=protocol)
         null = baselines(made, protocol, None)["null-centroid"]
         scores = score("null-centroid", null, made, protocol, is_baseline=True)
         summaries.append(summarise(scores, protocol))
@@ -272,7 +258,7 @@ def test_what_the_paper_drops_is_named() -> None:
         entry("dark", label(truth), camera=None),
         entry("second", nothing, label(truth)),  # its first hand whose tips are labelled
     ]
-    made = rows(entries, [found((seen(truth),))] * 3, "paper")
+    made = rows(entries, *[found((seen(truth),))] * 3, protocol="paper")
     assert [(row["sample"], row["hand"]) for row in made.listed] == [("second", 1)]
     assert [(p.kind, p.where) for p in made.problems] == [
         ("no labelled fingertip: dropped as in the paper", "palm only"),
