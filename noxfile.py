@@ -21,20 +21,20 @@ ROOT = Path(__file__).resolve().parent
 PYTHON = "3.11"
 
 RUN_TIME = ["scipy", "opencv-python-headless", "mediapipe", "av", "loky", "tqdm", "threadpoolctl"]
-"""What captures, one input or many."""
+"""Packages that capture, one input or many"""
 PAPER = ["torch"]
-"""What the paper's experiments and the differentiable layer need on top."""
+"""Packages of the paper's experiments and the differentiable layer"""
 EVALUATION = ["pandas", "jinja2", "joblib"]
-"""What the reports of `evaluate` need on top."""
+"""Packages of the reports of `evaluate`"""
 FARM = ["distributed"]
-"""What a batch on many machines needs on top."""
+"""Packages of batches on many machines"""
 PYTEST = ["pytest", "pytest-xdist"]
 FARM_TOOLS = ["openjd-cli"]
-"""What checks and runs farms' job files."""
+"""Check and run farms' job files"""
 SNAKEMAKE = "snakemake==9.27.1"
-"""Does, too, in an environment of its own, as it asks for other versions than constraints.txt has."""
+"""Checks farms' job files, too, in an environment of its own: constraints.txt has other versions"""
 OSC_CHECK = ["python-osc"]
-"""What reads back what is sent live."""
+"""Reads back the messages that are sent live"""
 SBOM_CHECK = ["cyclonedx-python-lib", "jsonschema"]
 CORE_NUMPY = "numpy==2.4.6"
 """NumPy where no bpy wheel decides it."""
@@ -99,7 +99,7 @@ def install(session: nox.Session, *packages: str) -> None:
 
 
 def install_core(session: nox.Session, *packages: str) -> None:
-    """What captures, with the landmark models in the user's cache, and other packages."""
+    """Install the packages that capture and others, and put the landmark models into the user's cache."""
     install(session, *RUN_TIME, *packages)
     session.run("python", "scripts/fetch_landmark_model.py")
 
@@ -144,7 +144,7 @@ def slow(session: nox.Session, part: str) -> None:
 
 @nox.session(venv_backend="none")
 def release_check(session: nox.Session) -> None:
-    """What `.ci/run` leaves out, one to two hours: before a release, or after a change of what it covers."""
+    """All that `.ci/run` leaves out, one to two hours: for releases and changes of what it covers."""
     session.run(sys.executable, "-m", "nox", "-s", *RELEASE_CHECK, "--parallel", "2", external=True)
 
 
@@ -191,7 +191,8 @@ def run_in_window(session: nox.Session, marked: str) -> None:
 
 
 def vrm_clients(session: nox.Session) -> dict[str, str]:
-    """What plays VRM animations and checks glTF files, where there is npm; returns how tests find it."""
+    """Install a player of VRM animations and a validator of glTF files, where there is npm; returns the
+    variable by which tests find them."""
     if shutil.which("npm") is None:
         return {}
     folder = Path(session.virtualenv.location) / "vrm-clients"
@@ -203,7 +204,7 @@ def vrm_clients(session: nox.Session) -> dict[str, str]:
 
 
 def snakemake(session: nox.Session) -> dict[str, str]:
-    """Returns how tests find it."""
+    """Install Snakemake; returns the variable by which tests find it."""
     folder = Path(session.virtualenv.location) / SNAKEMAKE
     if not (folder / "bin" / "snakemake").exists():
         session.run("python", "-m", "venv", str(folder))

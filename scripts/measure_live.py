@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""How fast and how well hands are followed live, as one table.
+"""Measure speed and accuracy of the live preview, as one table.
 
     python scripts/measure_live.py --minutes 5 --truth samples/ground_truth
     python scripts/measure_live.py CLIP --minutes 5
@@ -41,7 +41,7 @@ from handfit_core.media.opening import open_media
 from handfit_core.media.source import Frame
 
 Row = tuple[str, str, float]
-"""What is measured, what is wanted of it, and its value"""
+"""Name of a figure, the limit that it should keep, and its value"""
 
 CLIP: Final = str(ROOT / "samples" / "rendered_hand" / "hand.%04d.jpg")
 SIZE: Final = (640, 480)

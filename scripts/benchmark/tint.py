@@ -23,7 +23,7 @@ TONES: Final = np.array(
 )
 """Skin from dark to light, linear RGB"""
 _NAIL_FROM: Final = 0.52
-"""Where a nail begins, from the last joint (0) to the fingertip (1)"""
+"""Begin of a nail, between the last joint (0) and the fingertip (1)"""
 
 
 def skin_tone(rng: np.random.Generator) -> np.ndarray:

@@ -16,7 +16,7 @@ from scripts.fetch_landmark_model import landmark_models
 BESIDE = ("pyproject.toml", "README.md", "LICENSE", "blender_manifest.toml")
 """Files that the core's build reads."""
 NOT_THE_ARTISTS = ("handfit_core/evaluate/", "handfit_core/capturing/live/send.py")
-"""What only a checkout has."""
+"""Modules that only a checkout has."""
 
 _FILES = (landmark_model.TASK, landmark_model.BODY, landmark_model.NETWORK_2020)
 LANDMARK_MODELS = tuple(f"handfit_core/detect/data/{file.name}" for file in _FILES)
