@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from handfit_core.common.files import shown
 from handfit_core.common.skeleton import NUM_BETAS, SIDES, Side
 from handfit_core.common.values import Unfit
 from handfit_core.geometry.camera import Intrinsics
+from handfit_core.hand_model.motion import POSE_ARRAYS
 from handfit_core.interchange import mano
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.mano import POSE, FoundHands, tell
@@ -43,8 +44,8 @@ class ManoLayout:
     keys: str
     """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
-    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`; with `body_pose`, `global_orient` is a
-    body's. `SIDE` stands for left and right"""
+    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient` is
+    a body's. `SIDE` stands for left and right"""
     needs: str = "global_orient hand_pose transl"
     """Which of them a file of this layout must have; `a|b`: one of the two"""
     met: str = ""
@@ -72,18 +73,15 @@ class ManoLayout:
     directions: bool = False
     """Whether poses are coefficients of MANO's principal directions, even if there are 45"""
     counted: mano.Counted = "flat"
-    mean_where: tuple[str, str] = ("", "")
-    """A name and what stands under it where poses count from the mean"""
+    mean_model: str = ""
+    """The `model` with which poses count from the mean"""
     mirrored: Literal["no", "hands", "world"] = "no"
     """Whether left hands are right ones in a mirror, which takes their places along or not"""
     world: str = ""
     """The frame that hands are in, one of _WORLDS; empty: the camera's"""
-    camera: Literal["", "intrinsics", "focal"] = ""
     first_frame: int = 0
     """What is added to the frames' numbers"""
     assumed: tuple[str, ...] = ()
-    left_assumed: str = ""
-    """What is assumed where there is a left hand"""
     mirrored_by: str = ""
     """What to do, or to think, where left hands bend as if mirrored"""
 
@@ -97,6 +95,15 @@ class ManoLayout:
     def wanted(self) -> dict[str, str]:
         """Which value a name in a file has, the ones that count after the others."""
         return {name: what for what, names in self.names.items() for name in reversed(names)}
+
+    def plain(self, name: Any) -> str:
+        """A name without that of a dictionary within, as in `mano.betas`."""
+        return re.sub(rf"^({'|'.join(self.nested.split()) or '(?!)'})[._/](?=\w+$)", "", str(name))
+
+    @property
+    def known(self) -> set[str]:
+        """The names that something is read from, at once or within."""
+        return {*self.wanted, *self.columns, *self.sides, *self.nested.split()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,20 +142,14 @@ class _Part:
             return replace(self, fixed={**self.fixed, "side": SIDES.index(self.layout.sides[key])})
         return replace(self, name=f"{self.name}/{key}".strip("/")) if _NUMBERS.search(key) else self
 
-    def having(self, names: Iterable[Any], value: Callable[[Any], Any]) -> _Part:
+    def having(self, held: Mapping[Any, Any]) -> _Part:
         """With those values of a dictionary that are wanted."""
         layout, flat = self.layout, dict[str, Any]()
-        nested = layout.nested.split()
-        begins = tuple(each + sign for each in nested for sign in "._/")
-        for name in names:
-            key = str(name)
-            if key.startswith(begins) and key not in nested:
-                key = key[len(next(each for each in begins if key.startswith(each))) :]
-            if key in layout.wanted or key in layout.columns:
-                flat[key] = value(name)
-            elif key in nested and isinstance(inside := value(name), dict):
-                flat |= {str(k): v for k, v in inside.items() if str(k) in layout.wanted}
-        values = {w: (k, flat[k]) for k, w in layout.wanted.items() if k in flat and not _holds(flat[k])}
+        for name, value in held.items():
+            inside = isinstance(value, dict) and name in layout.nested.split()
+            flat |= {str(k): v for k, v in value.items()} if inside else {layout.plain(name): value}
+        flat = {name: value for name, value in flat.items() if name in layout.known and not _holds(value)}
+        values = {what: (name, flat[name]) for name, what in layout.wanted.items() if name in flat}
         for key, widths in layout.columns.items():
             columns = flat.get(key)
             if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
@@ -185,11 +186,11 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
     layout = part.layout
     if isinstance(held, list) and layout.listed and len(held) == len(layout.listed.split()):
         held = dict(zip(layout.listed.split(), held, strict=True))
-    if isinstance(held, np.ndarray) or ("" in layout.columns and isinstance(held, list) and not _holds(held)):
+    if "" in layout.columns and not _holds(held):
         held = {"": held}
     inner = part if row is None else replace(part, row=row)
     if isinstance(held, dict):
-        mine = (inner if layout.rows == "sides" else part).having(held, held.get)
+        mine = (inner if layout.rows == "sides" else part).having(held)
         yield mine
         if not mine.is_hands:
             inner = inner if mine.values is part.values else replace(inner, values=mine.values)
@@ -202,15 +203,11 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
 
 
 def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
-    if document.npz is None:
-        held = document.held
-        held = document.lines if held is None else held
-        yield from _walk(document.npy if held is None else held, part)
-        return
-    mine = part.having(document.names, document.value)
-    yield mine
-    for name in () if mine.is_hands else sorted(set(document.names) & set(part.layout.sides)):
-        yield from _walk(document.value(name), mine.under(name))
+    held = document.lines if document.held is None else document.held
+    if document.npz is not None:
+        names = [name for name in document.names if part.layout.plain(name) in part.layout.known]
+        held = {name: document.value(name) for name in names}
+    return _walk(document.npy if held is None else held, part)
 
 
 def _parts(layout: ManoLayout, document: Document) -> Iterator[_Part]:
@@ -296,8 +293,9 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
         if len(rows) != count:
             raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
         there &= rows > 0.0
-    # Nothing but zeros is the place of a hand that was not there.
-    found = found if there.all() else found.at(there)
+    if not there.all():  # Nothing but zeros is the place of a hand that was not there.
+        gone = {n: np.where(there[:, None], getattr(found, n), np.nan) for n in ("betas", *POSE_ARRAYS)}
+        found = replace(found, **gone)
     return found if layout.mirrored == "no" else found.mirrored(places=layout.mirrored == "world")
 
 
@@ -376,6 +374,8 @@ def _before_camera(part: _Part, hands: FoundHands, asked: ReadOptions, assumed: 
 def _by_names(names: Collection[str], assumed: list[str]) -> dict[str, int]:
     """The frames that files or keys are of, by their last numbers, or by those before them where the last
     ones count the hands of a picture. Raises Unfit for names of several clips."""
+    if not names:
+        return {}
     found = {name: [*_NUMBERS.finditer(name)] for name in names}
     counting = [len(each) > 1 and len(each[-1][0]) <= _MOST_DIGITS for each in found.values()]
     around = {(name[: each[-1].start()], name[each[-1].end() :]) for name, each in found.items()}
@@ -415,8 +415,7 @@ def _by_time(parts: Sequence[_Part]) -> tuple[float, list[_Part]]:
 
 def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions) -> Recording:
     assumed = list(layout.assumed)
-    found: list[FoundHands] = []
-    named: dict[str, list[FoundHands]] = {}
+    found: list[tuple[str, FoundHands]] = []
     parts = [part.unpacked() for part in _parts(layout, document) if part.is_hands]
     if not parts:
         raise Unfit(f"there is no hand in {document.found}")
@@ -426,17 +425,17 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
             hands = _hands(one, asked, document.path, assumed)
             hands = _before_camera(one, hands, asked, assumed) if turn is None else hands.turned(turn)
             counted = "frame" in part or "frame" in part.fixed or (layout.rows != "hands" and len(hands) > 1)
-            (found if counted or not part.name else named.setdefault(part.name, [])).append(hands)
-        LIMITS.check(document.path, 1, sum(map(len, found)))
-    numbers = _by_names(named, assumed) if named else {}
-    found += [replace(h, frame=np.full(len(h), numbers[key])) for key, each in named.items() for h in each]
-    hands = FoundHands.concatenate(found)
-    del found
+            found.append(("" if counted else part.name, hands))
+        LIMITS.check(document.path, 1, sum(len(hands) for _, hands in found))
+    numbers = _by_names({name for name, _ in found if name}, assumed)
+    hands = FoundHands.concatenate(
+        [replace(h, frame=np.full(len(h), numbers[name])) if name else h for name, h in found]
+    )
     body = "body_pose" in parts[0]
     if body and layout.columns and not np.any(np.nan_to_num(hands.hand_pose)):
         raise Unfit("the fingers of this body never move: it has none")
-    where, what = layout.mean_where
-    counted = "mean" if where and str(document.value(where)) == what else layout.counted
+    model = str(parts[0].values.get("model", ("", ""))[1])
+    counted = "mean" if model and model == layout.mean_model else layout.counted
     hands = replace(hands.from_flat(asked, counted), frame=hands.frame + layout.first_frame)
     if layout.world:
         if layout.world in UP_AXES:
@@ -456,7 +455,6 @@ def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions)
             "the fingers never move: this body was captured without its hands",
         ),
         (place and hands.nowhere, f"where the hands are is not told ({place}): each stays in its place"),
-        (layout.left_assumed and any(hand.side == "left" for hand in posed), layout.left_assumed),
         (persons, "persons are told apart by the number in the files' names, which may change places"),
     ):
         if there:
@@ -485,7 +483,7 @@ def _camera(
         return np.concatenate(rows or [np.empty((0, *shape))])
 
     sizes = [(int(width), int(height)) for width, height in told("size", 2)[:1]]
-    if layout.camera == "intrinsics" and "intrinsics" in parts[0]:
+    if "intrinsics" in parts[0]:
         matrix = np.shape(parts[0].values["intrinsics"][1])[-2:] == (3, 3)
         rows = told("intrinsics", 3, 3)[:, [0, 1, 0, 1], [0, 1, 2, 2]] if matrix else told("intrinsics", 4)
         fx, fy, cx, cy = rows[0].tolist()
@@ -495,7 +493,7 @@ def _camera(
         if not sizes:
             tell(assumed, f"pictures of {size[0]}x{size[1]} pixels, twice the principal point")
         return size, Intrinsics(fx, fy, cx, cy)
-    if layout.camera != "focal" or nowhere:
+    if "focal" not in layout.names or nowhere:
         return None, None
     size = asked.picture_size or (sizes[0] if sizes else None)
     if size is None:
