@@ -44,8 +44,8 @@ class ManoLayout:
     keys: str
     """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
-    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient` is
-    a body's. `SIDE` stands for left and right"""
+    `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient`
+    is a body's. `SIDE` stands for left and right"""
     needs: str = "global_orient hand_pose transl"
     """Which of them a file of this layout must have; `a|b`: one of the two"""
     met: str = ""
