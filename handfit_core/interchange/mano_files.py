@@ -30,8 +30,8 @@ _SUFFIXES: Final = (".npz", ".json", ".npy", ".pkl", ".pt", ".pth")
 _NUMBERS: Final = re.compile(r"(?<!\d)\d{1,18}(?!\d)")
 _MOST_DIGITS: Final = 2
 """of a hand's number in a file's name; longer ones are frames'"""
-_LOOKED_AT: Final = 2000
-"""Dictionaries of a file in which a hand is looked for before it is said that it has none"""
+_LOOKED_AT: Final = 20_000
+"""Values of a file among which a hand is looked for before it is said that it has none"""
 _WORLDS: Final = {**UP_AXES, "OpenGL": np.diag([1.0, -1.0, -1.0])}
 
 
@@ -93,17 +93,14 @@ class ManoLayout:
 
     @cached_property
     def wanted(self) -> dict[str, str]:
-        """Which value a name in a file has, the ones that count after the others."""
-        return {name: what for what, names in self.names.items() for name in reversed(names)}
+        """Which value a name in a file has, the ones that count after the others; its own, if it has columns
+        of several."""
+        told = {name: what for what, names in self.names.items() for name in reversed(names)}
+        return told | {key: key for key in self.columns}
 
-    def plain(self, name: Any) -> str:
+    def plain(self, name: str) -> str:
         """A name without that of a dictionary within, as in `mano.betas`."""
-        return re.sub(rf"^({'|'.join(self.nested.split()) or '(?!)'})[._/](?=\w+$)", "", str(name))
-
-    @property
-    def known(self) -> set[str]:
-        """The names that something is read from, at once or within."""
-        return {*self.wanted, *self.columns, *self.sides, *self.nested.split()}
+        return re.sub(rf"^({'|'.join(self.nested.split()) or '(?!)'})[._/](?=\w+$)", "", name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,35 +123,35 @@ class _Part:
         return mano.numbers(*self.values[what], *shape) if what in self else None
 
     def rotations(self, what: str, joints: int, count: int | None = None) -> np.ndarray:
-        if what not in self:
-            raise Unfit(f"{self.layout.names[what][0]} is missing")
         return mano.rotations(*self.values[what], joints, count)
 
     @property
     def is_hands(self) -> bool:
         """Whether all is there that the layout needs, for one side at least."""
+        columns = [widths for key, widths in self.layout.columns.items() if key in self]
+        told = {*self.values, *(what for each in columns for parts in each.values() for what in parts)}
         needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES if self.values]
-        return any(all(any(each in self for each in what.split("|")) for what in of) for of in needs)
+        return any(all(told & {*what.split("|")} for what in of) for of in needs)
 
-    def under(self, key: str) -> _Part:
-        """What stands under a key, or in a file or folder of that name."""
-        if key in self.layout.sides:
-            return replace(self, fixed={**self.fixed, "side": SIDES.index(self.layout.sides[key])})
-        return replace(self, name=f"{self.name}/{key}".strip("/")) if _NUMBERS.search(key) else self
-
-    def having(self, held: Mapping[Any, Any]) -> _Part:
-        """With those values of a dictionary that are wanted."""
-        layout, flat = self.layout, dict[str, Any]()
-        for name, value in held.items():
-            inside = isinstance(value, dict) and name in layout.nested.split()
-            flat |= {str(k): v for k, v in value.items()} if inside else {layout.plain(name): value}
-        flat = {name: value for name, value in flat.items() if name in layout.known and not _holds(value)}
-        values = {what: (name, flat[name]) for name, what in layout.wanted.items() if name in flat}
-        for key, widths in layout.columns.items():
-            columns = flat.get(key)
-            if columns is not None and (key or np.shape(columns)[-1:] in [(width,) for width in widths]):
-                values |= {what: (key, columns) for parts in widths.values() for what in parts}
-        return replace(self, values={**self.values, **values}) if values else self
+    def within(self, steps: Sequence[str | int], held: Mapping[str, Any]) -> _Part:
+        """What stands in a file, where the keys, names and places of lists lead to, with the values of `held`
+        that are wanted."""
+        layout, values = self.layout, dict(self.values)
+        for name, what in layout.wanted.items():
+            widths = [(width,) for width in layout.columns.get(name, ())]
+            if name in held and (name or np.shape(held[name])[-1:] in widths):
+                values[what] = name, held[name]
+        rows = [step for step in (steps if layout.rows == "sides" else steps[:-1]) if isinstance(step, int)]
+        keys = [step for step in steps if isinstance(step, str)]
+        sides = [SIDES.index(layout.sides[key]) for key in keys if key in layout.sides]
+        names = [key for key in (self.name, *keys) if _NUMBERS.search(key) and key not in layout.sides]
+        return replace(
+            self,
+            values=values,
+            row=rows[-1] if rows else None,
+            name="/".join(names),
+            fixed={**self.fixed, "side": sides[-1]} if sides else self.fixed,
+        )
 
     def unpacked(self) -> _Part:
         """With lists as arrays, and the columns of arrays apart. Raises Unfit."""
@@ -162,68 +159,73 @@ class _Part:
         for what, (name, value) in self.values.items():
             with suppress(TypeError, ValueError), np.errstate(invalid="ignore"):
                 values[what] = name, np.asarray(value, dtype=np.float64)
-        for name, what in [(of[0], what) for what, of in values.items() if of[0] in self.layout.columns]:
-            widths, array = self.layout.columns[name], np.asarray(values[what][1], dtype=np.float64)
-            array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
-            if array.shape[-1] not in widths or not array.size:
-                found, known = "x".join(map(str, array.shape)), " or ".join(map(str, widths))
-                raise Unfit(
-                    f"{name} must have {known} numbers a frame, and is {found}; without hands it has fewer"
-                )
-            values[what] = name, array[:, widths[array.shape[-1]][what]]
+        for key, widths in self.layout.columns.items():
+            if key in self:
+                array = np.asarray(values[key][1], dtype=np.float64)
+                array = array.reshape(len(array), -1) if array.ndim > 2 else np.atleast_2d(array)
+                if array.shape[-1] not in widths or not array.size:
+                    found, known = "x".join(map(str, array.shape)), " or ".join(map(str, widths))
+                    raise Unfit(
+                        f"{key} must have {known} numbers a frame, and is {found}; without hands it has fewer"
+                    )
+                values |= {w: (key, array[:, part]) for w, part in widths[array.shape[-1]].items()}
         return replace(self, values=values)
 
 
-def _holds(value: Any) -> bool:
-    """Whether a value is nothing, or a dictionary or a list that may have some, rather than of numbers."""
-    while isinstance(value, list) and value:
-        value = value[0]
-    return value is None or isinstance(value, dict | list)
-
-
-def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
-    """The dictionaries in what a file holds, each with what stands around it, down to those of hands."""
-    layout = part.layout
-    if isinstance(held, list) and layout.listed and len(held) == len(layout.listed.split()):
-        held = dict(zip(layout.listed.split(), held, strict=True))
-    if "" in layout.columns and not _holds(held):
-        held = {"": held}
-    inner = part if row is None else replace(part, row=row)
+def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+    """What is in dictionaries and lists, with the keys and the places, from 1, that lead to it; a list of
+    numbers is one value."""
+    first = held
+    while isinstance(first, list) and first:
+        first = first[0]
     if isinstance(held, dict):
-        mine = (inner if layout.rows == "sides" else part).having(held)
-        yield mine
-        if not mine.is_hands:
-            inner = inner if mine.values is part.values else replace(inner, values=mine.values)
-            for key, value in held.items():
-                if isinstance(value, dict | list) and _holds(value):
-                    yield from _walk(value, inner.under(str(key)))
-    elif isinstance(held, list) and _holds(held):
-        for number, each in enumerate(held, 1):
-            yield from _walk(each, inner, number)
+        for key, value in held.items():
+            yield from _values(value, (*path, str(key)))
+    elif isinstance(first, dict | list) or (first is None and held is not None):
+        for place, value in enumerate(held, 1):
+            yield from _values(value, (*path, place))
+    elif held is not None:
+        yield path, held
 
 
-def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
+def _in_file(document: Document, part: _Part, most: int | None) -> Iterator[_Part]:
+    """The hands among the first `most` values of a file, each with what stands around it."""
+    layout, nested = part.layout, part.layout.nested.split()
     held = document.lines if document.held is None else document.held
     if document.npz is not None:
-        names = [name for name in document.names if part.layout.plain(name) in part.layout.known]
-        held = {name: document.value(name) for name in names}
-    return _walk(document.npy if held is None else held, part)
+        known = {*layout.wanted, *layout.sides, *nested}
+        held = {name: document.value(name) for name in document.names if layout.plain(name) in known}
+    held = document.npy if held is None else held
+    if isinstance(held, list) and len(held) == len(layout.listed.split()):
+        held = dict(zip(layout.listed.split(), held, strict=True))
+    found: dict[tuple[str | int, ...], dict[str, Any]] = {}
+    for path, value in islice(_values(held), most):
+        *where, key = [step for step in path if step not in nested] or [""]
+        found.setdefault(tuple(where), {})[layout.plain(str(key))] = value
+    poses = {name for name, what in layout.wanted.items() if what.endswith("hand_pose")} | {*layout.columns}
+    for where in [where for where, values in found.items() if poses & values.keys()]:
+        around = {}
+        for depth in range(len(where) + 1):
+            around |= found.get(where[:depth], {})
+        if (hands := part.within(where, around)).is_hands:
+            yield hands
 
 
-def _parts(layout: ManoLayout, document: Document) -> Iterator[_Part]:
-    """The dictionaries in a file, or in the files of a folder. Raises Unfit."""
+def _parts(layout: ManoLayout, document: Document, most: int | None = None) -> Iterator[_Part]:
+    """The hands among the first `most` values of a file, or of each file of a folder. Raises Unfit."""
     if not document.is_folder:
-        yield from _in_file(document, _Part(layout))
+        yield from _in_file(document, _Part(layout), most)
         return
     folder = document.path / layout.folder
     folder = folder if layout.folder and folder.is_dir() else document.path
-    for within in [side for side in layout.sides if layout.files and (folder / side).is_dir()] or [""]:
-        for path in Document(folder / within).files(*_SUFFIXES) if layout.files else ():
+    for side in [side for side in layout.sides if layout.files and (folder / side).is_dir()] or [""]:
+        for path in Document(folder / side).files(*_SUFFIXES) if layout.files else ():
             if (match := re.fullmatch(layout.files, path.stem)) is None:
                 continue
             fixed = {key: int(text) for key, text in match.groupdict().items()}
-            part, file = _Part(layout, fixed=fixed).under(within), Document(path)
-            found = [p for p in _in_file(file, part if fixed else part.under(path.stem)) if p.is_hands]
+            part, file = _Part(layout, fixed=fixed), Document(path)
+            part = part.within([side] if fixed else [side, path.stem], {})
+            found = [*_in_file(file, part, most)]
             if fixed and not found:
                 raise Unfit(f"{path.name} must hold hands, or a body with hands, and is {file.found}")
             yield from found
@@ -231,8 +233,7 @@ def _parts(layout: ManoLayout, document: Document) -> Iterator[_Part]:
 
 def _recognises(layout: ManoLayout, document: Document) -> bool:
     try:
-        parts = islice(_parts(layout, document), _LOOKED_AT)
-        first = next((part for part in parts if part.is_hands), None)
+        first = next(_parts(layout, document, _LOOKED_AT), None)
         shape = np.shape(first.values["hand_pose"][1]) if first and layout.matrices else (15, 3, 3)
     except (Unfit, ValueError, TypeError):
         return False
@@ -416,7 +417,7 @@ def _by_time(parts: Sequence[_Part]) -> tuple[float, list[_Part]]:
 def _read(name: str, layout: ManoLayout, document: Document, asked: ReadOptions) -> Recording:
     assumed = list(layout.assumed)
     found: list[tuple[str, FoundHands]] = []
-    parts = [part.unpacked() for part in _parts(layout, document) if part.is_hands]
+    parts = [part.unpacked() for part in _parts(layout, document)]
     if not parts:
         raise Unfit(f"there is no hand in {document.found}")
     rate, parts = _by_time(parts) if "time" in parts[0] else (0.0, parts)
