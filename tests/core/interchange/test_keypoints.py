@@ -482,8 +482,13 @@ def test_lists_of_persons(tmp_path: Path, count: int) -> None:
     assert worst(second) < 0.01
 
 
-def test_annotations_of_coco(tmp_path: Path) -> None:
-    recording = read(saved(tmp_path / "a.json", files.annotations()))
+@pytest.mark.parametrize("halpe", [False, True])
+def test_annotations_of_coco(tmp_path: Path, halpe: bool) -> None:
+    """Halpe's have hands among a person's 136 points."""
+    content = files.annotations()
+    if halpe:
+        content["annotations"] = [each | {"image_id": 100 + i} for i, each in enumerate(files.alphapose(136))]
+    recording = read(saved(tmp_path / "a.json", content))
     assert (recording.format, recording.size) == ("coco-wholebody", (WIDTH, HEIGHT))
     assert recording.frame_numbers.tolist() == [100 + i for i in ALL]
     assert worst(recording) < 0.01
