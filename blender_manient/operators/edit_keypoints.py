@@ -11,7 +11,7 @@ from handfit_core.edit.corrections import Pins
 from ..scene.store import active_hand, hand_of
 from ..session import shared_worker
 from ..session.refiner import Refiner, why_not
-from .base import ManientOperator, ModalOperator, show_frame_again
+from .base import ManientOperator, ModalOperator, finish, show_frame_again
 from .modes import keypoints as mode
 from .modes import view
 
@@ -21,8 +21,6 @@ _KEYS = (
 )
 _SWITCH = "    V: Other View"
 _ENDS = {"RET", "NUMPAD_ENTER", "TAB", "ESC"}
-_TIMEOUT_SECONDS = 120.0
-"""seconds for which Move Keypoint waits; the first answer may wait for the worker to start"""
 
 _mode: mode.KeypointMode | None = None
 
@@ -184,8 +182,7 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
         pins = self._pins(refiner.pins(row))
         if pins or refiner.touches(row):
             fields = refiner.request([row], [pins], refiner.start_poses([row]))()
-            worker = shared_worker.worker()
-            poses = refiner.poses(worker.wait(worker.submit("refit", **fields), timeout=_TIMEOUT_SECONDS))
+            poses = refiner.poses(finish(shared_worker.ask("refit", "Move Keypoint", **fields)))
             if not poses.present[0]:
                 raise OptionError("no hand can be fitted to these points: move them nearer to the hand")
             refiner.correct(row, pins, poses, context.scene.manient.spread)

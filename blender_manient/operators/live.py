@@ -188,7 +188,7 @@ def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> Non
             smoothing=settings.smoothing,
             arms=settings.arms,
         )
-        take.job = jobs.Job(
+        request = jobs.CaptureRequest(
             name=take.path.name,
             files=(str(take.path),),
             options=options,
@@ -202,7 +202,7 @@ def queue_recorded(context: bpy.types.Context, session: live.LiveSession) -> Non
             output=take.take_path,
             then=take.replacing,
         )
-        jobs.submit(take.job)
+        take.job = jobs.submit(request)
         if not bpy.app.background:
             bpy.ops.manient.capture("INVOKE_DEFAULT", queued=True)
     session.recorded.clear()

@@ -20,7 +20,7 @@ from ..scene.matching import Footage, clear_view, matches, scene_sentence
 from ..session import jobs, source_info
 from ..session.properties import MATCHING, POSE_CORRECTIVES
 from .base import ManientOperator, SceneOperator
-from .capture import new_job
+from .capture import new_request
 
 _WIDTH = 340
 """pixels of the dialog, at a user interface scale of 1"""
@@ -138,7 +138,7 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
         for path in paths[:1] if self.as_sequence else paths:
             self._choose(context.scene.manient, path, paths)
             try:
-                jobs.submit(new_job(context, only_frame=False))
+                jobs.submit(new_request(context, only_frame=False))
                 started += 1
             except HandfitError as error:
                 self.report({"ERROR"}, str(error))

@@ -164,7 +164,7 @@ class RangeFitOperator(StepsOperator):
     def steps(self, context):
         return self._fitting(self.make_fit(context))
 
-    def _fitting(self, fit: RangeFit) -> Generator[str, None, RangeFit]:
+    def _fitting(self, fit: RangeFit) -> Generator[str | shared_worker.Progress, None, RangeFit]:
         text = f"{self.progress_text}: {fit.count} frames"
         parts = []
         for count, fields in fit.requests:
