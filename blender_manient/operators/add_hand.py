@@ -125,15 +125,15 @@ class MANIENT_OT_add_hand(ModalOperator, bpy.types.Operator):
     bl_label = "Add Hand"
     tick = 0.1
 
-    side: bpy.props.EnumProperty(name="Side", items=SIDE_ITEMS, options={"SKIP_SAVE"})  # type: ignore
-    seen: bpy.props.EnumProperty(name="Seen", items=_SEEN, options={"SKIP_SAVE"})  # type: ignore
-    wrist: bpy.props.FloatVectorProperty(  # type: ignore
+    side: bpy.props.EnumProperty(name="Side", items=SIDE_ITEMS, options={"SKIP_SAVE"})
+    seen: bpy.props.EnumProperty(name="Seen", items=_SEEN, options={"SKIP_SAVE"})
+    wrist: bpy.props.FloatVectorProperty(
         name="Wrist", description="Pixels from the picture's upper left corner", size=2
     )
-    knuckle: bpy.props.FloatVectorProperty(  # type: ignore
+    knuckle: bpy.props.FloatVectorProperty(
         name="Middle Knuckle", description="Pixels from the picture's upper left corner", size=2
     )
-    shown: bpy.props.BoolProperty(  # type: ignore
+    shown: bpy.props.BoolProperty(
         description="The picture was shown for this", options={"HIDDEN", "SKIP_SAVE"}
     )
 

@@ -31,15 +31,14 @@ class MANIENT_OT_capture(ModalOperator, bpy.types.Operator):
 
     bl_label = "Capture"
 
-    only_frame: bpy.props.BoolProperty(  # type: ignore
+    only_frame: bpy.props.BoolProperty(
         name="This Frame",
         description="Capture only the scene's current frame of the source",
         options={"SKIP_SAVE"},
     )
 
-    queued: bpy.props.BoolProperty(  # type: ignore
-        description="Start nothing new, only follow what is queued",
-        options={"HIDDEN", "SKIP_SAVE"},
+    queued: bpy.props.BoolProperty(
+        description="Start nothing new, only follow what is queued", options={"HIDDEN", "SKIP_SAVE"}
     )
 
     @classmethod
@@ -171,7 +170,7 @@ class MANIENT_OT_cancel_capture(InternalOperator, bpy.types.Operator):
 
     bl_label = "Cancel"
 
-    index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})  # type: ignore
+    index: bpy.props.IntProperty(default=-1, options={"SKIP_SAVE"})
 
     def run(self, context):
         queue = jobs.jobs()

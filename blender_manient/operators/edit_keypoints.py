@@ -152,18 +152,16 @@ class MANIENT_OT_move_keypoint(ManientOperator, bpy.types.Operator):
 
     bl_label = "Move Keypoint"
 
-    hand: bpy.props.StringProperty(  # type: ignore
+    hand: bpy.props.StringProperty(
         name="Hand", description="Name of the hand's armature (empty: the active one)"
     )
-    frame: bpy.props.IntProperty(  # type: ignore
-        name="Frame", description="Scene frame", options={"SKIP_SAVE"}
-    )
-    keypoint: bpy.props.IntProperty(  # type: ignore
+    frame: bpy.props.IntProperty(name="Frame", description="Scene frame", options={"SKIP_SAVE"})
+    keypoint: bpy.props.IntProperty(
         name="Keypoint", description="0 is the wrist, 8 the index tip", min=0, max=NUM_KEYPOINTS - 1
     )
-    x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")  # type: ignore
-    y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")  # type: ignore
-    remove: bpy.props.BoolProperty(  # type: ignore
+    x: bpy.props.FloatProperty(name="X", description="Pixels from the picture's left edge")
+    y: bpy.props.FloatProperty(name="Y", description="Pixels from the picture's upper edge")
+    remove: bpy.props.BoolProperty(
         name="Remove", description="Remove the point's pin instead", options={"SKIP_SAVE"}
     )
 

@@ -128,7 +128,7 @@ class MANIENT_OT_live_keep(InternalOperator, bpy.types.Operator):
 
     bl_label = "Keep"
 
-    index: bpy.props.IntProperty()  # type: ignore
+    index: bpy.props.IntProperty()
 
     def run(self, context):
         takes.remove(_take(self.index))
@@ -139,7 +139,7 @@ class MANIENT_OT_live_throw_away(ManientOperator, bpy.types.Operator):
 
     bl_label = "Throw Away"
 
-    index: bpy.props.IntProperty()  # type: ignore
+    index: bpy.props.IntProperty()
 
     def invoke(self, context, event):
         return context.window_manager.invoke_confirm(self, event)

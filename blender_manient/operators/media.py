@@ -32,15 +32,15 @@ class MANIENT_OT_import_take(SceneOperator, bpy.types.Operator, ImportHelper):
     bl_label = "Import Hand Take"
 
     filename_ext = ".npz"
-    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})  # type: ignore
-    pose_correctives: bpy.props.BoolProperty(**POSE_CORRECTIVES)  # type: ignore
-    picture: bpy.props.BoolProperty(  # type: ignore
+    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    pose_correctives: bpy.props.BoolProperty(**POSE_CORRECTIVES)
+    picture: bpy.props.BoolProperty(
         name="Picture Behind",
         description="Show the photo or video that was captured behind the hands",
         default=True,
     )
-    matching: bpy.props.EnumProperty(**MATCHING, options={"SKIP_SAVE"})  # type: ignore
-    render_setup: bpy.props.BoolProperty(  # type: ignore
+    matching: bpy.props.EnumProperty(**MATCHING, options={"SKIP_SAVE"})
+    render_setup: bpy.props.BoolProperty(
         name="Ready to Render",
         description="Lights, and the picture in renders, where the scene is matched",
         default=True,
@@ -95,11 +95,11 @@ class MANIENT_OT_drop_media(ManientOperator, bpy.types.Operator):
     bl_label = "Capture Hands"
     bl_options = {"REGISTER"}
 
-    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})  # type: ignore
-    files: bpy.props.CollectionProperty(  # type: ignore
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: bpy.props.CollectionProperty(
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
     )
-    as_sequence: bpy.props.BoolProperty(  # type: ignore
+    as_sequence: bpy.props.BoolProperty(
         name="Image Sequence",
         description="The numbered pictures are the frames of one clip",
         options={"SKIP_SAVE"},
