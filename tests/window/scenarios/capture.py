@@ -232,7 +232,7 @@ def fails(stage, source, word):
     yield from finish(stage, *jobs())
     assert [job.state for job in jobs()] in ([], ["failed"])
     reports = yield from stage.reports()
-    message = jobs()[0].message if jobs() else reports[-1]
+    message = jobs()[0].result.message if jobs() else reports[-1]
     assert word in message
     assert not hands()
     yield from _is_told(stage, message, reported=not jobs())
