@@ -19,6 +19,7 @@ import binascii
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import MISSING, dataclass, field, is_dataclass
+from functools import cache
 from typing import Any, Final, Literal, TypeVar, dataclass_transform
 
 import numpy as np
@@ -144,7 +145,12 @@ def declared_values(of: Any) -> dict[str, Value]:
 
 def declared(of: Any) -> dict[str, Array]:
     """The arrays of a dataclass, or of one of its objects, by their fields' names."""
-    fields = of.__dataclass_fields__.items()
+    return _declared(of if isinstance(of, type) else type(of))
+
+
+@cache
+def _declared(cls: Any) -> dict[str, Array]:
+    fields = cls.__dataclass_fields__.items()
     return {name: each.metadata["array"] for name, each in fields if "array" in each.metadata}
 
 
