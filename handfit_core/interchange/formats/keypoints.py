@@ -183,6 +183,7 @@ ARRAYS: Final = PointLayout(
     recognises=lambda document: bool(arrays_of(document)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     up="camera",
+    met="DanMulla's handmocap (2026-11)",
     assumes="the camera's axes; the unit, by the palm",
 )
 

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
+from handfit_core.common.skeleton import NUM_KEYPOINTS
 from handfit_core.interchange.document import Document
-from handfit_core.interchange.point_hands import ParsedHands, ParsedPoints
+from handfit_core.interchange.frames import Frames
 from handfit_core.interchange.point_reader import PointLayout
 from handfit_core.interchange.settings import LIMITS
 
@@ -66,40 +66,47 @@ def _is_pose(document: Document) -> bool:
         return False
 
 
-def _hands(document: Document) -> ParsedPoints:
-    """The hands of all frames and people. Raises ValueError."""
+def _frames(document: Document) -> Frames:
+    """The hands of all people in each frame. Raises ValueError."""
     stream = _Stream(document.bytes)
     try:
         version, size, components = _header(stream)
         if version == 0.0:
             raise ValueError("it is of version 0.0, which is not read; write it anew with pose-format")
-        fps, _, people = stream.numbers("fIH" if version > 0.1 else "3H")
+        fps, told, people = stream.numbers("fIH" if version > 0.1 else "3H")
     except struct.error as error:
         raise ValueError("it breaks off") from error
-    people, width = int(people), max(len(component.format) for component in components) - 1
+    people, width = max(1, int(people)), max(len(each.format) for each in components) - 1
     count = sum(len(component.points) for component in components)
-    # The count of frames of version 0.1 is too short for long clips, so the file's length tells it.
-    frames = (len(stream.data) - stream.at) // (4 * max(1, people * count * (width + 1)))
+    frames, rest = divmod(len(stream.data) - stream.at, 4 * people * count * (width + 1) or 1)
+    # Version 0.1 counts frames in two bytes.
+    if rest or frames % (1 << 16 if version < 0.2 else 1 << 32) != told:
+        raise ValueError(f"it breaks off: of {int(told)} frames it has {frames}")
     LIMITS.check(document.path, frames, 2 * people)
     shape = frames, people, count
     numbers = np.frombuffer(stream.data, "<f4", math.prod(shape) * (width + 1), stream.at).astype(np.float64)
-    points = np.full((*shape, 4), np.nan)
-    points[..., :width] = numbers[: math.prod(shape) * width].reshape(*shape, width)
-    points[..., 3] = numbers[math.prod(shape) * width :].reshape(shape)
-    told, first = [], 0
-    row, person = (each.ravel() for each in np.divmod(np.arange(frames * people), max(1, people)))
-    for component in components:
-        side = next((i for i, side in enumerate(SIDES) if side in component.name.lower()), None)
-        if "hand" in component.name.lower() and side is not None and len(component.points) == NUM_KEYPOINTS:
-            mine = points[:, :, first : first + NUM_KEYPOINTS].reshape(-1, NUM_KEYPOINTS, 4)
-            mine[mine[..., 3] == 0.0] = np.nan
-            told.append((row, np.full(len(row), side), 2 * person + side, mine))
-        first += len(component.points)
-    if not told:
-        raise ValueError(f"of its parts ({', '.join(c.name for c in components)[:200]}) none is a hand's")
-    row, side, hand, points = (np.concatenate(each) for each in zip(*told, strict=True))
-    hands = ParsedHands.of(row, side, hand, np.full(len(row), np.nan), points)
-    return ParsedPoints(np.arange(1, frames + 1), hands, float(fps), size if all(size) else None)
+    places, sure = np.split(np.nan_to_num(numbers), [math.prod(shape) * width])
+    points = np.concatenate([places.reshape(*shape, width), sure.reshape(*shape, 1)], axis=-1)
+    ends = np.cumsum([len(component.points) for component in components])
+    hands = {
+        component.name.lower(): points[:, :, end - NUM_KEYPOINTS : end]
+        for component, end in zip(components, ends, strict=True)
+        if len(component.points) == NUM_KEYPOINTS and "hand" in component.name.lower()
+    }
+    if not hands or not frames:
+        parts = ", ".join(component.name for component in components)
+        raise ValueError(f"it has no frame, or none of its parts ({parts[:200]}) is a hand's")
+    contents = [
+        {
+            "people": [
+                {name: of[t, p].tolist() for name, of in hands.items() if of[t, p, :, -1].any()}
+                for p in range(people)
+            ]
+        }
+        for t in range(frames)
+    ]
+    header = {"fps": float(fps), "width": size[0], "height": size[1]}
+    return Frames(np.arange(1, frames + 1), contents, header)
 
 
 POSE_FORMAT: Final = PointLayout(
@@ -108,8 +115,11 @@ POSE_FORMAT: Final = PointLayout(
     "sign language's .pose, of MediaPipe's or OpenPose's hands",
     "https://github.com/sign-language-processing/pose/tree/master/docs/specs",
     recognises=_is_pose,
-    read=_hands,
+    read=_frames,
+    columns="xyc xyzc",
+    people="people",
     order="mediapipe",
+    persons="told",
     met="its own samples (2026-11)",
-    assumes="sides are those of the person",
+    assumes="sides are the person's",
 )

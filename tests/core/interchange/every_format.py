@@ -58,6 +58,7 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     np.save(folder / "a.npy", told().points["left"])
     (folder / "a.pt").write_bytes(torch_zip({"hand": told().points["left"].astype(np.float32)}))
     found["arrays"] = [folder / "a.npy", folder / "a.pt"]
+    found["pose-format"] = [point_files.pose_format(folder / "a.pose")]
     return found
 
 

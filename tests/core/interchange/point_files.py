@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -341,3 +342,24 @@ def trajectories(path: Path, *sides: Side) -> Path:
     return table(
         path, header, np.concatenate([in_room(side) for side in sides], axis=1).reshape(FRAMES, -1).tolist()
     )
+
+
+def pose_format(path: Path, *, version: float = 0.1) -> Path:
+    """Sign language's .pose, of a body's two points and both hands."""
+    parts = [("POSE_LANDMARKS", ["NOSE", "NECK"])]
+    parts += [(f"{side.upper()}_HAND_LANDMARKS", NAMES) for side in SIDES]
+    data = struct.pack("<f4H", version, WIDTH, HEIGHT, 0, len(parts))
+    for name, names in parts:
+        for text in (name, "XYZC"):
+            data += struct.pack(f"<H{len(text)}s", len(text), text.encode())
+        data += struct.pack("<3H", len(names), 1, 1)
+        data += b"".join(struct.pack(f"<H{len(text)}s", len(text), text.encode()) for text in names)
+        data += bytes(4 + 6)
+    places = np.zeros((FRAMES, 1, 44, 3), dtype="<f4")
+    for side, first in zip(SIDES, (2, 23), strict=True):
+        scaled = [landmarks(side, frame) * [WIDTH, HEIGHT, WIDTH] for frame in range(FRAMES)]
+        places[:, 0, first : first + 21] = scaled
+    sure = np.ones((FRAMES, 1, 44), dtype="<f4")
+    data += struct.pack("<fIH", 25.0, FRAMES, 1) if version > 0.1 else struct.pack("<3H", 25, FRAMES, 1)
+    path.write_bytes(data + places.tobytes() + sure.tobytes())
+    return path

@@ -75,6 +75,23 @@ def of_mmpose(points: Any, scores: Any) -> list[Any]:
 # Frames of JSON
 
 
+@pytest.mark.parametrize("version", [0.1, 0.2])
+def test_sign_languages_pose_files(tmp_path: Path, version: float) -> None:
+    path = files.pose_format(tmp_path / "a.pose", version=version)
+    recording = read(path)
+    assert is_recording(path)
+    assert (recording.format, recording.size, recording.fps) == ("pose-format", (WIDTH, HEIGHT), 25.0)
+    assert worst(recording) < 0.01
+    data = path.read_bytes()
+    path.write_bytes(data[:4] + bytes(4) + data[8:])
+    assert read(path).size is None
+    path.write_bytes(data[:-100])
+    with pytest.raises(InputError, match="breaks off"):
+        read(path)
+    with pytest.raises(InputError, match=r"version 0\.0"):
+        read(files.pose_format(path, version=0.0))
+
+
 @pytest.mark.parametrize("layout", PICTURES)
 def test_frames(tmp_path: Path, layout: Callable[[int], Any]) -> None:
     """In a list, with numbers and times beside a size, by their numbers, in lines, and in a folder."""
