@@ -204,7 +204,6 @@ def _walk(held: Any, part: _Part, row: int | None = None) -> Iterator[_Part]:
 def _in_file(document: Document, part: _Part) -> Iterator[_Part]:
     if document.npz is None:
         held = document.held
-        held = document.lines if held is None else held
         yield from _walk(document.npy if held is None else held, part)
         return
     mine = part.having(document.names, document.value)
