@@ -221,7 +221,10 @@ def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
             )
         hand = [hand[i : i + size] for i in range(0, len(hand), size)]
     points = [_point(value, columns) for value in hand]
-    return np.array(points, dtype=np.float64).reshape(-1, len(_AXES)), named
+    try:
+        return np.array(points, dtype=np.float64).reshape(-1, len(_AXES)), named
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError("a point has something that is no number") from error
 
 
 def _point(value: Any, columns: Mapping[int, str]) -> list[Any]:

@@ -25,7 +25,7 @@ from handfit_core.media.source import DEFAULT_FPS, Frame, Media, Source
 from handfit_core.take import is_take
 
 DATA_SUFFIXES: Final = frozenset(
-    ".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pose .pkl .pth .pt".split(" ")
+    ".json .jsonl .csv .tsv .trc .txt .npz .npy .bvh .pose .pkl .pickle .joblib .pth .pt".split()
 )
 """Endings of files that are read as recordings, whatever they are"""
 

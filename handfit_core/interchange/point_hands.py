@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from handfit_core.common.skeleton import SIDES, Side, other_side
+from handfit_core.interchange.frames import Frames
 from handfit_core.interchange.orders import ORDERS, order_by_bones
 from handfit_core.interchange.recording import UNKNOWN, PointsHand, SeenHands, known
 
@@ -16,45 +17,28 @@ LEAST_SURE: Final = 0.3
 """What `share_left` must differ from 0 before it is believed"""
 
 
-@dataclass(frozen=True, eq=False)
-class ParsedPoints:
-    """The hands of a file, in its own coordinates, and what it says of them."""
-
-    hands: SeenHands
-    size: tuple[int, int] | None = None
-    in_space: bool = False
-    """True if points are in space, rather than in the plane with a depth"""
-    mirrored: bool = False
-    """True if sides count for mirrored pictures"""
-    halved: bool = False
-    """True if parts of the picture's size are from -1 to 1, rather than from 0"""
-    order: str = ""
-    """Of `ORDERS`, as the file tells; empty: it does not"""
-    guessed: bool = False
-    """True if which hand is the left one is guessed by its place in a list"""
-
-
-def in_order(parsed: ParsedPoints, order: str | None, *, parts: bool) -> tuple[SeenHands, tuple[str, ...]]:
+def ordered(
+    hands: SeenHands, frames: Frames, order: str | None, *, parts: bool
+) -> tuple[SeenHands, tuple[str, ...]]:
     """The hands in MediaPipe's order, and what is said of it. `order`: the one that is asked for, if any;
     `parts`: whether points in the plane are parts of the picture's size. Raises ValueError if none fits."""
-    hands, said = parsed.hands, ""
-    name, count = order or parsed.order, hands.points.shape[1]
+    name, count, said = order or frames.order, hands.points.shape[1], ""
     if not name:
         deep = known(hands.world).all(axis=1).any()
         shapes = hands.world if deep else np.where((hands.confidence > 0.0)[..., None], hands.points, np.nan)
-        if parsed.size is not None and parts:
-            shapes = shapes * [parsed.size[0] / parsed.size[1], 1.0, 1.0]
-        in_space = bool(deep) or parsed.in_space or is_world(hands)
-        name, said = order_by_bones(shapes, in_space=in_space, parts=parts and parsed.size is None)
+        if frames.size is not None and parts:
+            shapes = shapes * [frames.size[0] / frames.size[1], 1.0, 1.0]
+        in_space = bool(deep) or frames.in_space or is_world(hands)
+        name, said = order_by_bones(shapes, in_space=in_space, parts=parts and frames.size is None)
     layout = ORDERS[name]
     if layout.count != count:
         raise ValueError(f"its hands have {count} points, and the order {name} has {layout.count}")
-    placed = {name: layout.of(value) for name in _OF_POINTS if (value := getattr(hands, name)) is not None}
     sure = np.nan_to_num(layout.of(hands.confidence[..., None])[..., 0])
-    return replace(hands, confidence=sure, **placed), (said,) if said else ()
-
-
-_OF_POINTS: Final = ("points", "world", "turns")
+    turns = None if hands.turns is None else layout.of(hands.turns)
+    hands = replace(
+        hands, points=layout.of(hands.points), confidence=sure, world=layout.of(hands.world), turns=turns
+    )
+    return hands, (said,) if said else ()
 
 
 def is_world(hands: SeenHands) -> bool:

@@ -21,7 +21,7 @@ _SIDE_WORDS: Final[dict[str, Side]] = {
     **dict.fromkeys(("right", "righthand", "r", "rh"), SIDES[1]),
 }
 _FILLING: Final = frozenset(
-    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px device".split()
+    "hand landmark landmarks lm kp kpt point keypoint joint p pt h mediapipe norm px device position".split()
 )
 
 
@@ -51,7 +51,7 @@ XR_NAMES: Final = frozenset(
 """Those of joints as headsets have them, in metres"""
 _AROUND: Final = re.compile(r"finger|phalanx|joint|xrhand|hand|ext$|^xr|left|right")
 KEYS: Final = {
-    "frame": "frame frameid framenumber frameindex frameidx frameno framenum imageid image file".split(),
+    "frame": "frame frameid framenumber frameindex frameidx frameno framenum fnum imageid image file".split(),
     "time": (
         "timestamp timestampms timestampinmilliseconds timestamps time times timem timems t "
         "predicteddisplaytime trackingtimestampus timestampus"

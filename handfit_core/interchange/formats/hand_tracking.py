@@ -72,7 +72,7 @@ def _posed(places: np.ndarray, quats: np.ndarray, model: HandModel) -> tuple[Han
     there = np.isfinite(np.concatenate([places, quats], axis=-1)[:, _POINTS]).all(axis=(1, 2))
     if not there.any():
         raise ValueError("lacks joints, or their orientations, in every frame")
-    places, quats = places[there], quats[there]
+    count, places, quats = len(places), places[there], quats[there]
     if np.linalg.norm(quats[:, _POINTS], axis=-1).min() < 0.5:
         raise ValueError("has quaternions that are no rotations")
     frames, said = _frames_of(places, quats)
@@ -97,7 +97,7 @@ def _posed(places: np.ndarray, quats: np.ndarray, model: HandModel) -> tuple[Han
     whole[:, 1:] = up @ frames[:, _POINTS[1:]] @ np.swapaxes(flat[1:], -1, -2)
     local = np.swapaxes(whole[:, PARENTS[1:]], -1, -2) @ whole[:, 1:]
     pose = rotmat_to_rotvec(local).reshape(len(places), -1)
-    moved = (scatter(part, there, len(there)) for part in (rotmat_to_rotvec(whole[:, 0]), pose, transl))
+    moved = (scatter(part, there, count) for part in (rotmat_to_rotvec(whole[:, 0]), pose, transl))
     return HandMotion(model.side, np.zeros(NUM_BETAS), *moved), said
 
 
