@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.common.skeleton import NUM_KEYPOINTS, SIDES
 from handfit_core.detect.keypoints import Detections
 from handfit_core.interchange.lift import lifted
 from handfit_core.interchange.recording import LEAST_POINTS, SeenHands
@@ -31,11 +30,5 @@ def flattened(detections: Detections, flat: Flat, seed: int = 0) -> Detections:
     lost = rng.random(points.shape[:2]) < flat.missing
     lost[(~lost).sum(axis=1) < LEAST_POINTS] = False
     points[lost] = np.nan
-    hands = SeenHands(
-        row=detections.frame,
-        left=detections.likely_side == SIDES.index("left"),
-        score=detections.score,
-        keypoints=points,
-        confidence=np.ones((len(points), NUM_KEYPOINTS)),
-    )
-    return lifted(hands)
+    sides = detections.likely_side
+    return lifted(SeenHands.of(detections.frame, sides, np.zeros_like(sides), detections.score, points))
