@@ -57,7 +57,7 @@ def captured(stage, source, second):
             assert _seen_through() == name
             if shot:
                 yield from stage.screenshot(f"views-{shot}")
-                yield from stage.press_button("bpy.ops.manient.switch_view(")
+                yield from stage.press("bpy.ops.manient.switch_view(", along=0.4)
         yield from stage.undo()
         assert _seen_through() == other
         yield from stage.redo()
