@@ -12,17 +12,14 @@ from ..scene.store import active_hand
 class MANIENT_PT_shape(EditSection, bpy.types.Panel):
     bl_label = "Shape"
     bl_order = 5
-    bl_options = {"DEFAULT_CLOSED"}
     works_on = staticmethod(active_hand)
 
-    def draw(self, context):
-        layout, hand = self.layout, active_hand(context)
-        assert hand is not None
-        kept = hand.armature.manient
+    def draw_for(self, subject, context, layout):
+        kept = subject.armature.manient
         column = layout.column(align=True)
-        for index, name in enumerate(reshape.shape_names_of(hand)):
+        for index, name in enumerate(reshape.shape_names_of(subject)):
             column.prop(kept, "betas", index=index, text=name or f"Shape {index + 1}", slider=True)
-        trouble = reshape.trouble(hand.armature)
+        trouble = reshape.trouble(subject.armature)
         if trouble:
             note(layout, trouble, "ERROR")
         layout.operator("manient.reset_shape", icon="LOOP_BACK")
