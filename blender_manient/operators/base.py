@@ -204,6 +204,23 @@ class ModalOperator(ManientOperator):
             context.workspace.status_text_set(text)
 
 
+class ModeOperator(ModalOperator):
+    """The base of operators that run a mode over a viewport, one of a kind at a time."""
+
+    current: Any = None
+    """The mode, while it goes on"""
+
+    @classmethod
+    def leave(cls, *_args) -> None:
+        """End the mode, if it goes on; its operator finds out with its next event."""
+        ended, cls.current = cls.current, None
+        if ended is not None:
+            ended.end(bpy.context)
+
+    def ended(self, context):
+        self.leave()
+
+
 def finish(steps: Generator[str | Progress, None, Any]) -> Any:
     """Do steps without a window beside them; what they return. `Progress` is of another process, which is
     waited for."""

@@ -6,8 +6,8 @@ import bpy
 
 from ..common.section import Section, note, row_of, split
 from ..common.wording import capitalised, counted, shortened
-from ..operators import add_hand
-from ..operators.modes import find_hands as find_mode
+from ..operators.add_hand import MANIENT_OT_add_hand
+from ..operators.find_hands import MANIENT_OT_find_hands
 from ..scene import captures
 from ..scene.camera_clip import camera_clips
 from ..scene.matching import is_of_a_capture, is_untouched, scene_sentence
@@ -119,7 +119,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
             note(layout, f"Onto {hand.armature.name}", "ARMATURE_DATA")
 
     def _buttons(self, context, info: source_info.SourceInfo, ready: bool) -> None:
-        settings, choosing = context.scene.manient, find_mode.current
+        settings, choosing = context.scene.manient, MANIENT_OT_find_hands.current
         buttons = self.layout.column(align=True)
         job = jobs.current_or_next()
         if job is not None:
@@ -153,7 +153,7 @@ class MANIENT_PT_capture(Section, bpy.types.Panel):
         if searched:
             parts = self.layout.split(factor=0.36, align=True)
             row = row_of(parts, choosing is None)
-            if add_hand.running():
+            if MANIENT_OT_add_hand.current is not None:
                 row.operator("manient.leave", icon="CANCEL").what = "ADD"
             else:
                 row.operator("manient.add_hand", icon="ADD")

@@ -120,7 +120,7 @@ class FindMode(view.Overlay):
         self._finding = self._ask()
         super().__init__(viewport)
 
-    def end(self) -> None:
+    def end(self, _context: bpy.types.Context) -> None:
         """Leave nothing behind. May be called twice."""
         if self.remove():
             self._texture = None
@@ -376,7 +376,3 @@ def row_of(left: Name | None, middle: Name, right: Name | None, free: Box) -> li
     box, gap = found[0].box, 8.0 * scale
     found += [button(left, box[0] - gap - width(left))] if left is not None else []
     return found + ([button(right, box[2] + gap)] if right is not None else [])
-
-
-current: FindMode | None = None
-"""The mode that runs"""

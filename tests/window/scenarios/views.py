@@ -74,7 +74,7 @@ def captured(stage, source, second):
 def _points_shown(stage, armature):
     """V shows the points over the other picture, in the second clip's own frame, where a drag takes none of
     them; one in the first picture moves the hand in both."""
-    mode = lambda: operator()._mode  # noqa: E731
+    mode = lambda: operator().current  # noqa: E731
     bpy.context.scene.camera = part("scene.store").hand_of(armature).camera
     bpy.ops.ed.undo_push(message="Camera")
     before = {frame: pose_at(armature, frame) for frame in (5, 20)}
