@@ -33,6 +33,7 @@ from ..scene.matching import CHOICES
 from ..scene.poses import pose_items
 from ..scene.simplify import PARTS
 from ..scene.spans import SCOPES
+from ..scene.transfer_options import OVERRIDABLE, transfer_properties
 from .hand_table import ManientHandTable
 
 # Plug-ins may import anything, which Blender's process is to be spared.
@@ -441,9 +442,8 @@ class ManientSettings(bpy.types.PropertyGroup):
     )
 
 
-_OVERRIDABLE: Any = {"LIBRARY_OVERRIDABLE"}
-_OF_CHARACTER: Any = {"update": notifier("character"), "override": _OVERRIDABLE}
-_OF_HAND_MOTION: Any = {"update": notifier("hand_motion"), "override": _OVERRIDABLE}
+_OF_CHARACTER: Any = {"update": notifier("character"), "override": OVERRIDABLE}
+_OF_HAND_MOTION: Any = {"update": notifier("hand_motion"), "override": OVERRIDABLE}
 
 
 class ManientCharacterHand(bpy.types.PropertyGroup):
@@ -475,111 +475,8 @@ class ManientCharacterHand(bpy.types.PropertyGroup):
 class ManientCharacter(bpy.types.PropertyGroup):
     """Object.manient.character of an armature that gets motion from captured hands."""
 
-    left: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)
-    right: PointerProperty(type=ManientCharacterHand, override=_OVERRIDABLE)
-    into: EnumProperty(
-        name="Into",
-        items=(
-            ("NEW", "New Action", "A new action; the present one goes on in the NLA below it"),
-            ("STRIP", "NLA Strip", "A new strip above all others; the present action stays as it is"),
-            (
-                "ACTION",
-                "Present Action",
-                "The present action: keys of the same bones and frames are replaced",
-            ),
-        ),
-        default="NEW",
-        override=_OVERRIDABLE,
-    )
-    wrist: EnumProperty(
-        name="Hand",
-        description="What of the hand's own motion is applied, beside its fingers",
-        items=(
-            ("FINGERS", "Fingers Only", "The hand stays as it is"),
-            ("TURNED", "Turned", "The hand turns as the captured one does from the marked frame on"),
-            ("PLACED", "Turned and Moved", "It moves as the captured one does too, as large as it is"),
-        ),
-        default="FINGERS",
-        **_OF_CHARACTER,
-    )
-    reference: IntProperty(
-        name="Marked Frame",
-        description="The scene frame in which the character's hand is as it is to be in the captured pose",
-        default=1,
-        **_OF_HAND_MOTION,
-    )
-    travel: FloatProperty(
-        name="Travel",
-        description="How far the hand goes from where it is in the marked frame: 1 as far as the captured "
-        "one, 0 not at all",
-        default=1.0,
-        min=0.0,
-        max=2.0,
-        **_OF_HAND_MOTION,
-    )
-    smoothing: IntProperty(
-        name="Smoothing",
-        description="Smooth how the hand itself turns and moves over so many frames before and after; "
-        "fingers stay as they are",
-        min=0,
-        soft_max=20,
-        max=1000,
-        **_OF_HAND_MOTION,
-    )
-    time_offset: IntProperty(
-        name="Time Offset",
-        description="Frames by which the captured motion comes later, for a character that moves already",
-        default=0,
-        soft_min=-1000,
-        soft_max=1000,
-        **_OF_CHARACTER,
-    )
-    contacts: BoolProperty(
-        name="Keep Contacts",
-        description="Where captured fingertips touch, the character's touch too: both fingers give way",
-        default=True,
-        **_OF_CHARACTER,
-    )
-    arms: BoolProperty(
-        name="Arms",
-        description="Upper arm, forearm and hand follow the captured arm from the shoulder on, where one was "
-        "captured, by FK or IK, whichever acts",
-        **_OF_CHARACTER,
-    )
-    arms_influence: FloatProperty(
-        name="Influence",
-        description="How much of the captured arm there is: 0 leaves the character's arm as it is animated",
-        default=1.0,
-        min=0.0,
-        max=1.0,
-        **_OF_CHARACTER,
-    )
-    arms_ease: IntProperty(
-        name="Ease",
-        description="Frames within which the captured arm comes and goes, where the character's arm is "
-        "animated otherwise",
-        default=10,
-        min=0,
-        soft_max=50,
-        max=1000,
-        **_OF_CHARACTER,
-    )
-    arms_turn: FloatProperty(
-        name="Turn",
-        description="Turn both captured arms about the character's vertical. Pictures hardly tell where a "
-        "body faces: it may be 20 degrees off",
-        min=-math.pi,
-        max=math.pi,
-        subtype="ANGLE",
-        **_OF_CHARACTER,
-    )
-    arms_outside: BoolProperty(
-        name="Keep Hands Outside the Body",
-        description="Move hands that would sink into chest or face out of capsules, which stand for the "
-        "character's trunk and head, towards the camera. Pictures hardly tell how far away a hand is: it may "
-        "be 10 cm off",
-        **_OF_CHARACTER,
-    )
+    left: PointerProperty(type=ManientCharacterHand, override=OVERRIDABLE)
+    right: PointerProperty(type=ManientCharacterHand, override=OVERRIDABLE)
     live: BoolProperty(
         name="Live Link",
         description="Show every change of the captured hands on this character at once, and key it",
@@ -588,15 +485,18 @@ class ManientCharacter(bpy.types.PropertyGroup):
     action: PointerProperty(
         type=bpy.types.Action,
         description="The action that the live link keys (live_link.py)",
-        override=_OVERRIDABLE,
+        override=OVERRIDABLE,
     )
-    linked: StringProperty(description="Changes with what the live link has keyed", override=_OVERRIDABLE)
+    linked: StringProperty(description="Changes with what the live link has keyed", override=OVERRIDABLE)
+
+
+ManientCharacter.__annotations__ |= transfer_properties()
 
 
 class ManientHand(bpy.types.PropertyGroup):
     """Object.manient of a captured hand's armature."""
 
-    character: PointerProperty(type=ManientCharacter, override=_OVERRIDABLE)
+    character: PointerProperty(type=ManientCharacter, override=OVERRIDABLE)
     is_hand: BoolProperty(default=False)
     side: StringProperty()
     capture: PointerProperty(type=bpy.types.Collection, description="The collection that keeps the take")
@@ -698,7 +598,7 @@ class ManientCapture(bpy.types.PropertyGroup):
 
 
 PROPERTIES = {
-    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=_OVERRIDABLE),
-    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=_OVERRIDABLE),
-    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=_OVERRIDABLE),
+    (bpy.types.Scene, "manient"): lambda: PointerProperty(type=ManientSettings, override=OVERRIDABLE),
+    (bpy.types.Object, "manient"): lambda: PointerProperty(type=ManientHand, override=OVERRIDABLE),
+    (bpy.types.Collection, "manient"): lambda: PointerProperty(type=ManientCapture, override=OVERRIDABLE),
 }
