@@ -97,7 +97,7 @@ class HandOperator(ManientOperator):
     why_not = staticmethod(why_not_editable)
     """Tells why the hand cannot be worked on; by default why nothing of it can be changed"""
     anywhere = False
-    """Whether it works in every mode, and not only where the hand is posed"""
+    """True if it works in every mode, and not only where the hand is posed"""
 
     @classmethod
     def poll_reason(cls, context) -> str | None:
@@ -124,7 +124,7 @@ class ModalState:
 
     timer: Any = None
     can_stop: bool = True
-    """Whether it can still be stopped before anything is changed"""
+    """True if it can still be stopped before anything is changed"""
     stopped: bool = False
 
     def stop(self) -> None:
@@ -241,7 +241,7 @@ class StepsOperator(ModalOperator):
     title: str
     """of what they do, as a sentence begins with it"""
     undone: str
-    """What is said where an undo stops them"""
+    """The sentence that is reported where an undo stops them"""
 
     def steps(self, context: bpy.types.Context) -> Generator[str | Progress, None, Any]:
         """Do the work; yields how far it is. Returns what `finished` gets. Where it is closed, nothing was

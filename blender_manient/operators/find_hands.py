@@ -192,7 +192,7 @@ def capture_chosen(context: bpy.types.Context, *, then_add_hand: bool = False) -
 
 
 def chosen_source(context: bpy.types.Context) -> mode.Source:
-    """What the panel's settings name, at the frame that the scene shows. Raises HandfitError."""
+    """The source of the panel's settings, at the frame that the scene shows. Raises HandfitError."""
     settings, request = context.scene.manient, new_request(context, only_frame=False)
     info = source_info.of(settings)
     assert info.files is not None

@@ -36,7 +36,7 @@ class RangeFit:
     """Numbers of frames, and what makes the fields of the requests for them"""
     poses: BonePoses
     fitted: int
-    """What is written, and of how many frames"""
+    """The poses that are written, and the number of their frames"""
 
     def __init__(self, operator: RangeFitOperator, context: bpy.types.Context) -> None:
         """Raises HandfitError where nothing can be fitted."""
@@ -64,7 +64,7 @@ class RangeFitOperator(StepsOperator):
     title = "Re-fitting"
     undone = "re-fitting was stopped by an undo: nothing more was changed"
     progress_text = "Re-fitting"
-    """What is said while the worker fits"""
+    """The status line while the worker fits"""
 
     scope: bpy.props.EnumProperty(
         name="Range",
@@ -82,9 +82,9 @@ class RangeFitOperator(StepsOperator):
     )
 
     _dialog = False
-    """Whether this instance asks for the range"""
+    """True if this instance asks for the range"""
     _summary: tuple[str, bool] | None = None
-    """What `summary` said since the last change, so that drawing again costs nothing"""
+    """The result of `summary` since the last change, so that drawing again costs nothing"""
 
     @classmethod
     def fitting(cls) -> tuple[str, ModalState] | None:
@@ -107,7 +107,7 @@ class RangeFitOperator(StepsOperator):
         return why_not(context, active_hand(context))
 
     def make_fit(self, context: bpy.types.Context) -> RangeFit:
-        """What is to be fitted. Raises HandfitError."""
+        """The frames that are to be fitted. Raises HandfitError."""
         raise NotImplementedError
 
     def suggest(self, context: bpy.types.Context) -> None:

@@ -126,7 +126,7 @@ class _SmoothFit(MotionFit):
 
 
 def _shown(_owner: Any) -> float:
-    """What the slider says: where it was moved to, else how smooth the active hand's keys are."""
+    """The slider's value: where it was moved to, else how smooth the active hand's keys are."""
     hand = active_hand(bpy.context)
     if hand is None:
         return 1.0

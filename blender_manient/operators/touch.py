@@ -169,7 +169,7 @@ class _TouchFit(RangeFit):
         self.rows = self.rows[[bool(of_row) for of_row in new]]
         rows, self.count = self.rows.tolist(), len(self.rows)
         self._new = list(filter(None, new))
-        """What is made to touch in each frame"""
+        """The points that are made to touch, for each frame"""
         start = refiner.start_poses(rows)
         self.gaps = refiner.gaps(start, self._new)
         """(N,) metres between what is to touch, at the widest"""

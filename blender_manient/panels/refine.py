@@ -38,7 +38,7 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
             self._locks(subject.armature)
 
     def _by_points(self, context, hand: CapturedHand) -> None:
-        """What needs the points that were detected."""
+        """Draw the buttons that need the points that were detected."""
         layout = self.layout
         row_of(layout, scale=1.3).operator("manient.edit_keypoints", icon="EDITMODE_HLT")
         kept = preferences.get()

@@ -110,7 +110,7 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
         row.prop(armature.manient, "show_confidence", text="Colors", toggle=True)
 
     def _other_rate(self, context, box: bpy.types.UILayout, hand: CapturedHand) -> None:
-        """What a change of the scene's rate has done to the hand, and both ways to put it right."""
+        """Draw a warning where the scene's rate is not the hand's, with both ways to mend it."""
         built, rate = other_rate(context.scene, hand.collection), frame_rate(context.scene)
         if not built:
             return

@@ -101,7 +101,7 @@ class Progress:
     """How far a request to the worker is, as `ask` yields it, or other work of a capture."""
 
     title: str
-    """What is done, as a text about it begins"""
+    """The words with which a text about the request begins"""
     stage: str = ""
     """The worker's own name of what it does now; empty until it says so"""
     view: int = 0
@@ -111,7 +111,7 @@ class Progress:
     began: float = field(default_factory=time.monotonic)
     """The moment of `time.monotonic` at which the stage, or before the first one the request, began"""
     first: float = 0
-    """What was done when the worker first told of the stage"""
+    """The value of `done` in the first event of the stage"""
     warnings: tuple[str, ...] = ()
     offer: str = ""
     """The operator, `find_hands` or `add_hand`, that helps with the first warning"""

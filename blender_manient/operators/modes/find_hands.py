@@ -89,7 +89,7 @@ class Button:
     """Whose side it is"""
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a place in pixels of the region lies on it."""
+        """True if a place in pixels of the region lies on it."""
         return self.box[0] <= x < self.box[2] and self.box[1] <= y < self.box[3]
 
 
@@ -141,7 +141,7 @@ class FindMode(view.Overlay):
 
     @property
     def busy(self) -> bool:
-        """Whether the worker still searches."""
+        """True if the worker still searches."""
         return bool(self._asked)
 
     def tick(self, context: bpy.types.Context) -> None:

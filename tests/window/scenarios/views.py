@@ -124,7 +124,7 @@ def told(stage, source, second, rig):
         before = pictured()
         settings.pair = 31, 40
         yield from stage.until(lambda: pictured()[1] != before[1], 20.0, "another picture")
-        assert abs(info.told_offset(settings) - (30 - 39) / info.of(settings).fps) < 1e-4
+        assert abs(info.chosen_offset(settings) - (30 - 39) / info.of(settings).fps) < 1e-4
         job = yield from begin(stage, source, second_view=str(second), cameras=str(rig))
         yield from finish(stage, job)
         assert job.state == "failed"
