@@ -28,26 +28,16 @@ class Section:
 
 
 class EditSection(Section):
-    """A panel of the tab in which captured hands are edited: shown where there is something to work on, and
-    drawn by `draw_for`."""
+    """A panel of the tab in which captured hands are edited, shown where there is something to work on."""
 
     bl_category = EDIT
     works_on: Callable[[bpy.types.Context], Any]
     """Finds what it works on; None where there is nothing"""
-    layout: Any
 
     @classmethod
     def poll(cls, context):
         """True if there is something that it works on."""
         return cls.works_on(context) is not None
-
-    def draw(self, context):
-        """Draw the panel about what it works on."""
-        self.draw_for(self.works_on(context), context, self.layout)
-
-    def draw_for(self, subject: Any, context: bpy.types.Context, layout: Any) -> None:
-        """Draw the panel about `subject`, which `works_on` has found."""
-        raise NotImplementedError
 
 
 def note(layout: bpy.types.UILayout, text: str, icon: str = "NONE", short: str = "") -> None:

@@ -32,8 +32,8 @@ class MANIENT_PT_character(EditSection, bpy.types.Panel):
     bl_order = 6
     works_on = staticmethod(active_character)
 
-    def draw_for(self, subject, context, layout):
-        armature = subject
+    def draw(self, context):
+        layout, armature = self.layout, self.works_on(context)
         layout.label(text=armature.name, icon="OUTLINER_OB_ARMATURE", translate=False)
         why = why_not_reachable(armature)
         if why is not None:
@@ -130,8 +130,9 @@ class MANIENT_PT_character_bones(EditSection, bpy.types.Panel):
     bl_parent_id = "MANIENT_PT_character"
     works_on = staticmethod(active_character)
 
-    def draw_for(self, subject, context, layout):
-        armature, table = subject, context.scene.manient.hand_table
+    def draw(self, context):
+        layout, armature = self.layout, self.works_on(context)
+        table = context.scene.manient.hand_table
         layout.row().prop(table, "side", expand=True)
         column = layout.column()
         column.enabled = why_not_reachable(armature) is None

@@ -24,14 +24,14 @@ class MANIENT_PT_export(EditSection, bpy.types.Panel):
     bl_order = 7
     works_on = staticmethod(_exported)
 
-    def draw_for(self, subject, context, layout):
-        settings = context.scene.manient
-        character = None if isinstance(subject, CapturedHand) else subject
+    def draw(self, context):
+        layout, settings, chosen = self.layout, context.scene.manient, self.works_on(context)
+        character = None if isinstance(chosen, CapturedHand) else chosen
         why = why_not_written(character, context.scene) if character is not None else None
         if character is not None:
             layout.label(text=character.name, icon="OUTLINER_OB_ARMATURE", translate=False)
         else:
-            layout.label(text=subject.collection.name, icon="VIEW_PAN", translate=False)
+            layout.label(text=chosen.collection.name, icon="VIEW_PAN", translate=False)
         if why is not None:
             note(layout, why, "ERROR")
         can = format_buttons(layout, settings, "export_format", character=character is not None)

@@ -18,19 +18,20 @@ class MANIENT_PT_motion(EditSection, bpy.types.Panel):
     bl_order = 4
     works_on = staticmethod(armature_of)
 
-    def draw_for(self, subject, context, layout):
-        settings, hand = context.scene.manient, active_hand(context)
+    def draw(self, context):
+        layout, settings = self.layout, context.scene.manient
+        armature, hand = self.works_on(context), active_hand(context)
         if hand is not None:
             row = layout.row(align=True)
             row.operator("manient.mirror_hand", icon="MOD_MIRROR")
             row.operator("manient.apply_take", icon="IMPORT")
-        if strip_below(subject) is not None:
+        if strip_below(armature) is not None:
             note(layout, "Keys go into a layer on top of the motion", "NLA")
             row = layout.row(align=True)
             row.operator("manient.end_key_layer", text="Merge").merge = True
             row.operator("manient.end_key_layer", text="Remove").merge = False
             return
-        why = why_not_keyable(subject)
+        why = why_not_keyable(armature)
         if why is not None:
             note(layout, why, "INFO")
             return
@@ -45,7 +46,7 @@ class MANIENT_PT_motion(EditSection, bpy.types.Panel):
         found = key_preview.preview(context)
         note(layout, _preview_text(found), "ERROR" if isinstance(found, str) else "KEYFRAME")
         layout.operator("manient.simplify_keys", icon="FCURVE")
-        if kept_action(subject) is not None:
+        if kept_action(armature) is not None:
             layout.operator("manient.restore_keys", icon="LOOP_BACK")
         layout.operator("manient.add_key_layer", icon="NLA_PUSHDOWN")
 

@@ -14,8 +14,8 @@ class MANIENT_PT_poses(EditSection, bpy.types.Panel):
     bl_order = 3
     works_on = staticmethod(posed_by)
 
-    def draw_for(self, subject, context, layout):
-        settings, hand = context.scene.manient, active_hand(context)
+    def draw(self, context):
+        layout, settings, hand = self.layout, context.scene.manient, active_hand(context)
         layout.template_icon_view(settings, "pose", show_labels=True, scale=6.0, scale_popup=5.0)
         row = layout.row(align=True)
         row.prop(settings, "pose_scope", text="")

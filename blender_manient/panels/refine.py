@@ -19,14 +19,15 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
     bl_options = set()
     works_on = staticmethod(active_hand)
 
-    def draw_for(self, subject, context, layout):
-        why = why_not_refinable(subject.track)
+    def draw(self, context):
+        layout, hand = self.layout, self.works_on(context)
+        why = why_not_refinable(hand.track)
         if why is not None:
             note(layout, capitalised(why), "INFO")
         else:
-            self._by_points(context, subject)
+            self._by_points(context, hand)
         layout.prop(context.scene.manient, "spread", text="Spread (Frames)")
-        corrected = corrections.corrected_frames(subject.armature)
+        corrected = corrections.corrected_frames(hand.armature)
         if corrected:
             shown = ", ".join(str(f) for f in corrected[:8]) + (" ..." if len(corrected) > 8 else "")
             note(layout, f"Corrected frames: {shown}", "KEYFRAME_HLT")
@@ -35,7 +36,7 @@ class MANIENT_PT_refine(EditSection, bpy.types.Panel):
             for scope, text in (("FRAME", "Frame"), ("RANGE", "Range"), ("ALL", "All")):
                 row.operator("manient.clear_corrections", text=text).scope = scope
         if why is None:
-            self._locks(subject.armature)
+            self._locks(hand.armature)
 
     def _by_points(self, context, hand: CapturedHand) -> None:
         """Draw the buttons that need the points that were detected."""

@@ -25,9 +25,9 @@ class MANIENT_PT_result(EditSection, bpy.types.Panel):
     bl_options = set()
     works_on = staticmethod(lambda context: context.scene)
 
-    def draw_for(self, subject, context, layout):
-        hand = active_hand(context)
-        armatures = captured_hands(subject, shown=True)
+    def draw(self, context):
+        layout, hand = self.layout, active_hand(context)
+        armatures = captured_hands(context.scene, shown=True)
         if not armatures:
             note(layout, "No hands captured in this scene yet", "INFO")
         column = layout.column(align=True)

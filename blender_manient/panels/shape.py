@@ -14,12 +14,13 @@ class MANIENT_PT_shape(EditSection, bpy.types.Panel):
     bl_order = 5
     works_on = staticmethod(active_hand)
 
-    def draw_for(self, subject, context, layout):
-        kept = subject.armature.manient
+    def draw(self, context):
+        layout, hand = self.layout, self.works_on(context)
+        kept = hand.armature.manient
         column = layout.column(align=True)
-        for index, name in enumerate(reshape.shape_names_of(subject)):
+        for index, name in enumerate(reshape.shape_names_of(hand)):
             column.prop(kept, "betas", index=index, text=name or f"Shape {index + 1}", slider=True)
-        trouble = reshape.trouble(subject.armature)
+        trouble = reshape.trouble(hand.armature)
         if trouble:
             note(layout, trouble, "ERROR")
         layout.operator("manient.reset_shape", icon="LOOP_BACK")
