@@ -99,7 +99,7 @@ def option_property(name: str, units: float = 1.0, more_help: str = "") -> dict[
 
 
 def has_surface(obj: bpy.types.Object) -> bool:
-    """Whether a hand may hold an object of its type."""
+    """True if a hand may hold an object of its type."""
     return obj.type in ("MESH", "CURVE", "SURFACE", "FONT", "META")
 
 

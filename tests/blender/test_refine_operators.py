@@ -17,7 +17,7 @@ import pytest
 import blender_manient
 from blender_manient.common import preferences
 from blender_manient.exporters.take import retaken
-from blender_manient.operators import edit_keypoints
+from blender_manient.operators.edit_keypoints import MANIENT_OT_edit_keypoints
 from blender_manient.operators.grip import _near
 from blender_manient.operators.modes.keypoints import KeypointMode
 from blender_manient.operators.refit_range import replaced
@@ -587,7 +587,7 @@ def test_what_cannot_be_done_says_so(armature, operator, fields, said):
     with pytest.raises(RuntimeError, match=said):
         getattr(bpy.ops.manient, operator)(**fields)
     assert corrections.corrections_text(armature) == ""
-    assert not edit_keypoints.running()
+    assert MANIENT_OT_edit_keypoints.current is None
 
 
 def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, peer):
