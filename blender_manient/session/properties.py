@@ -607,7 +607,7 @@ class ManientCapture(bpy.types.PropertyGroup):
     digest: StringProperty()  # type: ignore
     camera: PointerProperty(type=bpy.types.Object)  # type: ignore
     view_camera: PointerProperty(  # type: ignore
-        type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
+        type=bpy.types.Object, description="The camera of the second view (scene/build.py)"
     )
     plate: PointerProperty(  # type: ignore
         type=bpy.types.Image, description="The picture that it put behind the artist's own camera"
