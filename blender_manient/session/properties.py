@@ -575,7 +575,7 @@ class ManientCapture(bpy.types.PropertyGroup):
     digest: StringProperty()
     camera: PointerProperty(type=bpy.types.Object)
     view_camera: PointerProperty(
-        type=bpy.types.Object, description="The camera of the second view (scene/views.py)"
+        type=bpy.types.Object, description="The camera of the second view (scene/build.py)"
     )
     plate: PointerProperty(
         type=bpy.types.Image, description="The picture that it put behind the artist's own camera"

@@ -38,8 +38,7 @@ from ..scene import captures, corrections
 from ..scene.editable import why_not_keyable
 from ..scene.keys import displayed_pose, pose_at
 from ..scene.own_keys import note_fitted
-from ..scene.store import CapturedHand, hand_of
-from ..scene.views import row_of_view
+from ..scene.store import CapturedHand, hand_of, row_of_view
 from . import jobs
 
 _ON_ROW = 0.01
