@@ -10,8 +10,8 @@ from queue import SimpleQueue
 from threading import Event
 from typing import Final
 
+from handfit_core.common.threads import usable_threads
 from handfit_core.detect.detector import InChunks, Part
-from handfit_core.detect.networks import usable_threads
 from handfit_core.media.opening import open_media
 from handfit_core.media.settings import MEDIA
 from handfit_core.media.source import Media

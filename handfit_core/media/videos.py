@@ -65,8 +65,22 @@ class _Form:
 
     def applied(self, picture: VideoFrame, scaler: Any) -> np.ndarray:
         """(H, W, 3) uint8 RGB of a picture. `scaler`: PyAV's reformatter, which one thread uses."""
-        rgb = scaler.reformat(picture, self.width, self.height, "rgb24", threads=1).to_ndarray()
+        # With as many colors as pixels, planes are converted faster, and to the same values.
+        wanted = "gbrp" if "444" in picture.format.name else "rgb24"
+        picture = scaler.reformat(picture, self.width, self.height, wanted, threads=1)
+        rgb = _merged(picture) if wanted == "gbrp" else picture.to_ndarray()
         return rgb if self.orientation == 1 else np.ascontiguousarray(upright(rgb, self.orientation))
+
+
+def _merged(picture: VideoFrame) -> np.ndarray:
+    """(H, W, 3) uint8 RGB of a picture with planes of green, blue and red."""
+    import cv2
+
+    green, blue, red = (
+        np.frombuffer(plane, dtype=np.uint8).reshape(plane.height, plane.line_size)[:, : plane.width]
+        for plane in picture.planes
+    )
+    return cv2.merge([red, green, blue])
 
 
 class Video(Media):
