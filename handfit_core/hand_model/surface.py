@@ -8,7 +8,6 @@ has n . a = k and n . b = -m; else it is least at an end of one of them.
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -103,7 +102,7 @@ class Surface:
         self._end_dirs = np.stack([ends - mean[0] for ends, _ in steps], axis=-1)  # (19, 2, 3, 10)
         self._radius_dirs = np.stack([radii - mean[1] for _, radii in steps], axis=-1)  # (19, 2, 10)
         self._flat, self._flat_dirs = np.zeros(len(PAIRS)), np.zeros((len(PAIRS), NUM_BETAS))
-        self._last = threading.local()
+        self._last: tuple[Posed, Capsules] | None = None
         betas = np.concatenate([np.zeros((1, NUM_BETAS)), np.eye(NUM_BETAS)])
         flat = self.of(betas, np.zeros((len(betas), 45)))
         gaps = self.near(flat, np.inf).gap.reshape(len(betas), -1)
@@ -119,9 +118,9 @@ class Surface:
         return self._radii + (self._radius_dirs @ betas.T).transpose(2, 0, 1)
 
     def capsules(self, posed: Posed) -> Capsules:
-        """The capsules of B posed hands; each thread's last ones are cached, as several terms need them."""
-        last = getattr(self._last, "found", (None, None))
-        if last[0] is posed:
+        """The capsules of B posed hands; the last ones are cached, as several terms need them."""
+        last = self._last  # which another thread may replace
+        if last is not None and last[0] is posed:
             return last[1]
         betas = posed.state.betas
         batch = len(betas)
@@ -134,7 +133,7 @@ class Surface:
         ends = origins[:, :, None] + local @ frames.transpose(1, 0, 3, 2)
         radii = self.radii(betas)
         found = Capsules(ends, radii, np.minimum(self._flat + betas @ self._flat_dirs.T, _COMPRESSION))
-        self._last.found = posed, found
+        self._last = posed, found
         return found
 
     def depths(self, capsules: Capsules) -> np.ndarray:
