@@ -158,7 +158,8 @@ class ClipFinder(HandTracker, Detector):
             return tracked.last
         hand = cross_check(self._networks, rgb, tracked.last, tracked.min_presence)
         if self._networks.take_turns:
-            tracked.differences.append(Difference.of(hand, index, time))
+            last = tracked.differences[-1] if tracked.differences else None
+            tracked.differences.append(Difference.of(hand, index, time, last))
         return hand
 
     def _search(self, rgb: np.ndarray, index: int, lost_one: bool) -> list[TrackedHand]:

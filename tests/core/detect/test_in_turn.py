@@ -7,7 +7,6 @@ import pytest
 
 from handfit_core.common.skeleton import Side
 from handfit_core.detect.clips import ClipFinder
-from handfit_core.detect.correction.corrected import disagreement
 from handfit_core.detect.detector import DetectorSettings
 from handfit_core.detect.in_turn import IN_TURN, Difference
 from handfit_core.detect.keypoints import Detections
@@ -62,16 +61,25 @@ def test_between_two_frames_it_is_interpolated():
     [
         (0.01, 0.0, 0.1, False),
         (0.01, 0.0, IN_TURN.seconds, True),
-        (0.5, 0.0, 0.1, True),
+        (0.5, 0.0, 0.1, False),
         (0.01, np.linspace(0.0, 30.0, 21)[:, None], 0.1, True),
         (0.01, 500.0, 0.1, False),
     ],
-    ids=["quiet", "late", "networks disagree", "another pose", "only elsewhere"],
+    ids=["quiet", "late", "networks disagree steadily", "another pose", "only elsewhere"],
 )
 def test_when_the_present_network_runs(apart, change, seconds, due):
     hand = both(apart)
-    assert (disagreement(hand.keypoints, points_2020(hand))[0] > IN_TURN.agreement) == (apart == 0.5)
     assert Difference.of(hand, 0, 2.0).is_due(alone(hand, change), 2.0 + seconds) is due
+
+
+def test_a_difference_that_changes_fast_is_taken_again_sooner():
+    """A tenth of `seconds` after a change of `max_drift` it is due, and after one of half as much later."""
+    hand, passed = both(), IN_TURN.seconds / 10.0
+    first = Difference.of(hand, 0, 2.0)
+    for share, due in ((1.0, True), (0.5, False)):
+        change = share * IN_TURN.max_drift * 100.0 * np.array([0.6, 0.8, 0.0])
+        second = Difference.of(replace(hand, keypoints=hand.keypoints + change), 1, 2.0 + passed, first)
+        assert second.is_due(alone(hand), 2.0 + 2.0 * passed) is due
 
 
 @pytest.mark.usefixtures("landmark_model")
