@@ -24,7 +24,7 @@ from typing import Any, Final, Self, TypeVar
 import numpy as np
 
 from handfit_core.common.errors import LandmarkModelError
-from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS
+from handfit_core.common.skeleton import KEYPOINT_PARENTS, NUM_KEYPOINTS, SIDES
 from handfit_core.common.threads import in_pool, usable_threads
 from handfit_core.detect.crops import Crop
 from handfit_core.detect.detector import Quality
@@ -321,14 +321,15 @@ class Networks(Runner):
         else:
             landmarks, (presence,), (right,), world = self._run(self._hand, pixels)
             keypoints, world = _with_depth(landmarks), world.reshape(NUM_KEYPOINTS, 3).astype(np.float64)
-        keypoints = crop.points_to_picture(keypoints)
-        return Detections.hand(
-            side="right" if (right >= 0.5) != crop.mirrored else "left",
-            score=max(float(right), 1.0 - float(right)),
+        keypoints = crop.points_to_picture(keypoints)[None]
+        return Detections(
+            frame=np.zeros(1, dtype=np.int64),
+            side=np.array([SIDES.index("right" if (right >= 0.5) != crop.mirrored else "left")]),
+            score=np.array([max(float(right), 1.0 - float(right))]),
             keypoints=keypoints,
-            world=crop.world_to_picture(world),
+            world=crop.world_to_picture(world)[None],
             keypoints_2020=keypoints if by_2020 else None,
-            certainty=float(presence),
+            certainty=np.array([float(presence)]),
         )
 
     @property

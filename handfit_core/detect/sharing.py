@@ -64,6 +64,8 @@ def _in_threads(
     def work(number: int) -> None:
         with nullcontext(detector) if number == 0 else another(_reopened(detector.media)) as own:
             own.single_threaded()
+            # More would only wait for each other.
+            own.media.limit_threads(max(1, usable_threads() // count))
             while not ended.is_set():
                 index = next(indices)
                 if number > 0 and 0 < detector.media.expected_frames <= index * MEDIA.chunk_frames:

@@ -88,6 +88,8 @@ class Video(Media):
 
     _reading: tuple[Reading, Iterator[tuple[int, VideoFrame]], int] | None = None
     """What was read in part: the decoder, its pictures, and the number of the one that it gave last"""
+    _threads = 0
+    """That decode; 0: one a core"""
 
     def __init__(self, path: Path, wanted: Wanted) -> None:
         self._path, self._range, frames = path, wanted.frames, wanted.frames
@@ -127,7 +129,12 @@ class Video(Media):
     def _opened(self) -> Reading:
         from handfit_core.media.decoding import opened
 
-        return opened(self._path, int(1e6 * (self._max_megapixels or VIDEO.of(self._path))))
+        return opened(self._path, int(1e6 * (self._max_megapixels or VIDEO.of(self._path))), self._threads)
+
+    def limit_threads(self, count: int) -> None:
+        """Decode with so many threads from now on."""
+        self.close()
+        self._threads = count
 
     def _frame_count(self, reading: Reading) -> int:
         """How many frames the clip has by its header; 0 where it tells no length, or more frames than the
