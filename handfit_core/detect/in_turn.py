@@ -42,8 +42,6 @@ IN_TURN: Final = InTurnSettings()
 class Difference:
     """What the present network sees of a hand beyond what the one of December 2020 does, in one frame."""
 
-    frame: float
-    """Counted from the clip's first"""
     time: float
     """Seconds"""
     lasts: float
@@ -60,8 +58,8 @@ class Difference:
     """Score of the right side by the present network"""
 
     @classmethod
-    def of(cls, hand: Detections, frame: int, time: float, before: Self | None = None) -> Self:
-        """The difference of a hand that both have seen in that frame; `before` is the hand's last one."""
+    def of(cls, hand: Detections, time: float, before: Self | None = None) -> Self:
+        """The difference of a hand that both have seen at that time; `before` is the hand's last one."""
         points, by_2020 = hand.keypoints[0], _points_2020(hand)
         extent = _extent(by_2020)
         right = hand.side[0] == SIDES.index("right")
@@ -70,7 +68,6 @@ class Difference:
             drift = float(np.linalg.norm(keypoints - before.keypoints, axis=-1).mean())
             lasts = min(lasts, (time - before.time) * IN_TURN.max_drift / max(drift, 1e-9))
         return cls(
-            frame=frame,
             time=time,
             lasts=lasts,
             extent=extent,
@@ -84,8 +81,12 @@ class Difference:
         """True if it is to be taken again of a hand that the network of December 2020 sees at that time."""
         if time - self.time > self.lasts - 1e-3:
             return True
+        return self._change(hand) > IN_TURN.max_change
+
+    def _change(self, hand: Detections) -> float:
+        """Sizes of the hand by which its points have moved about their mean since then, on average."""
         moved = _about_mean(_points_2020(hand)) / self.extent - self.shape
-        return float(np.linalg.norm(moved, axis=-1).mean()) > IN_TURN.max_change
+        return float(np.linalg.norm(moved, axis=-1).mean())
 
     def added_to(self, hand: Detections) -> Detections:
         """A hand that only the network of December 2020 has seen, as both are likely to see it."""
@@ -98,9 +99,11 @@ class Difference:
             world=(average_sized(by_2020) + self.world)[None],
         )
 
-    def towards(self, other: Self, frame: int) -> Self:
-        """The difference in a frame between this one's and the other one's."""
-        share = (frame - self.frame) / (other.frame - self.frame)
+    def towards(self, other: Self, hand: Detections) -> Self:
+        """The difference of the hand in a frame between this one's and the other one's, nearer to that in
+        which the hand's shape is more alike: it is a better guide than time."""
+        since, until = self._change(hand) + 1e-9, other._change(hand) + 1e-9
+        share = since / (since + until)
         values = {
             each.name: (1.0 - share) * getattr(self, each.name) + share * getattr(other, each.name)
             for each in fields(self)
