@@ -229,7 +229,8 @@ _UNKNOWN: Final = {
 @cache
 def _none(cls: type[Detections]) -> Any:
     """Detections of no hand."""
-    return cls(**{name: _joined(name, spec, []) for name, spec in declared(cls).items()})
+    columns: dict[str, Any] = {name: _joined(name, spec, []) for name, spec in declared(cls).items()}
+    return cls(**columns)
 
 
 def _parts(frame: Iterable[Detections]) -> Iterable[Detections]:

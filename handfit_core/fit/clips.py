@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from handfit_core.common.batch import slices
+from handfit_core.common.threads import in_threads
 from handfit_core.fit.blocks import Blocks
 from handfit_core.fit.problem import MotionPrior, Problem
 from handfit_core.fit.settings import SOLVER
@@ -82,8 +83,13 @@ def _window(problem: Problem, start: State, before_each: Callable[[], None]) -> 
 def _data(problem: Problem, state: State) -> Blocks:
     """The frames' own systems; zero in frames that are not observed."""
     free = replace(problem, held=None)
-    batches = slices(len(state), SOLVER.batch_frames)
-    blocks = Blocks.collect(len(state), (free.select(rows).blocks(state.select(rows)) for rows in batches))
+
+    @np.errstate(all="ignore")
+    def systems(rows: slice) -> Blocks:
+        return free.select(rows).blocks(state.select(rows))
+
+    batches = list(slices(len(state), SOLVER.solve_batch))
+    blocks = Blocks.collect(len(state), in_threads(systems, batches))
     if problem.observed is None:
         return blocks
     nothing = ~problem.observed
@@ -120,7 +126,7 @@ def _banded(blocks: Blocks, mixed: np.ndarray, square: np.ndarray) -> np.ndarray
     they are solved in place."""
     count = len(mixed)
     band = np.zeros((count, FRAME_VARIABLES, _BAND + 1))
-    for rows in slices(count, SOLVER.batch_frames):
+    for rows in slices(count, SOLVER.solve_batch):
         own, beside = blocks.select(rows), mixed[rows]
         dense = beside[:, :, None] * (beside / -square[rows, None])[:, None]  # (T, 51, 51)
         dense[:, _HAND[:, None], _HAND] += own.hand[:, :6, :6]

@@ -10,6 +10,7 @@ import numpy as np
 
 from handfit_core.common.batch import scatter, slices
 from handfit_core.common.skeleton import NUM_BETAS
+from handfit_core.common.threads import in_threads
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Detections, Track
 from handfit_core.fit.clips import smooth_clip
@@ -140,13 +141,12 @@ class FastFitter:
         seen = problem.seen
         corrected = any(each is not None for each in (seen.pinned, seen.touches, seen.grip))
         tolerance = SOLVER.pinned_tolerance if corrected else SOLVER.tolerance
-        return Solution.collect(
-            len(start),
-            (
-                solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
-                for rows in slices(len(start), SOLVER.solve_batch)
-            ),
-        )
+
+        def solved(rows: slice) -> Solution:
+            return solve(problem.select(rows), start.select(rows), max_iterations=most, tolerance=tolerance)
+
+        batches = list(slices(len(start), SOLVER.solve_batch))
+        return Solution.collect(len(start), in_threads(solved, batches))
 
     def solve_solid(
         self, seen: Observation, plain: Solution, times: Times | None = None, held: FixedJoints | None = None
@@ -167,9 +167,8 @@ class FastFitter:
         if not len(coupled):
             return seen, plain
         solid = self.problem(seen, held=held, solid=True)
-        chosen = (coupled[batch] for batch in slices(len(coupled), SOLVER.solve_batch))
-        found = (self.solve_each(solid.select(rows), plain.state.select(rows)) for rows in chosen)
-        return seen, plain.replaced(coupled, Solution.collect(len(coupled), found))
+        found = self.solve_each(solid.select(coupled), plain.state.select(coupled))
+        return seen, plain.replaced(coupled, found)
 
     def solve_pictures(self, seen: Observation) -> tuple[Observation, Solution]:
         """B pictures of hands solved independently, each with a shape of its own; the observation as

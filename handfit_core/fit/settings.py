@@ -24,15 +24,14 @@ class SolverSettings:
     in all"""
     chunk_frames: int = 512
     """Frames fitted between two chances to stop; bounds the memory"""
-    solve_batch: int = 256
-    """Frames solved at once; bounds the memory, and arrays of so many fit into the processor's cache"""
+    solve_batch: int = 128
+    """Frames whose matrices are made, or that are solved, at once in a thread; bounds the memory, and arrays
+    of so many fit into the processor's cache"""
     clip_iterations: int = 8
     clip_tolerance: float = 3e-3
     """Relative decrease of the total cost at which to stop"""
     window_frames: int = 600
     """Frames that each window of a long clip adds"""
-    batch_frames: int = 128
-    """Frames whose own matrices are made together; bounds the memory for intermediate arrays"""
     first_damping: float = 1e-3
     min_damping: float = 1e-7
     max_damping: float = 1e6

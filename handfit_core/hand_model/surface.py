@@ -119,8 +119,9 @@ class Surface:
 
     def capsules(self, posed: Posed) -> Capsules:
         """The capsules of B posed hands; the last ones are cached, as several terms need them."""
-        if self._last is not None and self._last[0] is posed:
-            return self._last[1]
+        last = self._last  # which another thread may replace
+        if last is not None and last[0] is posed:
+            return last[1]
         betas = posed.state.betas
         batch = len(betas)
         # Frames' columns are those of three joints and the root.
