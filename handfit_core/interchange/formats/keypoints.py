@@ -188,11 +188,12 @@ TRC: Final = PointLayout(
 ARRAYS: Final = PointLayout(
     "arrays",
     "Points in an array",
-    "a .npy, .npz or table of numbers: frames by points by x, y (z)",
+    "a .npy, .npz, pickle or table of numbers: frames by points by x, y (z)",
     "docs/interchange.md",
     recognises=lambda document: bool(arrays_of(document)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     up="camera",
+    met="a pickle of dex-retargeting (2026-11)",
     assumes="the camera's axes; the unit, by the palm",
 )
 

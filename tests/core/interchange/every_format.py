@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,8 @@ def keypoint_files(folder: Path) -> dict[str, list[Path]]:
     found["trc"] = [point_files.trc(folder / "a.trc")]
     np.save(folder / "a.npy", told().points["left"])
     (folder / "a.pt").write_bytes(torch_zip({"hand": told().points["left"].astype(np.float32)}))
-    found["arrays"] = [folder / "a.npy", folder / "a.pt"]
+    (folder / "a.pkl").write_bytes(pickle.dumps([*told().points["left"]]))
+    found["arrays"] = [folder / name for name in ("a.npy", "a.pt", "a.pkl")]
     return found
 
 
