@@ -122,6 +122,13 @@ class _Part:
     def numbers(self, what: str, *shape: int) -> np.ndarray | None:
         return mano.numbers(*self.values[what], *shape) if what in self else None
 
+    def rows(self, what: str, count: int, *shape: int) -> np.ndarray | None:
+        """(count, *shape) numbers; None where there are none. Raises Unfit for another number of rows."""
+        found = self.numbers(what, *shape)
+        if found is not None and len(found) != count:
+            raise Unfit(f"{self.values[what][0]} has {len(found)} rows where {count} are expected")
+        return found
+
     def rotations(self, what: str, joints: int, count: int | None = None) -> np.ndarray:
         return mano.rotations(*self.values[what], joints, count)
 
@@ -252,7 +259,8 @@ def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part,
         joints = part.rotations("body_pose", mano.BODY_JOINTS)
         pelvis = part.rotations("global_orient", 1, len(joints))
         wrists = {side: mano.wrist_of_body(pelvis, joints, side) for side in SIDES}
-        tell(assumed, _NO_PLACE)
+        said = "where the wrists are is not known without the body's model: each hand stays in its place"
+        tell(assumed, f"{said}, and only turns")
         turn = mano.standing(pelvis, assumed) if "person" not in part.fixed else None
     for index, side in enumerate(SIDES):
         if f"{side}_hand_pose" in part:
@@ -263,37 +271,28 @@ def _sided(part: _Part, path: Path, assumed: list[str]) -> Iterator[tuple[_Part,
             yield replace(part, values=values, fixed={"person": 0, **part.fixed, "side": index}), turn
 
 
-_NO_PLACE: Final = (
-    "where the wrists are is not known without the body's model: each hand stays in its place, and only turns"
-)
-
-
 def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> FoundHands:
     """The hands of a part, as its own frame has them. Raises Unfit, InputError and OptionError."""
     layout, (name, value) = part.layout, part.values["hand_pose"]
     shape = np.shape(value)[-2:]
     LIMITS.check(path, np.size(value) // (9 * 15 if shape == (3, 3) else POSE), 2)
-    side, person, frames = _whose(part, asked, path, assumed)
+    side, person = _whose(part, asked, path, assumed)
     count = side.size if side.ndim else None
     directions = layout.directions or (np.size(value) and shape[-1:] and shape[-1] < POSE and shape[-1] != 3)
     pose = mano.numbers(name, value, shape[-1]) if directions else mano.rotations(name, value, 15, count)
     count = len(pose)
-    orient, side, place = part.rotations("global_orient", 1, count), np.broadcast_to(side, count), np.inf
+    orient, side = part.rotations("global_orient", 1, count), np.broadcast_to(side, count)
     if directions:
         pose = mano.from_directions(pose, side, asked)
-    frames = _frames(part, side, assumed) if frames is None else frames
-    if "transl" in part and len(place := mano.numbers(*part.values["transl"], 3)) != count:
-        raise Unfit(f"{part.values['transl'][0]} has {len(place)} rows where {count} are expected")
-    person, place = np.broadcast_to(person, count), np.broadcast_to(place, (count, 3))
+    frames, place = _frames(part, side, assumed), part.rows("transl", count, 3)
+    place = np.full((count, 3), np.inf) if place is None else place
+    person = np.broadcast_to(person, count)
     found = FoundHands(frames, side, person, _shapes(part, count), orient, pose, place)
     there = np.any(np.concatenate([orient, pose, place], axis=1) != 0.0, axis=1)
     if "present" in part:
-        name, value = part.values["present"]
-        rows = mano.numbers(name, value, 1)[:, 0]
-        rows = rows if len(rows) == count else mano.numbers(name, value, 2)[:, int(side[0])]
-        if len(rows) != count:
-            raise Unfit(f"{name} tells of {len(rows)} frames whether there is a hand, and there are {count}")
-        there &= rows > 0.0
+        both = np.size(part.values["present"][1]) == 2 * count
+        rows = part.rows("present", count, 1 + both)
+        there &= rows is not None and rows[:, int(side[0]) if both else 0] > 0.0
     if not there.all():  # Nothing but zeros is the place of a hand that was not there.
         gone = {n: np.where(there[:, None], getattr(found, n), np.nan) for n in ("betas", *POSE_ARRAYS)}
         found = replace(found, **gone)
@@ -302,8 +301,8 @@ def _hands(part: _Part, asked: ReadOptions, path: Path, assumed: list[str]) -> F
 
 def _whose(
     part: _Part, asked: ReadOptions, path: Path, assumed: list[str]
-) -> tuple[np.ndarray, np.ndarray | int, np.ndarray | None]:
-    """Which of SIDES each row is of (N,), or all rows are of (); whose; and tracks' frames. Raises Unfit."""
+) -> tuple[np.ndarray, np.ndarray | int]:
+    """Which of SIDES each row is of (N,), or all rows are of (), and whose. Raises Unfit."""
     which = part.layout.side
     if part.layout.rows == "tracks":
         of = "right" if "right" in part else "present"
@@ -314,19 +313,18 @@ def _whose(
         is_right = np.mean(flags > 0.5, axis=1) >= 0.5 if of == "right" else np.arange(2) > 0
         person = [int(np.sum(is_right[:track] == each)) for track, each in enumerate(is_right)]
         sides = np.where(is_right, SIDES.index("right"), SIDES.index("left"))
-        frames = np.tile(np.arange(1, count + 1), len(flags))
-        return np.repeat(sides, count), np.repeat(person, count), frames
+        return np.repeat(sides, count), np.repeat(person, count)
     if "side" in part.fixed:
-        return np.array(part.fixed["side"]), part.fixed.get("person", -1), None
+        return np.array(part.fixed["side"]), part.fixed.get("person", -1)
     if which == "asked":
         which = "left" if asked.hands == "left" else "right"
         tell(assumed, f"it was taken for a {which} hand, as the file does not say (--hands)")
     if which:
-        return np.array(SIDES.index(which)), -1, None
+        return np.array(SIDES.index(which)), -1
     right = part.numbers("right", 1)
     if right is None or not np.isin(right, (0.0, 1.0)).all():
         raise Unfit("right must be 1 for right hands and 0 for left ones")
-    return np.where(right[:, 0] > 0.0, SIDES.index("right"), SIDES.index("left")), -1, None
+    return np.where(right[:, 0] > 0.0, SIDES.index("right"), SIDES.index("left")), -1
 
 
 def _shapes(part: _Part, count: int) -> np.ndarray:
@@ -342,6 +340,9 @@ def _shapes(part: _Part, count: int) -> np.ndarray:
 def _frames(part: _Part, side: np.ndarray, assumed: list[str]) -> np.ndarray:
     """Each hand's frame; any where the part's name has it. Raises Unfit."""
     count, sides = len(side), part.layout.rows == "sides"
+    if part.layout.rows == "tracks":
+        frames = np.shape(part.values["right" if "right" in part else "present"][1])[1]
+        return np.tile(np.arange(1, frames + 1), count // frames)
     if "frame" in part.fixed:
         return part.fixed["frame"] + np.arange(count)
     if "frame" in part:
