@@ -39,9 +39,13 @@ _WORLDS: Final = {**UP_AXES, "OpenGL": np.diag([1.0, -1.0, -1.0])}
 class ManoLayout:
     """How a program keeps MANO's parameters in a file, or in the files of a folder."""
 
-    source: str
+    name: str = ""
+    title: str = ""
+    phrase: str = ""
+    """What such a file is, for messages and lists"""
+    source: str = ""
     """The address where this is written down"""
-    keys: str
+    keys: str = ""
     """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
     `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient`
@@ -82,6 +86,10 @@ class ManoLayout:
     first_frame: int = 0
     """What is added to the frames' numbers"""
     assumed: tuple[str, ...] = ()
+    assumes: str = ""
+    """What is assumed of every file, for the table of docs/interchange.md"""
+    also: tuple[ManoLayout, ...] = ()
+    """Others that the program has, less particular ones"""
     mirrored_by: str = ""
     """What to do, or to think, where left hands bend as if mirrored"""
 
@@ -97,6 +105,24 @@ class ManoLayout:
         of several."""
         told = {name: what for what, names in self.names.items() for name in reversed(names)}
         return told | {key: key for key in self.columns}
+
+    @property
+    def reader(self) -> Reader:
+        """What reads files in this layout, or in one of the program's others."""
+        layouts = (self, *self.also)
+
+        def read(document: Document, asked: ReadOptions) -> Recording:
+            fits = (each for each in layouts if _recognises(each, document))
+            return _read(self.name, next(fits, self), document, asked)
+
+        return Reader(
+            self.title,
+            self.phrase,
+            lambda document: any(_recognises(each, document) for each in layouts),
+            read,
+            "; ".join(each.met for each in layouts if each.met),
+            self.assumes,
+        )
 
     def plain(self, name: str) -> str:
         """A name without that of a dictionary within, as in `mano.betas`."""
@@ -511,21 +537,3 @@ def _camera(
     if not len(focals):
         tell(assumed, f"a focal length of {focal:.0f} pixels, the networks' own for this size")
     return size, Intrinsics(focal, focal, size[0] / 2.0, size[1] / 2.0)
-
-
-def mano_reader(name: str, title: str, layout: str, assumed: str, *layouts: ManoLayout) -> Reader:
-    """A reader of files in one of the layouts, the more particular ones first; `name`: the reader's own,
-    `title`, `layout` and `assumed` as `Reader` has them."""
-
-    def read(document: Document, asked: ReadOptions) -> Recording:
-        fits = [each for each in layouts if _recognises(each, document)]
-        return _read(name, (fits or layouts)[0], document, asked)
-
-    return Reader(
-        title,
-        layout,
-        lambda document: any(_recognises(each, document) for each in layouts),
-        read,
-        "; ".join(each.met for each in layouts if each.met),
-        assumed,
-    )
