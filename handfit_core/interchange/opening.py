@@ -17,7 +17,7 @@ from handfit_core.common.values import Unfit
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
-from handfit_core.interchange.recording import VIRTUAL, PointsHand, ReadOptions, Recording
+from handfit_core.interchange.recording import VIRTUAL_SIZE, PointsHand, ReadOptions, Recording
 from handfit_core.media.frame_range import FrameRange
 from handfit_core.media.opening import MediaInput, pictures_in
 from handfit_core.media.settings import MEDIA
@@ -42,7 +42,7 @@ class RecordedMedia(Media):
         self.given = given
         self.source = Source("data", recording.files)
         self.fps = recording.fps
-        self.width, self.height = recording.size or VIRTUAL.size
+        self.width, self.height = recording.size or VIRTUAL_SIZE
         wanted = frames or FrameRange()
         self._numbers = [int(n) for n in recording.frame_numbers if int(n) in wanted]
         if not self._numbers:
@@ -230,8 +230,7 @@ def scaled(recording: Recording, width: int, height: int) -> Recording:
     by = np.array([width / recording.size[0], height / recording.size[1]])
     seen, camera = recording.seen, recording.intrinsics
     if seen is not None:
-        depth = None if seen.depth is None else seen.depth * by[0]
-        seen = replace(seen, keypoints=seen.keypoints * by, depth=depth)
+        seen = replace(seen, points=seen.points * [*by, by[0]])
     if camera is not None:
         camera = type(camera)(camera.fx * by[0], camera.fy * by[1], camera.cx * by[0], camera.cy * by[1])
     return replace(recording, seen=seen, intrinsics=camera, size=(width, height))
