@@ -42,11 +42,11 @@ class ManoLayout:
     name: str = ""
     title: str = ""
     phrase: str = ""
-    """What such a file is, for messages and lists"""
+    """Such a file, as a phrase for messages and lists"""
     source: str = ""
     """The address where this is written down"""
     keys: str = ""
-    """What has which name in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
+    """The names of values in a file, as in "betas right=right|is_right": of `global_orient`, `hand_pose`,
     `transl`, `betas`, `right` (1 and 0), `frame`, `time` (nanoseconds), `present`, `fps`, `focal`, `size`,
     `intrinsics` (fx, fy, cx, cy, or a matrix), `cam_R`, `cam_t`, `model`; with `body_pose`, `global_orient`
     is a body's. `SIDE` stands for left and right"""
@@ -55,10 +55,10 @@ class ManoLayout:
     met: str = ""
     """The real file that it was tried with, and when; empty: it is read by its description"""
     rows: Literal["hands", "sides", "tracks"] = "hands"
-    """What rows are: hands; the frames of each side; or tracks with frames, whose sides are `right`, else a
+    """The kind of rows: hands; the frames of each side; or tracks with frames, whose sides are `right`, else a
     left and a right hand"""
     side: Literal["", "right", "asked"] = ""
-    """Whose all hands are, where a file has one side: right, or what --hands says"""
+    """The side of all hands, where a file has one: right, or the one that --hands names"""
     sides: Mapping[str, Side] = field(default_factory=lambda: {side: side for side in SIDES})
     """Keys and folders that have the hands of one side"""
     nested: str = ""
@@ -73,25 +73,25 @@ class ManoLayout:
     """An expression that names of a folder's files match; with groups, the number of the (first) `frame` and
     of the `person`, each of these files must have hands"""
     matrices: bool = False
-    """Whether poses are only recognised by being matrices"""
+    """True if only poses that are matrices are recognised"""
     directions: bool = False
-    """Whether poses are coefficients of MANO's principal directions, even if there are 45"""
+    """True if poses are coefficients of MANO's principal directions, even if there are 45"""
     counted: mano.Counted = "flat"
     mean_model: str = ""
     """The `model` with which poses count from the mean"""
     mirrored: Literal["no", "hands", "world"] = "no"
-    """Whether left hands are right ones in a mirror, which takes their places along or not"""
+    """If left hands are stored as right ones in a mirror: with their places (world) or without (hands)"""
     world: str = ""
     """The frame that hands are in, one of _WORLDS; empty: the camera's"""
     first_frame: int = 0
-    """What is added to the frames' numbers"""
+    """An offset of the frames' numbers"""
     assumed: tuple[str, ...] = ()
     assumes: str = ""
-    """What is assumed of every file, for the table of docs/interchange.md"""
+    """Assumptions about every file, for the table of docs/interchange.md"""
     also: tuple[ManoLayout, ...] = ()
     """Others that the program has, less particular ones"""
     mirrored_by: str = ""
-    """What to do, or to think, where left hands bend as if mirrored"""
+    """Advice where left hands bend as if mirrored"""
 
     @cached_property
     def names(self) -> dict[str, list[str]]:
@@ -108,7 +108,7 @@ class ManoLayout:
 
     @property
     def reader(self) -> Reader:
-        """What reads files in this layout, or in one of the program's others."""
+        """The reader of files in this layout, or in one of the program's others."""
         layouts = (self, *self.also)
 
         def read(document: Document, asked: ReadOptions) -> Recording:
@@ -140,7 +140,7 @@ class _Part:
     name: str = ""
     """The names of the file and of the keys that it stands under, as far as they have numbers"""
     fixed: Mapping[str, int] = field(default_factory=dict)
-    """What names of files, folders and keys say: `frame`, `person`, `side`"""
+    """Numbers from the names of files, folders and keys: `frame`, `person`, `side`"""
 
     def __contains__(self, what: str) -> bool:
         return what in self.values
@@ -160,15 +160,15 @@ class _Part:
 
     @property
     def is_hands(self) -> bool:
-        """Whether all is there that the layout needs, for one side at least."""
+        """True if all that the layout needs is there, for one side at least."""
         columns = [widths for key, widths in self.layout.columns.items() if key in self]
         told = {*self.values, *(what for each in columns for parts in each.values() for what in parts)}
         needs = [self.layout.needs.replace("SIDE", side).split() for side in SIDES if self.values]
         return any(all(told & {*what.split("|")} for what in of) for of in needs)
 
     def within(self, steps: Sequence[str | int], held: Mapping[str, Any]) -> _Part:
-        """What stands in a file, where the keys, names and places of lists lead to, with the values of `held`
-        that are wanted."""
+        """The part that these keys, names and places in lists lead to, with the values of `held` that are
+        wanted."""
         layout, values = self.layout, dict(self.values)
         for name, what in layout.wanted.items():
             widths = [(width,) for width in layout.columns.get(name, ())]
@@ -206,8 +206,8 @@ class _Part:
 
 
 def _values(held: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """What is in dictionaries and lists, with the keys and the places, from 1, that lead to it; a list of
-    numbers is one value."""
+    """The values in dictionaries and lists, with the keys and the places, from 1, that lead to each; a list
+    of numbers is one value."""
     first = held
     while isinstance(first, list) and first:
         first = first[0]

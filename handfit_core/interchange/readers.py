@@ -24,9 +24,9 @@ class Reader:
     title: str
     """The format's own name"""
     layout: str
-    """What such a file is, as a phrase for messages and lists"""
+    """Such a file, as a phrase for messages and lists"""
     recognises: Callable[[Document], bool]
-    """Whether a file or folder is of this format, by its contents rather than its name. Raises nothing for
+    """True if a file or folder is of this format, by its contents rather than its name. Raises nothing for
     files of other formats, however damaged"""
     read: Callable[[Document, ReadOptions], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError
@@ -34,7 +34,7 @@ class Reader:
     met: str = ""
     """The real file that it was tried with: project and date; empty: it was written by the description"""
     assumed: str = ""
-    """What is assumed of every such file, for the table of docs/interchange.md"""
+    """Assumptions about every such file, for the table of docs/interchange.md"""
 
 
 _HERE: Final = "handfit_core.interchange.formats"
@@ -98,17 +98,17 @@ def recognised(document: Document, name: str | None = None) -> tuple[str, Reader
 
 
 BY_DESCRIPTION: Final = "by its description, and on no file of that program: look whether it is right"
-"""What is said of formats of which no real file was met"""
+"""The note on formats of which no real file was met"""
 
 
 def tried_with(recording: Recording) -> str:
-    """What the reader of a recording was tried with; empty for those of other packages."""
+    """The real file that the reader of a recording was tried with; empty for those of other packages."""
     if recording.format not in READERS.built_in():
         return ""
     return READERS.get(recording.format).met or BY_DESCRIPTION
 
 
 def program_of(recording: Recording) -> str:
-    """What people call the program whose hands these are: its format's title, else the format's name."""
+    """The name of the program whose hands these are: its format's title, else the format's name."""
     reader = READERS.all().get(recording.format)
     return recording.format if reader is None else reader.title

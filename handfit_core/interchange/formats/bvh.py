@@ -138,7 +138,7 @@ def _parsed(document: Document) -> tuple[_Skeleton, np.ndarray, float]:
 
 
 def _hierarchy(words: Iterator[str]) -> _Skeleton:
-    """What stands before MOTION. Raises Unfit."""
+    """The bones, from the words before MOTION. Raises Unfit."""
     skeleton, open_bones = _Skeleton(), []
     try:
         if next(words).upper() != "HIERARCHY":

@@ -116,7 +116,7 @@ _OF_A_BODY: Final[dict[Side, tuple[slice, slice]]] = {
     "left": (slice(60, 63), slice(75, 120)),
     "right": (slice(63, 66), slice(120, 165)),
 }
-"""Of a wrist and of its fingers among a body's poses"""
+"""The columns of a wrist and of its fingers in a body's poses"""
 
 
 def _write_smplx(take: Take, path: Path) -> None:

@@ -88,14 +88,14 @@ def hand_of(recording: Recording, side: Side) -> HandMotion:
 
 
 def assert_same_turns(ours: np.ndarray, theirs: np.ndarray, exact: float = EXACT) -> None:
-    """Whether axis-angles (T, 3 J) turn alike, to `exact` radians."""
+    """Check that axis-angles (T, 3 J) turn alike, to `exact` radians."""
     turned = np.swapaxes(matrices(ours), -1, -2) @ matrices(theirs)
     off = np.linalg.norm(rotmat_to_rotvec(turned), axis=-1)
     assert off.max() < exact, f"off by {np.degrees(off.max()):.3g} degrees"
 
 
 def assert_same_hand(found: HandMotion, known: HandMotion, *, placed: bool = True) -> None:
-    """Whether a hand is the known one in the frames that have it."""
+    """Check that a hand is the known one in the frames that have it."""
     there = found.present
     assert_same_turns(found.global_orient[there], known.global_orient[there])
     assert_same_turns(found.hand_pose[there], known.hand_pose[there])
@@ -104,5 +104,5 @@ def assert_same_hand(found: HandMotion, known: HandMotion, *, placed: bool = Tru
 
 
 def says(recording: Recording, words: str) -> bool:
-    """Whether one of the phrases has these words."""
+    """True if one of the phrases has these words."""
     return any(words in phrase for phrase in recording.assumed)
