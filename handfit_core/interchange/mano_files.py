@@ -55,8 +55,8 @@ class ManoLayout:
     met: str = ""
     """The real file that it was tried with, and when; empty: it is read by its description"""
     rows: Literal["hands", "sides", "tracks"] = "hands"
-    """The kind of rows: hands; the frames of each side; or tracks with frames, whose sides are `right`, else a
-    left and a right hand"""
+    """The kind of rows: hands; the frames of each side; or tracks with frames, whose sides are `right`, else
+    a left and a right hand"""
     side: Literal["", "right", "asked"] = ""
     """The side of all hands, where a file has one: right, or the one that --hands names"""
     sides: Mapping[str, Side] = field(default_factory=lambda: {side: side for side in SIDES})
