@@ -210,6 +210,9 @@ class Document:
         """The arrays of numbers in a .npy, a .npz, a pickle or a table without names, by their names."""
         if self.npz is None:
             alone = next((a for a in (self.npy, self.objects, self.numbers) if a is not None), None)
+            frames = alone if isinstance(alone, list) else ()
+            if frames and all(isinstance(f, np.ndarray) and f.shape == frames[0].shape for f in frames):
+                alone = np.array(frames)
             named = alone if isinstance(alone, dict) else {self.path.stem: alone}
             return {name: array for name, array in named.items() if isinstance(array, np.ndarray)}
         found = {}

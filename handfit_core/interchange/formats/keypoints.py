@@ -194,13 +194,13 @@ def _in_space(table: Table, *, sided: bool) -> bool:
 ARRAYS: Final = PointLayout(
     "arrays",
     "Points in an array",
-    "a .npy, .npz or table: frames by points by x, y (z)",
+    "a .npy, .npz, pickle or table: frames by points by x, y (z)",
     "docs/interchange.md",
     table=lambda table: _in_space(table, sided=False),
     recognises=lambda document: bool(points_among(document.arrays)),
     units={"metres": 1.0, "millimetres": 1e-3, "centimetres": 1e-2},
     up="camera",
-    met="DanMulla's handmocap (2026-11)",
+    met="handmocap's .npy, dex-retargeting's pickle (2026-11)",
     assumes="the camera's axes; the unit, by the palm",
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import struct
 from itertools import pairwise
 from pathlib import Path
@@ -518,6 +519,7 @@ MADE: dict[str, Made] = {
     "rows_of_points.csv": Made("arrays", ([*"xyz"], _RIGHT.reshape(-1, 3).tolist()), sides=("right",)),
     "T2-21-3.npy": Made("arrays", np.stack([_LEFT, _RIGHT], axis=1)),
     "numbers.txt": Made("arrays", lambda path: np.savetxt(path, _NUMBERED), sides=("right",)),
+    "a.pkl": Made("arrays", lambda path: path.write_bytes(pickle.dumps([*_LEFT])), sides=("left",)),
     "a.pt": Made("arrays", lambda path: path.write_bytes(_TORCH), sides=("left",)),
 }  # fmt: skip
 """Files and folders by their names"""
