@@ -135,7 +135,7 @@ class Document:
 
     @cached_property
     def json(self) -> Any:
-        """The list or object that a JSON file holds, or the list of what a file with one a line has."""
+        """The list or object in a JSON file, or the list of those in a file with one a line (.jsonl)."""
         start = self.bytes[:64].removeprefix(b"\xef\xbb\xbf").lstrip()[:1]
         if start not in (b"{", b"["):
             return None

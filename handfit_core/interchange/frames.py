@@ -4,7 +4,7 @@ becomes objects as JSON has them, from which `json_hands` takes the hands."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -119,10 +119,10 @@ def objects_in(content: Any, most: int = 2000) -> Iterator[Mapping[str, Any]]:
         waiting += reversed(list(islice(each, most)))
 
 
-def frames_of_json(document: Document, is_one: Callable[[Any], bool], *, grouped: bool = False) -> Frames:
+def frames_of_json(document: Document, *, grouped: bool) -> Frames:
     """The frames of a folder of JSON files, of a list, of an object with a list or with frames by their
-    numbers, or of a single frame, of which `is_one` says that it is no list of frames. `grouped`: what has
-    the same number belongs to one frame. Raises InputError."""
+    numbers, or of a single frame. `grouped`: what has the same number belongs to one frame. Raises
+    InputError."""
     path = shown(document.path)
     if document.is_folder:
         files, assumed = _frame_files(document)
@@ -140,9 +140,11 @@ def frames_of_json(document: Document, is_one: Callable[[Any], bool], *, grouped
     if listed is not None:
         content = listed
         header = {k: v for k, v in header.items() if k == "images" or not isinstance(v, list | dict)}
-    alone = is_one(content)
+    # MMPose's persons stand in a list without a frame about it.
+    persons = isinstance(content, list) and content and "keypointscores" in keyed(content[0])
+    alone = persons or is_hand(content)
     numbers = [_counted(key) for key in content] if isinstance(content, Mapping) and not alone else []
-    if numbers and None not in numbers:
+    if isinstance(content, Mapping) and numbers and None not in numbers:
         of = next(iter(content.values()))
         if isinstance(of, Mapping) and of and all(map(_digits, of)):
             if len(content) > 1:

@@ -173,7 +173,10 @@ def is_hand(value: Any) -> bool:
     """True if this is one hand rather than a list of hands."""
     value = _pointwise(value)
     if isinstance(value, Mapping):
-        return "landmark" in value or sum(place_of(key) is not None for key in value) >= NUM_KEYPOINTS // 2
+        places = [
+            key for key, point in value.items() if place_of(key) is not None and not _is_frame(key, point)
+        ]
+        return "landmark" in value or len(places) >= NUM_KEYPOINTS // 2
     if not isinstance(value, list) or not value:
         return isinstance(value, np.ndarray)
     first = next((each for each in value if each is not None), None)
@@ -192,6 +195,12 @@ def _pointwise(value: Any) -> Any:
     if len(axes) < 2 or not all(isinstance(axis, list) and len(axis) in HANDS for axis in axes):
         return value
     return [list(point) for point in zip(*axes, strict=True)]
+
+
+def _is_frame(key: str, value: Any) -> bool:
+    """True if a key counts a frame, which has lists or objects in it, rather than a point."""
+    within = value.values() if isinstance(value, Mapping) else value if isinstance(value, list) else ()
+    return key.isdigit() and (len(within) > 8 or any(isinstance(each, list | Mapping) for each in within))
 
 
 def _numbers(hand: Any, columns: Mapping[int, str]) -> tuple[np.ndarray, bool]:
