@@ -27,8 +27,10 @@ class SolverSettings:
     solve_batch: int = 256
     """Frames solved at once; bounds the memory, and arrays of so many fit into the processor's cache"""
     clip_iterations: int = 8
-    clip_tolerance: float = 3e-3
-    """Relative decrease of the total cost at which to stop"""
+    clip_min_gain: float = 3e-3
+    """Relative decrease of the total cost after which a step was the last"""
+    clip_damping: float = 1e-6
+    """The first damping of clips, whose slow motions a larger one would hold back"""
     window_frames: int = 600
     """Frames that each window of a long clip adds"""
     batch_frames: int = 128
