@@ -22,9 +22,9 @@ import numpy as np
 
 from handfit_core.common.batch import Batch
 from handfit_core.fit.banded import put_lower, solve_bordered, solve_windows
-from handfit_core.fit.levenberg import solve
+from handfit_core.fit.levenberg import CoupledFrames, solve
 from handfit_core.geometry.camera import Intrinsics
-from handfit_core.geometry.rotations import turn_from_axis
+from handfit_core.geometry.rotations import turn_from_axis, units
 
 FREE: Final = 7
 """Unknowns of an arm in a frame: the wrist's place, and two of each direction, the forearm's first"""
@@ -145,8 +145,8 @@ class Arms(Batch):
         turned = (self.derivatives()[..., :FREE] @ step[..., None])[..., 0]
         return Arms(
             self.wrist + step[..., :3],
-            _unit(self.forearm + turned[..., FOREARM]),
-            _unit(self.upper + turned[..., UPPER]),
+            units(self.forearm + turned[..., FOREARM]),
+            units(self.upper + turned[..., UPPER]),
             self.lengths * np.exp(longer)[:, None],
         )
 
@@ -269,7 +269,7 @@ def first_guess(seen: ArmsSeen) -> Arms:
             rows = np.flatnonzero(there[:, arm])
             for axis in range(3):
                 value[:, arm, axis] = np.interp(np.arange(count), rows, value[rows, arm, axis])
-    return Arms(values[0], _unit(values[1]), _unit(values[2]), seen.lengths)
+    return Arms(values[0], units(values[1]), units(values[2]), seen.lengths)
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,18 +306,13 @@ class _System:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmFit(Batch):
+class ArmFit(CoupledFrames):
     """The fit of arms to what is seen of them in T consecutive frames at once."""
 
     seen: ArmsSeen
     fps: float
     learn: bool = True
     """True if the lengths are unknown, too"""
-
-    @property
-    def together(self) -> bool:
-        """True: acceleration couples the frames."""
-        return True
 
     def blocks(self, state: Arms) -> _System:
         """The normal equations of the whole clip, and each frame's cost."""
@@ -415,7 +410,3 @@ def _across(direction: np.ndarray) -> np.ndarray:
     """(..., 3) unit vectors -> (..., 3, 2) two axes across each."""
     facing = np.where(direction[..., 2:] < 0.0, -1.0, 1.0)
     return turn_from_axis(direction * facing)[..., :2]
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

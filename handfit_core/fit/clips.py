@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handfit_core.common.batch import Batch, slices
+from handfit_core.common.batch import slices
 from handfit_core.fit.banded import put_lower, solve_band, solve_windows
 from handfit_core.fit.blocks import Blocks
-from handfit_core.fit.levenberg import solve
+from handfit_core.fit.levenberg import CoupledFrames, solve
 from handfit_core.fit.problem import Problem
 from handfit_core.fit.settings import SOLVER
 from handfit_core.fit.terms.motion import place_acceleration, rotation_acceleration
@@ -45,7 +45,7 @@ class MotionPrior:
 
 
 @dataclass(frozen=True, eq=False)
-class Clip(Batch):
+class Clip(CoupledFrames):
     """The fit of T consecutive frames at once."""
 
     frames: Problem
@@ -57,11 +57,6 @@ class Clip(Batch):
     """(T,) bool: frames whose observation counts; the others follow their neighbours. None: all count"""
     before_each: Callable[[], None] = lambda: None
     """Called before each window and each of its iterations; may raise to stop"""
-
-    @property
-    def together(self) -> bool:
-        """True: acceleration couples the frames."""
-        return True
 
     def blocks(self, state: State) -> Blocks:
         """The frames' own systems, zero in frames that are not observed, and their costs with those of the

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from handfit_core.common.batch import Batch
 from handfit_core.fit.settings import SOLVER
 from handfit_core.fit.solution import Solution, Status
 
@@ -14,26 +15,31 @@ S = TypeVar("S", bound=Any)
 """A `Batch` of states, whose method `moved` takes the increments of a step"""
 
 
-class LeastSquares(Protocol):
+class LeastSquares(Batch):
     """B least-squares problems: of hands, of a clip's frames, of arms, of a character's fingers."""
 
     @property
     def together(self) -> bool:
         """True if the rows share variables, so that they are one problem, which stops as a whole."""
-        ...
-
-    def select(self, index: np.ndarray) -> LeastSquares:
-        """The problems at `index`; not asked for of rows that are one problem."""
-        ...
+        return False
 
     def blocks(self, state: Any) -> Any:
-        """A `Batch` of the systems of normal equations at `state`, with their `cost` (B,)."""
-        ...
+        """The normal equations at `state`, with their `cost` (B,): a `Batch`, unless they are one problem."""
+        raise NotImplementedError
 
     def step(self, state: Any, blocks: Any, damping: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
         """The increments that `state.moved` takes, under damping (B,) relative to the diagonals, and by how
         much they decrease the costs (B,) at least if the residuals are linear."""
-        ...
+        raise NotImplementedError
+
+
+class CoupledFrames(LeastSquares):
+    """The problem of consecutive frames, which acceleration couples."""
+
+    @property
+    def together(self) -> bool:
+        """True."""
+        return True
 
 
 @np.errstate(all="ignore")

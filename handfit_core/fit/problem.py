@@ -11,6 +11,7 @@ import numpy as np
 from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import JOINTS_BY_FINGER
 from handfit_core.fit.blocks import Blocks
+from handfit_core.fit.levenberg import LeastSquares
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows, SkinRows
@@ -47,7 +48,7 @@ class FixedJoints(Batch):
 
 
 @dataclass(frozen=True, eq=False)
-class Problem(Batch):
+class Problem(LeastSquares):
     """The fit of B hands."""
 
     chain: Chain

@@ -30,8 +30,8 @@ import numpy as np
 from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, PARENTS
 from handfit_core.common.slices import map_yields
-from handfit_core.fit.levenberg import solve
-from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler
+from handfit_core.fit.levenberg import LeastSquares, solve
+from handfit_core.geometry.rotations import euler_to_rotmat, rotmat_to_euler, smoothstep, units
 from handfit_core.hand_model.anatomy import axes_of, joint_limits
 from handfit_core.hand_model.axes import MIRROR_X, REST_FROM_MODEL, points_to_rest
 from handfit_core.hand_model.data import HandModel
@@ -164,7 +164,7 @@ def finding_touches(
     along = _mean(along, times)
     places = ends[:, PAIRS, 0] + along[..., None] * (ends[:, PAIRS, 1] - ends[:, PAIRS, 0])
     ways = places[:, :, 0] - places[:, :, 1]
-    beside = np.abs((_units(ways) * _units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
+    beside = np.abs((units(ways) * units(beside[:, PAIRS].sum(axis=2))).sum(axis=-1))
     near = _falling(gap, TOUCHES.touch_gap) * np.where(
         PAIRS[:, 0] == 0, 1.0, _falling(beside, TOUCHES.crossed_share)
     )
@@ -229,14 +229,9 @@ def _nearest(ends: np.ndarray, radii: np.ndarray, pairs: np.ndarray) -> tuple[np
     return along.reshape(len(ends), -1, 2), gap.reshape(len(ends), -1)
 
 
-def _units(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
-
-
 def _falling(value: np.ndarray, range_: tuple[float, float]) -> np.ndarray:
     """1 up to the first bound, 0 from the second on, smooth between."""
-    share = np.clip((range_[1] - value) / (range_[1] - range_[0]), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    return smoothstep((range_[1] - value) / (range_[1] - range_[0]))
 
 
 def _mean(values: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -457,7 +452,7 @@ class _Problem(Batch):
         """(N, P, 3, 3) rho, between the skins and along them: by the Jacobian (N, P, 3, U) of the captured
         pose. `along`: the share of what lies along them that is closed at most."""
         gives = (slopes**2 / self.chains.turn_cost).sum(axis=(-1, -2))
-        towards, weights = _units(self.touching.ways), self.touching.weights
+        towards, weights = units(self.touching.ways), self.touching.weights
         between = ((towards[..., None, :] @ slopes)[..., 0, :] ** 2 / self.chains.turn_cost).sum(axis=-1)
         share = along * weights * (PAIRS[self.chains.pairs] == 0).any(axis=1)
         rho = [
@@ -486,7 +481,7 @@ class _Problem(Batch):
 
 
 @dataclass(frozen=True, eq=False)
-class _Bounded(Batch):
+class _Bounded(LeastSquares):
     """The least-squares problems of N frames, whose angles stay within bounds."""
 
     frames: _Problem
@@ -498,11 +493,6 @@ class _Bounded(Batch):
     """(N, U) radians"""
     high: np.ndarray
     """(N, U) radians"""
-
-    @property
-    def together(self) -> bool:
-        """False: each frame is solved by itself."""
-        return False
 
     def blocks(self, state: _Turns) -> _System:
         """Their normal equations."""
