@@ -40,7 +40,7 @@ from handfit_core.common.arrays import (
 from handfit_core.common.errors import TakeError
 from handfit_core.common.skeleton import NUM_JOINTS, NUM_KEYPOINTS, can_touch
 from handfit_core.common.values import Unfit, number
-from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat
+from handfit_core.geometry.rotations import quat_multiply, quat_to_rotvec, rotvec_to_quat, smoothstep
 
 FORMAT_VERSION: Final = 1
 _ALWAYS_KEPT: Final = ("pins", "spread", "added_key")
@@ -376,8 +376,7 @@ def _correction(content: Mapping[str, Any]) -> Correction:
 
 def fade(part: np.ndarray) -> np.ndarray:
     """Smoothstep from 1 at 0 to 0 at 1 and beyond."""
-    part = np.clip(part, 0.0, 1.0)
-    return 1.0 - part * part * (3.0 - 2.0 * part)
+    return 1.0 - smoothstep(part)
 
 
 def changed_quats(quats: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:

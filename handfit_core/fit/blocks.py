@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handfit_core.common.batch import Batch, Index
+from handfit_core.common.batch import Batch
 from handfit_core.fit.settings import SOLVER
 from handfit_core.hand_model.chain import BETAS, HAND_SIZE
 
@@ -32,11 +32,6 @@ class Blocks(Batch):
     between: np.ndarray | None = None
     """(B, 45, 45) coupling of fingers with each other, with zeros in each finger's own block; None: no hand
     of the batch has any"""
-
-    def put(self, index: Index, other: Blocks) -> None:
-        """Overwrite the rows at `index` with those of `other`, which has the same terms."""
-        for name, values in self._rows():
-            values[index] = getattr(other, name)[index]
 
     def with_fixed(self, of_hand: np.ndarray, of_fingers: np.ndarray) -> Blocks:
         """The problems with some variables fixed: the increments of these come out as exactly zero.

@@ -13,7 +13,7 @@ from handfit_core.common.skeleton import NUM_BETAS
 from handfit_core.common.threads import in_threads
 from handfit_core.detect.correction.corrected import landmarked
 from handfit_core.detect.keypoints import Detections, Track
-from handfit_core.fit.clips import smooth_clip
+from handfit_core.fit.clips import ClipProblem, MotionPrior, smooth_clip
 from handfit_core.fit.doubt import (
     crop_spread_factor,
     doubtful,
@@ -26,7 +26,7 @@ from handfit_core.fit.doubt import (
 from handfit_core.fit.gaps import Times, detect_cuts, interpolate_gaps, missing_between, segments
 from handfit_core.fit.levenberg import solve
 from handfit_core.fit.observation import Observation, anchored_at_distance, observation_of
-from handfit_core.fit.problem import FixedJoints, MotionPrior, Problem, SharedShape
+from handfit_core.fit.problem import FixedJoints, Problem, SharedShape
 from handfit_core.fit.self_contact import find_self_contact
 from handfit_core.fit.settings import MOTION, SOLVER, TERMS, VIEWS
 from handfit_core.fit.solution import Solution
@@ -357,8 +357,7 @@ def smooth_track(
                     problem, seen=replace(segment_seen, kept=kept), terms=(*problem.terms, distance)
                 )
             motion_scale = palm_motion_scale(segment_seen, known, fps)
-            problem = replace(problem, motion=motion, motion_scale=motion_scale, observed=known)
-            guess = smooth_clip(problem, guess, before_each)
+            guess = smooth_clip(ClipProblem(problem, motion, motion_scale, known, before_each), guess)
         frames.append(segment)
         states.append(guess)
     return np.concatenate(frames), State.concatenate(states)

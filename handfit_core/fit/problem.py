@@ -11,6 +11,7 @@ import numpy as np
 from handfit_core.common.batch import Batch
 from handfit_core.common.skeleton import JOINTS_BY_FINGER
 from handfit_core.fit.blocks import Blocks
+from handfit_core.fit.levenberg import LeastSquares
 from handfit_core.fit.observation import Observation
 from handfit_core.fit.terms import Term
 from handfit_core.fit.terms.rows import FINGERS, HAND, POINTS, SIZES, Group, PairRows, SkinRows
@@ -46,20 +47,8 @@ class FixedJoints(Batch):
         )
 
 
-@dataclass(frozen=True)
-class MotionPrior:
-    """Standard deviations of a hand's accelerations, per frame of the clip."""
-
-    rotation: float
-    """radians per frame squared"""
-    place: float
-    """metres per frame squared"""
-    overlap: int = 60
-    """Frames that two windows share: frames farther apart hardly influence each other"""
-
-
 @dataclass(frozen=True, eq=False)
-class Problem(Batch):
+class Problem(LeastSquares):
     """The fit of B hands."""
 
     chain: Chain
@@ -69,13 +58,6 @@ class Problem(Batch):
     """Whether betas are constant, each hand's own variables, or one set for all hands"""
     held: FixedJoints | None = None
     """Joints that are no variables; None: all are variables"""
-    motion: MotionPrior | None = None
-    """The motion prior of B consecutive frames of a clip; None: frames are independent"""
-    motion_scale: np.ndarray | None = None
-    """(B,) factors of the palm's expected rotational acceleration in the frames of a clip; None: 1"""
-    observed: np.ndarray | None = None
-    """(B,) bool: frames of a clip whose `seen` counts; the others follow their neighbours. None: all count"""
-
     angle_bounds: tuple[np.ndarray, np.ndarray] | None = None
     """(5, 9) and (5, 9) radians between which steps keep the angles: joint limits are so steep that a step,
     which only knows those that are exceeded already, would overshoot them. None: unbounded"""
@@ -88,6 +70,19 @@ class Problem(Batch):
         angles = state.angles
         ends = np.clip(angles + of_fingers, np.minimum(least, angles), np.maximum(most, angles))
         return ends - angles
+
+    @property
+    def together(self) -> bool:
+        """True if all hands have one shape."""
+        return self.shape == "one"
+
+    def step(
+        self, state: State, blocks: Blocks, damping: np.ndarray
+    ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Increments (B, n) and (B, 5, 9) as `State.moved` takes them, and the predicted decrease (B,)."""
+        of_hand, of_fingers = blocks.step(damping, shared_shape=self.together)
+        step = of_hand, self.clip_to_bounds(state, of_fingers)
+        return step, blocks.predicted_decrease(*step)
 
     def blocks(self, state: State) -> Blocks:
         """Cost and Gauss-Newton matrices of B hands, each by itself."""

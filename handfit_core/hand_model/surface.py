@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from handfit_core.common.skeleton import FINGER_JOINTS, FINGERS, JOINTS_BY_FINGER, NUM_BETAS
-from handfit_core.geometry.rotations import rotmat_to_rotvec
+from handfit_core.geometry.rotations import rotmat_to_rotvec, units
 from handfit_core.hand_model.anatomy import anatomical_axes, rotmats_from_angles
 from handfit_core.hand_model.chain import Chain, Posed
 from handfit_core.hand_model.data import HandModel
@@ -199,8 +199,7 @@ class Surface:
 
 def _towards(places: np.ndarray) -> np.ndarray:
     """(K, 3) unit vectors from the second of places (K, 2, 3) to the first."""
-    towards = places[:, 0] - places[:, 1]
-    return towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-9)
+    return units(places[:, 0] - places[:, 1])
 
 
 @lru_cache(maxsize=8)
