@@ -77,7 +77,9 @@ def _merged(picture: VideoFrame) -> np.ndarray:
     import cv2
 
     green, blue, red = (
-        np.frombuffer(memoryview(plane), dtype=np.uint8).reshape(plane.height, plane.line_size)[:, : plane.width]
+        np.frombuffer(memoryview(plane), dtype=np.uint8).reshape(plane.height, plane.line_size)[
+            :, : plane.width
+        ]
         for plane in picture.planes
     )
     return cv2.merge([red, green, blue])
