@@ -276,7 +276,7 @@ class Track:
     landmarks: Landmarks | None = None
     """Where on a hand its keypoints lie; None: where the detector sees them"""
     calibrated: bool = True
-    """Whether `fit.doubt` can tell how far off a fit to them is likely to be (`Backend.calibrated`)"""
+    """True if `fit.doubt` can tell how far off a fit to them is likely to be (`Backend.calibrated`)"""
 
     @property
     def detected(self) -> np.ndarray:

@@ -80,7 +80,7 @@ class Reading:
         raise NotImplementedError
 
     def _seek(self, stamp: int) -> bool:
-        """Whether the next picture to be decoded was moved to one at that time or before it."""
+        """True if the next picture to be decoded was moved to one at that time or before it."""
         raise NotImplementedError
 
     def close(self) -> None:

@@ -76,10 +76,11 @@ def _merged(picture: VideoFrame) -> np.ndarray:
     """(H, W, 3) uint8 RGB of a picture with planes of green, blue and red."""
     import cv2
 
-    green, blue, red = (
-        np.frombuffer(plane, dtype=np.uint8).reshape(plane.height, plane.line_size)[:, : plane.width]
-        for plane in picture.planes
-    )
+    def pixels(plane: Any) -> np.ndarray:
+        rows = np.frombuffer(memoryview(plane), dtype=np.uint8).reshape(plane.height, plane.line_size)
+        return rows[:, : plane.width]
+
+    green, blue, red = map(pixels, picture.planes)
     return cv2.merge([red, green, blue])
 
 

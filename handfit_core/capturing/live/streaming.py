@@ -101,13 +101,13 @@ class LiveOptions:
     capture: CaptureOptions = field(default_factory=CaptureOptions)
     """`hands`, `hand_length`, `model`, `intrinsics`, `lens`, `threshold` and `landmark_model` count"""
     online: bool = False
-    """Whether addresses of other machines may be opened"""
+    """True if addresses of other machines may be opened"""
     size: tuple[int, int] = (640, 480)
     """pixels, that a camera is asked for"""
     fps: float = 30.0
     """frames per second, that a camera is asked for"""
     loop: bool = False
-    """Whether a file begins again at its end"""
+    """True if a file begins again at its end"""
     min_cutoff: float = 2.0
     """Hz, of the filter of a hand that is still: lower shakes less, and lags more"""
     beta: float = 1.0
