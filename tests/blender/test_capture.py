@@ -69,7 +69,7 @@ def test_stop_stands_below_the_progress_and_is_grey_while_hands_are_built(photo,
 def test_a_worker_that_dies_fails_its_capture_alone(photo, settings, peer):
     settings.source = str(photo)
     preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
-    with pytest.raises(RuntimeError, match="^Error: my hand.jpg: The capturing process ended unexpectedly"):
+    with pytest.raises(RuntimeError, match=r"^Error: my hand\.jpg: The capturing process ended unexpectedly"):
         bpy.ops.manient.capture()
     (job,) = jobs.jobs()
     assert (job.state, job.activity()) == ("failed", job.result.message)

@@ -619,7 +619,7 @@ def test_a_worker_that_dies_in_the_middle_is_a_sentence(armature, peer, operator
     before = all_keys(armature)
     preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
     try:
-        with pytest.raises(RuntimeError, match="(?i)^error: the capturing process ended"):
+        with pytest.raises(RuntimeError, match=r"(?i)^error: the capturing process ended"):
             getattr(bpy.ops.manient, operator)(**fields)
     finally:
         preferences.get().python = ""
