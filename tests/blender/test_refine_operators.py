@@ -611,6 +611,22 @@ def test_a_worker_that_dies_changes_nothing_and_the_next_one_works(armature, pee
     drag(armature)
 
 
+@pytest.mark.parametrize(
+    ("operator", "fields"),
+    [("refit_range", {}), ("touch", TOUCH), ("smooth_motion", {"strength": 2.0}), ("add_arms", {})],
+)
+def test_a_worker_that_dies_in_the_middle_is_a_sentence(armature, peer, operator, fields):
+    before = all_keys(armature)
+    preferences.get().python = peer(f"{READY}sys.stdin.readline(); os._exit(3)")
+    try:
+        with pytest.raises(RuntimeError, match=r"(?i)^error: the capturing process ended"):
+            getattr(bpy.ops.manient, operator)(**fields)
+    finally:
+        preferences.get().python = ""
+    np.testing.assert_array_equal(all_keys(armature).quats, before.quats)
+    assert corrections.corrections_text(armature) == ""
+
+
 def test_another_frame_while_dragging_shows_its_own_pose(armature):
     mode, scene = KeypointMode.__new__(KeypointMode), bpy.context.scene  # but for what it draws
     mode.refiner, mode.address, mode._warming, mode._solved_in = Refiner(armature), 0, None, 0.0
