@@ -1,4 +1,4 @@
-"""Detections as another program would tell of the same hands: keypoints in the plane, without their depth."""
+"""Detections as another program would export them: keypoints in the picture plane, without depth."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from handfit_core.interchange.recording import LEAST_POINTS, SeenHands
 
 @dataclass(frozen=True)
 class Flat:
-    """What becomes of keypoints beside the loss of their depth."""
+    """How keypoints are degraded beside the loss of their depth."""
 
     noise: float = 0.0
     """Standard deviation added to x and y, of the hand's size (the longer side of its keypoints' box)"""
     missing: float = 0.0
-    """Of the points, those that are dropped"""
+    """Share of the points that are dropped, 0..1"""
 
 
 def flattened(detections: Detections, flat: Flat, seed: int = 0) -> Detections:
-    """Detections with their keypoints' x and y alone, spoilt as `flat` says, and lifted as a reader's are.
-    Their sides are those that the detector held for likelier."""
+    """Detections of which only the keypoints' x and y are used, degraded as `flat` says, with a depth that is
+    estimated as for keypoints of other programs. The sides are those that the detector found likelier."""
     rng = np.random.default_rng(seed)
     points, size = detections.keypoints_2d, detections.extent
     points = points + flat.noise * size[:, None, None] * rng.normal(size=points.shape)

@@ -13,6 +13,7 @@ import numpy as np
 from handfit_core.common.arrays import arrays_of
 from handfit_core.common.errors import InputError
 from handfit_core.common.files import shown
+from handfit_core.common.values import Unfit
 from handfit_core.hand_model.motion import HandMotion
 from handfit_core.interchange.document import Document
 from handfit_core.interchange.readers import READERS, recognised
@@ -107,6 +108,8 @@ def read_recording(path: str | os.PathLike[str], options: ReadOptions | None = N
             recording = replace(recording, size=recording.size or options.picture_size)
             recording = _with_rate(recording, options.fps)
             recording.check()
+    except Unfit as error:
+        raise InputError(f"{shown(path)}: read as {reader.title}, {str(error)[:300]}") from error
     except (
         ArithmeticError,
         AssertionError,

@@ -60,17 +60,27 @@ MMPOSE: Final = PointLayout(
 )
 
 
+def _of_whole_bodies(document: Document) -> bool:
+    """True if COCO's annotations have a whole body's points in one list, as Halpe's do."""
+    if not isinstance(document.json, Mapping):
+        return False
+    told = (each.get("keypoints") for each in objects_in(document.json.get("annotations")))
+    return any(isinstance(points, list) and len(points) in (3 * 133, 3 * 136) for points in told)
+
+
 COCO: Final = PointLayout(
     "coco-wholebody",
     "COCO-WholeBody",
-    "annotations with lefthand_kpts",
+    "annotations with lefthand_kpts, or with Halpe's 136 keypoints",
     "https://github.com/jin-s13/COCO-WholeBody/blob/master/data_format.md",
     marks=("lefthand_kpts righthand_kpts",),
+    recognises=_of_whole_bodies,
     columns="xyc",
     grouped=True,
     people="annotations",
     order="mediapipe",
     persons="told",
+    met="COCO, UBody and Halpe, in MMPose (2026-11)",
     assumes="frames are the pictures' ids",
 )
 
@@ -112,6 +122,7 @@ INTERHAND: Final = PointLayout(
     units={"millimetres": 1e-3},
     up="camera",
     assumed=("its world's axes are taken for the camera's: x right, y down, z away",),
+    met="four frames, in MMPose (2026-11)",
     assumes="the world's axes are the camera's",
 )
 
@@ -265,6 +276,7 @@ FREEMOCAP: Final = PointLayout(
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",
     first=0,
+    met="two right hands, by labrat57 (2026-11)",
     assumes="Z up, Y away from who looks; the unit, by the palm",
     assumed=("Z is up, and Y leads away from who looks",),
 )
