@@ -26,7 +26,7 @@ class Reader:
     layout: str
     """What such a file is, as a phrase for messages and lists"""
     recognises: Callable[[Document], bool]
-    """Whether a file or folder is of this format, by its contents rather than its name. Raises nothing for
+    """True if a file or folder is of this format, by its contents rather than its name. Raises nothing for
     files of other formats, however damaged"""
     read: Callable[[Document, ReadOptions], Recording]
     """Reads it. Raises InputError, whose sentence says what was found and what was expected, and OptionError

@@ -244,7 +244,7 @@ def _hand_files(document: Document) -> dict[str, Path]:
 
 
 def _in_space(table: Table) -> bool:
-    """Whether columns name both points and sides, and hold lengths rather than parts of a picture."""
+    """True if columns name both points and sides, and hold lengths rather than parts of a picture."""
     columns = None if table.is_trc else columns_of(table)
     if columns is None or any(column.side is None or column.world for column in columns):
         return False
