@@ -41,7 +41,7 @@ class Table:
     rows: list[list[str]]
     """Each as long as `columns`"""
     is_trc: bool = False
-    """Whether it was a .trc, whose markers' names are in `columns`"""
+    """True if it was a .trc, whose markers' names are in `columns`"""
 
     def texts(self, column: str) -> list[str]:
         """One column. Raises KeyError where there is none of that name."""

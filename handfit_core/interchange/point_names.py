@@ -103,7 +103,7 @@ def short(name: str) -> str:
 
 
 def is_apple(name: str) -> bool:
-    """Whether a point's or a column's name is Apple's Vision's alone: its keys, and its thumb's MP."""
+    """True if only Apple's Vision calls a point so: by its keys, and the MP of its thumb."""
     return bool(_APPLE_CODE.search(name)) or bool(_APPLE_THUMB.search(name))
 
 
@@ -129,9 +129,9 @@ class PointColumn:
     hand: int
     """Which hand, where columns number them"""
     named: bool
-    """Whether its point is named rather than numbered"""
+    """True if its point is named rather than numbered"""
     world: bool
-    """Whether it is in metres about the hand's middle, as MediaPipe's world landmarks"""
+    """True if it is in metres about the hand's middle, as MediaPipe's world landmarks"""
 
 
 def point_columns(names: Sequence[str]) -> list[PointColumn]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, Final, Literal
@@ -134,13 +134,11 @@ class PointLayout:
     def _recognises(self, document: Document) -> bool:
         table = document.table if document.numbers is None else None
         marks = [set(mark.split()) for mark in self.marks]
-        named = (each for content in some_contents(document) for each in objects_in(content))
-        if marks and any(
-            mark <= set(each) for each in ([table.columns] if table else named) for mark in marks
-        ):
-            return True
-        if self.names is not None and any(self.names(islice(each, 200)) for each in _names_in(document)):
-            return True
+        for names in _names_in(document) if marks or self.names else ():
+            if any(mark <= set(names) for mark in marks):
+                return True
+            if self.names and self.names(islice(names, 200)):
+                return True
         return self.recognises(document) if table is None else self.table(table)
 
     def _read(self, document: Document, asked: ReadOptions) -> Recording:
@@ -318,13 +316,14 @@ class PointLayout:
         return hands
 
 
-def _names_in(document: Document) -> Iterator[Iterable[str]]:
-    """The keys of objects in JSON, or columns and the first rows' cells of a table of hands."""
+def _names_in(document: Document) -> Iterator[Collection[str]]:
+    """The keys of objects in JSON, or a table's columns, and the first rows' cells of a table of hands."""
     table = document.table
     if table is None:
         yield from (each for content in some_contents(document) for each in objects_in(content))
-    elif is_hand_table(table):
-        yield from (table.columns, *table.rows[:50])
+    else:
+        yield table.columns
+        yield from table.rows[:50] if is_hand_table(table) else ()
 
 
 def _from_minus_one(told: Sequence[tuple[Any, ...]]) -> bool:

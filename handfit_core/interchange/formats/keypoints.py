@@ -6,7 +6,6 @@ import contextlib
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -248,20 +247,11 @@ MEDIAPIPE: Final = PointLayout(
 _HAND_FILE: Final = re.compile(r"(?:.*_)?(left|right)_hand_(?:3d_xyz|frame_name_xyz)\.npy")
 
 
-def _of_arrays(document: Document) -> Frames | None:
-    """The frames of a folder's hands, or of those in its output_data."""
-    for folder in (document, Document(document.path / "output_data")):
-        found = _hand_files(folder)
-        if found and document.is_folder:
-            arrays = {name: Document(file).npy for name, file in found.items()}
-            return frames_of_arrays(document, arrays, 0)
-    return None
-
-
-def _hand_files(document: Document) -> dict[str, Path]:
-    """A folder's arrays of hands, or the file itself if it is one, by their names."""
-    files = document.files(".npy") if document.is_folder else [document.path]
-    return {file.name: file for file in files if _HAND_FILE.fullmatch(file.name.lower())}
+def _hand_arrays(document: Document) -> dict[str, np.ndarray | None]:
+    """The arrays of hands in a folder, or in its output_data, by their files' names."""
+    folders = document, Document(document.path / "output_data")
+    files = [file for folder in folders for file in folder.files(".npy")]
+    return {file.name: Document(file).npy for file in files if _HAND_FILE.fullmatch(file.name.lower())}
 
 
 FREEMOCAP: Final = PointLayout(
@@ -272,10 +262,10 @@ FREEMOCAP: Final = PointLayout(
     marks=("keypoint trajectory",),
     table=lambda table: _in_space(table, sided=True),
     recognises=lambda document: (
-        bool(_hand_files(document) or _hand_files(Document(document.path / "output_data")))
+        bool(_HAND_FILE.fullmatch(document.path.name.lower()) or _hand_arrays(document))
         or (document.npy is not None and document.npy.shape[1:] == (553, 3))
     ),
-    read=_of_arrays,
+    read=lambda document: frames_of_arrays(document, _hand_arrays(document), 0),
     order="mediapipe",
     units={"millimetres": 1e-3, "centimetres": 1e-2, "metres": 1.0},
     up="z",

@@ -471,6 +471,12 @@ MADE: dict[str, Made] = {
     "inferencer.json": Made("mmpose", {"meta_info": {}, "instance_info": [instance(2)]}, [2]),
     "demo.json": Made("mmpose", {"instance_info": [mmpose(i) for i in ALL]}),
     "annotations.json": Made("coco-wholebody", annotations()),
+    # Halpe's, with hands among a person's 136 points
+    "halpe_annotations.json": Made("coco-wholebody", annotations() | {
+        "annotations": [
+            {"image_id": 100 + i, "keypoints": each["keypoints"]} for i, each in enumerate(alphapose(136))
+        ]
+    }),
     **{f"alphapose_{n}.json": Made("alphapose", alphapose(n)) for n in (133, 136)},
     "interhand.json": Made("interhand", interhand()),
     "codes.json": Made("apple-vision", {"chirality": "left", **_CODES}, [0], ("left",)),
