@@ -10,7 +10,14 @@ import pytest
 
 from handfit_core import Intrinsics, capture
 from handfit_core.__main__ import _all_parsers, _parser
-from handfit_core.capturing.options import OPTIONS, VIEW_OPTIONS, CaptureOptions, LiveOptions, Option, add_options
+from handfit_core.capturing.options import (
+    OPTIONS,
+    VIEW_OPTIONS,
+    CaptureOptions,
+    LiveOptions,
+    Option,
+    add_options,
+)
 from handfit_core.common.errors import OptionError
 from handfit_core.detect.detector import Region
 from handfit_core.geometry.lens import Lens
@@ -97,7 +104,9 @@ def test_the_library_and_the_command_line_have_every_option():
 def test_a_live_runs_options_are_declared_likewise():
     (subcommands,) = [a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction)]
     live = subcommands.choices["live"]
-    args = live.parse_args("0 --online --size=1280x720 --rate=60 --min-cutoff=3 --beta=0 --hands=left".split())
+    args = live.parse_args(
+        "0 --online --size=1280x720 --rate=60 --min-cutoff=3 --beta=0 --hands=left".split()
+    )
     capture = CaptureOptions.of_arguments(args)
     options = LiveOptions.of_arguments(args, capture=capture)
     assert capture == CaptureOptions(hands="left"), "the camera's rate is not that of another program's file"
