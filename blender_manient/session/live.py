@@ -15,7 +15,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from handfit_core.capturing.options import CaptureOptions
+from handfit_core.capturing.options import CaptureOptions, LiveOptions
 from handfit_core.common.arrays import unpack
 from handfit_core.common.errors import Cancelled, HandfitError, OptionError
 from handfit_core.common.skeleton import Side
@@ -66,15 +66,14 @@ class LiveSession:
         for side in followed:
             kept_model(str(options.model), side)  # now, rather than when the first hand is seen
         self.worker = shared_worker.new_worker()
-        size = [int(pixels) for pixels in wanted.size.split("x")]
-        live = {"online": bpy.app.online_access, "size": size, "fps": wanted.fps, "loop": True}
+        live = LiveOptions(online=bpy.app.online_access, size=wanted.size, fps=wanted.fps, loop=True)
         self._asking = shared_worker.ask(
             "live",
             "Live",
             self.worker,
             source=wanted.source,
             options=options.to_message(),
-            live=live,
+            live=live.to_message(),
             picture=PICTURE_WIDTH,
             mirror=wanted.mirror,
         )

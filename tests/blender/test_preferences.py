@@ -23,6 +23,7 @@ from handfit_core.capturing.options import OPTIONS, CaptureOptions
 from handfit_core.common.errors import HandfitError, OutputError
 from tests.conftest import ROOT
 from tests.drawn import drawn
+from tests.waiting import alive, pid_of, wait_for
 
 from .conftest import READY, write_png
 
@@ -151,11 +152,11 @@ def test_one_worker_until_the_preferences_change_and_it_is_free(registered, peer
     request = worker.submit("warm")
     preferences.get().threads = 2
     assert shared_worker.worker() is worker
-    worker.wait(request, timeout=20)
+    wait_for(worker, request, timeout=20)
     other = shared_worker.worker()
     assert other is not worker
     assert shared_worker.current() is other
-    assert not worker.alive
+    assert not alive(worker)
 
 
 TELLS = f"""{READY}
@@ -202,8 +203,7 @@ def test_unregister_ends_it_and_its_files(peer, tmp_path):
     preferences.get().python = peer(f"answers = False{PEER}")
     worker = shared_worker.worker()
     worker.submit("warm")
-    pid = worker.pid
-    assert pid is not None
+    pid = pid_of(worker)
     take = cache.temporary_take("a photo.jpg")
     take.write_bytes(b"x")
     blender_manient.unregister()
@@ -218,7 +218,7 @@ def test_the_panel_offers_the_plug_ins_that_the_worker_tells_of(registered, peer
     assert not {"solver", "detector"} & set(drawn(MANIENT_PT_advanced).said.split())
     preferences.get().python = peer(f"answers = True{PEER}")
     worker = shared_worker.worker()
-    worker.wait(worker.submit("warm"), timeout=20)
+    wait_for(worker, worker.submit("warm"), timeout=20)
     assert {"solver", "detector"} <= set(drawn(MANIENT_PT_advanced).said.split())
     assert [shared_worker.detectors(), shared_worker.solvers()] == [
         ["mediapipe", "bright-spot"],

@@ -38,6 +38,7 @@ from handfit_core.worker.client import Worker
 from tests.capturing import needs_capture
 from tests.drawn import drawn
 from tests.takes import seen_as
+from tests.waiting import stopping, wait_for
 
 from .conftest import READY, joint_heads
 from .importing import imported, read_back
@@ -64,8 +65,8 @@ def take_file(tmp_path_factory) -> Path:
     """A capture of the rendered hand, 24 frames, with its detections."""
     path = tmp_path_factory.mktemp("captured") / "hand.take.npz"
     pictures = sorted(str(p) for p in (ROOT / "samples" / "rendered_hand").glob("*.jpg"))
-    with Worker() as worker:
-        worker.wait(worker.submit("capture", input=pictures, output=str(path)), timeout=300)
+    with stopping(Worker()) as worker:
+        wait_for(worker, worker.submit("capture", input=pictures, output=str(path)), timeout=300)
     return path
 
 
